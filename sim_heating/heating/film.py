@@ -13,12 +13,15 @@ step, not interpolated itself.
 
 from __future__ import annotations
 
+import math
+
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.kernels.elementary import log10
+from sim_heating.base.kernels.elementary import LN_10, exp, log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
+from sim_heating.heating.atmosphere import SEA_LEVEL_PA
 from sim_heating.heating.effects.transition import intermittency
 from sim_heating.heating.ratio.lookup import (
     VARIABLES,
@@ -29,6 +32,7 @@ from sim_heating.heating.ratio.lookup import (
     table_ratios,
 )
 
+LOG10_SEA_LEVEL_PA = math.log10(SEA_LEVEL_PA)
 PRESSURE = VARIABLES
 """Index of the pressure axis among the table cells that a lane caches; the ratio table's own axes come before it."""
 
@@ -114,13 +118,38 @@ def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: i
     return factor
 
 
-@njit
-def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
-    """Column of the property tables below the pressure of each lane, read from CELL_X [Pa], and the fraction of the way
-    to the next column; the properties are linear in log10 p between columns and constant outside them.
+@inline_always
+def _vent(B: FloatArray, stage: int) -> None:
+    """Pressure in the insulation of all lanes at a stage, as log10 in CELL_X.
+
+        tau dp_in/dt = p_surface - p_in
+
+    Exact for a surface pressure that is linear over the step; p_in = p_surface at the start of a march.
+    Source: docs/equations_thermal_step.md, equation 10a.
     """
     for lane in range(LANES):
+        c_0 = k.C_STAGES * LANES + lane * k.N_CONDITIONS
+        c = c_0 + stage * LANES * k.N_CONDITIONS
+        tau, dt, inside = B[k.VENTING_TAU * LANES + lane], B[c + k.TIME] - B[c_0 + k.TIME], B[c + k.P_SURFACE]
+        if tau > 0.0 and B[k.LAG_PAST * LANES + lane] > 0.0 and dt > 0.0:
+            inside = lag_step(B[k.VENTED * LANES + lane], B[c_0 + k.P_SURFACE], inside, dt / tau)
+        B[(k.VENTED + stage) * LANES + lane] = inside
+        B[(k.CELL_X + PRESSURE) * LANES + lane] = inside
+    _logarithms(B)
+
+
+@inline_always
+def _logarithms(B: FloatArray) -> None:
+    """Take log10 of the pressure of each lane in CELL_X [Pa], in place."""
+    for lane in range(LANES):
         B[(k.CELL_X + PRESSURE) * LANES + lane] = log10(B[(k.CELL_X + PRESSURE) * LANES + lane])
+
+
+@njit
+def _pressure_columns(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Column of the property tables below the pressure of each lane, from its log10 in CELL_X, and the fraction of the
+    way to the next column; the properties are linear in log10 p between columns and constant outside them.
+    """
     # Pressure changes slowly: most steps stay in the cached column and skip the search.
     if lanes_outside_cell(B, PRESSURE) > 0:
         for lane in range(LANES):
@@ -158,8 +187,11 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
     c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
     for lane in range(LANES):
         B[(k.CELL_X + PRESSURE) * LANES + lane] = B[c + (lane * k.N_CONDITIONS + k.P_SURFACE)]
-    _pressure_columns(B, J, table, stage)
+    _logarithms(B)
     _air_places(B, J, table, stage)
+    if J[k.VENTS] == 1:
+        _vent(B, stage)
+    _pressure_columns(B, J, table, stage)
     # Only the end of the step is counted: it is a sample of the record, the other stages lie between two.
     if stage == 2:
         for lane in range(LANES):
@@ -192,5 +224,17 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
         B[(k.FILM + stage) * LANES + lane] = r * B[c + k.H_REF]
         B[(k.RECOVERY + stage) * LANES + lane] = H_r
         B[(k.ADDED + stage) * LANES + lane] = B[c + k.Q_ADD]
+        # 0 stands for what the stack declares: no surroundings are that cold, and none are the coldest declared.
+        around, behind = B[c + k.SURROUNDINGS], B[c + k.BEHIND]
+        declared4, declared = B[k.SURROUNDINGS4 * LANES + lane], B[k.BACK_T * LANES + lane]
+        square = around * around
+        B[(k.STAGE_SURROUNDINGS4 + stage) * LANES + lane] = square * square if around > 0.0 else declared4
+        B[(k.STAGE_BACK_T + stage) * LANES + lane] = behind if behind > 0.0 else declared
+        if J[k.CONVECTS] == 1:
+            # Nu ~ Ra^n and Ra ~ p^2 for a gas of given temperatures (docs/equations_thermal_step.md, equation 15a).
+            n = B[k.NATURAL_EXPONENT * LANES + lane]
+            decades = log10(B[c + k.P_SURFACE]) - LOG10_SEA_LEVEL_PA
+            natural = B[k.NATURAL * LANES + lane] * exp(2.0 * n * LN_10 * decades)
+            B[(k.STAGE_NATURAL + stage) * LANES + lane] = natural
         if stage == 2:
             B[k.NEGATIVE * LANES + lane] += 1.0 if r < 0.0 else 0.0

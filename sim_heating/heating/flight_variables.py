@@ -44,3 +44,7 @@ log10_re_theta_m = block.LOG10_RE_THETA_M
 """log10 of laminar Re_theta over edge Mach number [-]; 0 where no criterion in it is declared."""
 dissociation_J_kg = block.DISSOCIATION
 """Heat of dissociation of the flow at the edge of the boundary layer [J/kg]; 0 where no recombination is declared."""
+T_surroundings_K = block.SURROUNDINGS
+"""Temperature that the surface radiates to [K]; 0 where it is the one that the stack declares."""
+T_back_K = block.BEHIND
+"""Temperature behind the wall [K]; 0 where it is the one that the stack declares."""

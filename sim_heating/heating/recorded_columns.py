@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
-from sim_heating.base.files import CsvTable, display_path
+from sim_heating.base.files import CsvTable, display_path, raise_problems
 from sim_heating.base.limits import (
     HIGH_SPEED_M_S,
     LIMITS,
@@ -71,13 +71,37 @@ def implausible_values(table: CsvTable) -> list[str]:
 
     table : columns of flight conditions, `time_s`, `altitude_m` and `velocity_m_s` among them; others may be absent
     """
-    problems = table.celsius_problems("T_inf_K") if "T_inf_K" in table.columns else []
+    celsius = [table.celsius_problems(name) for name in ("T_inf_K", "T_back_K") if name in table.columns]
+    problems = [line for lines in celsius for line in lines]
     for name, (lowest, highest, rule) in LIMITS.items():
         if name in table.columns:
             problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
     problems += _energy_problems(table)
     # A column that is impossible by itself would make every relation with it look wrong.
     return problems or [line for relation in RELATIONS for line in relation(table)] or _duration_problems(table)
+
+
+def with_density(table: CsvTable) -> CsvTable:
+    """Conditions with the density from dynamic pressure and speed, where a file has `q_Pa` in place of `rho_kg_m3`.
+
+        rho = 2 q / V^2
+
+    raises : InputError where neither is there, both are and differ, and for a speed of 0
+
+    As the founding paper reduced its flights. Errors of the dynamic pressure, such as those of firing jets, are then in
+    the density, in the reference heating of it, and in what is estimated (docs/effects.md, jet-interaction).
+    """
+    if "q_Pa" not in table.columns:
+        absent = f"{display_path(table.path)}: there is no column `rho_kg_m3` or `q_Pa`; add one"
+        raise_problems([] if "rho_kg_m3" in table.columns else [absent])
+        return table
+    V, q = table["velocity_m_s"], table["q_Pa"]
+    if "rho_kg_m3" in table.columns:
+        same = np.abs(0.5 * table["rho_kg_m3"] * V**2 - q) <= SAME * q
+        raise_problems(table.problems_where_not("q_Pa", same, "is not rho V^2 / 2 of this row; remove one of the two"))
+        return table
+    raise_problems(table.problems_where_not("velocity_m_s", V > 0.0, "gives no density with q_Pa; give rho_kg_m3"))
+    return table.with_columns({"rho_kg_m3": 2.0 * q / V**2})
 
 
 def _duration_problems(table: CsvTable) -> list[str]:

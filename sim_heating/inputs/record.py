@@ -43,16 +43,17 @@ from sim_heating.base.files import (
     write_text_atomic,
 )
 from sim_heating.base.limits import HOTTEST_K
+from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
-from sim_heating.heating.recorded_columns import implausible_values
+from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
-from sim_heating.thermal.stack import Construction, Sensor, sensor_problems
+from sim_heating.thermal.stack import Construction, PressureTable, Sensor, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
 LEAST_DEFECT = 0.3
 """Part of the difference of total and recovery enthalpy that a column of the latter shows at least."""
-OPTIONAL_COLUMNS = ("q_add_W_m2", "jets")
+OPTIONAL_COLUMNS = ("q_add_W_m2", "jets", "T_surroundings_K", "T_back_K", "q_Pa")
 DECLARATION = "record.toml"
 
 
@@ -86,9 +87,33 @@ class Thermocouples(FileReference):
 
 
 class ConditionsFile(FileReference):
-    """The flight conditions."""
+    """The flight conditions: a file of columns, and constants in place of columns, by their names."""
 
     file: FileOfRecord = Field(default="conditions.csv", min_length=1)
+    altitude_m: float | None = None
+    velocity_m_s: float | None = None
+    mach: float | None = None
+    alpha_deg: float | None = None
+    beta_deg: float | None = None
+    log10_re: float | None = None
+    elevon_deg: float | None = None
+    bodyflap_deg: float | None = None
+    rho_kg_m3: float | None = None
+    T_inf_K: float | None = None
+    p_inf_Pa: float | None = None
+    p_surface_Pa: float | None = None
+    h_ref_kg_m2_s: float | None = None
+    H_r_J_kg: float | None = None
+    q_add_W_m2: float | None = None
+    jets: float | None = None
+    T_surroundings_K: float | None = None
+    T_back_K: float | None = None
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Values that hold at all times, by column, each in the unit that its name ends in."""
+        named = self.model_dump(exclude={"file"}, exclude_none=True)
+        return {name: float(value) for name, value in named.items()}
 
 
 class ConstantHeat(Declared):
@@ -402,8 +427,11 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
         if name is not None:
             roots.check_link(home / name)
     reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
-    required = (*STATE, "p_surface_Pa", *reference)
-    optional = (*(c for c in HEATING if c not in required), *OPTIONAL_COLUMNS)
+    ground = declared.heating.reference == "none"
+    wanted = ("time_s",) if ground else (*STATE, "p_surface_Pa", *reference)
+    # the density may follow from q_Pa: its absence is noticed where it does not
+    required = tuple(c for c in wanted if c not in (*declared.conditions.constants, "rho_kg_m3"))
+    optional = (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
     conditions = read_csv_columns(home / declared.conditions.file, required, optional)
     columns = [s.column for s in declared.thermocouples.sensor]
     thermocouples = read_csv_columns(
@@ -471,9 +499,13 @@ def _as_table(columns: Mapping[str, FloatArray], path: Path) -> CsvTable:
 def _check_record(
     declared: RecordFile, conditions: CsvTable, thermocouples: CsvTable, table: RatioTable | None, home: Path
 ) -> Record:
+    raise_problems(_missing_columns(conditions, declared))
+    conditions = _whole_conditions(conditions, declared)
+    # Constants are columns from here on, and would be given twice where the record is written.
+    declared = declared.model_copy(update={"conditions": ConditionsFile(file=declared.conditions.file)})
     raise_problems(
         [
-            *_condition_problems(conditions, declared.heating),
+            *_condition_problems(conditions, declared),
             *_measurement_problems(thermocouples, declared.thermocouples.sensor),
             *_clock_problems(conditions, thermocouples),
             *_segment_problems(declared, thermocouples, home),
@@ -483,13 +515,10 @@ def _check_record(
     return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home)
 
 
-def _condition_problems(table: CsvTable, heating: Heating) -> list[str]:
-    """Time that does not increase, impossible values, values in another unit, missing columns."""
-    absent = _missing_columns(table, heating)
-    if absent:
-        return absent
+def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:
+    """Time that does not increase, impossible values, values in another unit or at odds with what is declared."""
     problems = table.order_problems() + implausible_values(table)
-    return problems or _recovery_problems(table, heating)
+    return problems or [*_recovery_problems(table, declared.heating), *_back_problems(table, declared)]
 
 
 def _recovery_problems(table: CsvTable, heating: Heating) -> list[str]:
@@ -508,10 +537,55 @@ def _recovery_problems(table: CsvTable, heating: Heating) -> list[str]:
     return [f"{display_path(table.path)}, column H_r_J_kg: {rule}; {hint}"]
 
 
-def _missing_columns(table: CsvTable, heating: Heating) -> list[str]:
+def _whole_conditions(table: CsvTable, declared: RecordFile) -> CsvTable:
+    """Conditions with the declared constants as columns, density from dynamic pressure, and rest on the ground.
+
+    raises : InputError where a constant is a column too, or the pressure that a conductivity depends on is not known
+    """
+    constants, path = declared.conditions.constants, display_path(table.path)
+    twice = [name for name in constants if name in table.columns]
+    raise_problems([f"{path}: `{n}` is a column, and a constant of [conditions]; remove one" for n in twice])
+    rows = len(table)
+    table = table.with_columns({name: np.full(rows, value) for name, value in constants.items()})
+    if declared.heating.reference == "none":
+        table = table.with_columns(_at_rest(table, declared))
+    return with_density(table)
+
+
+def _at_rest(table: CsvTable, declared: RecordFile) -> dict[str, FloatArray]:
+    """Conditions that a ground record leaves out: a vehicle at rest in air of the standard atmosphere at sea level."""
+    T_0, p_0, _ = us76(0.0)
+    air = {"T_inf_K": np.full(len(table), T_0), "p_inf_Pa": np.full(len(table), p_0)}
+    air |= {name: table[name] for name in air if name in table.columns}
+    depends = any(isinstance(m.conductivity_W_mK, PressureTable) for m in declared.materials.values())
+    if depends and not {"p_surface_Pa", "p_inf_Pa"} & set(table.columns):
+        raise InputError(
+            f"{display_path(table.path)}: there is no column `p_surface_Pa`, on which a conductivity depends; add it, "
+            "or give the constant in [conditions]"
+        )
+    rest = dict.fromkeys(STATE, np.zeros(len(table))) | air | {"rho_kg_m3": air["p_inf_Pa"] / (R_AIR * air["T_inf_K"])}
+    rest |= {"p_surface_Pa": air["p_inf_Pa"]}
+    absent = {name: value for name, value in rest.items() if name not in table.columns}
+    if "q_Pa" in table.columns:
+        absent.pop("rho_kg_m3", None)
+    return absent
+
+
+def _back_problems(table: CsvTable, declared: RecordFile) -> list[str]:
+    """A temperature behind a wall whose back face exchanges no heat."""
+    if "T_back_K" not in table.columns or declared.stack.back != "adiabatic":
+        return []
+    rule = "has no effect behind an adiabatic wall; declare `back = { h_W_m2K, T_K, emissivity }` in [stack]"
+    return [f"{display_path(table.path)}, column T_back_K: {rule}"]
+
+
+def _missing_columns(table: CsvTable, declared: RecordFile) -> list[str]:
     """Missing columns of a record in memory; a file without them is rejected on reading."""
-    needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if heating.reference == "columns" else ())]
-    absent = [name for name in (*STATE, *needed) if name not in table.columns]
+    if declared.heating.reference == "none":
+        return []
+    needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if declared.heating.reference == "columns" else ())]
+    known = {*table.columns, *declared.conditions.constants} | {"rho_kg_m3"}
+    absent = [name for name in (*STATE, *needed) if name not in known]
     return [f"{display_path(table.path)}: there is no column `{name}`; add it" for name in absent]
 
 

@@ -22,11 +22,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     Declared,
+    LocatedError,
+    Location,
     check,
     display_path,
     raise_problems,
@@ -49,6 +52,36 @@ class HeatingOptions(Declared):
 
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
     alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")
+    T_surroundings_K: list[list[float]] | None = Field(default=None, min_length=1, description="[[time_s, K], ...]")
+    T_back_K: list[list[float]] | None = Field(default=None, min_length=1, description="[[time_s, K], ...]")
+
+    @field_validator("T_surroundings_K", "T_back_K")
+    @classmethod
+    def _check_schedule(cls, schedule: list[list[float]] | None) -> list[list[float]] | None:
+        problems: list[tuple[Location, str]] = []
+        for i, row in enumerate(schedule or []):
+            if len(row) != 2:
+                problems.append(((i,), f"{row} is not a pair [time_s, K]"))
+            elif not 1.0 <= row[1] <= HOTTEST_K:
+                problems.append(((i, 1), f"{row[1]:g} is not a temperature in K (1 to {HOTTEST_K:g})"))
+            elif i > 0 and len(schedule[i - 1]) == 2 and row[0] <= schedule[i - 1][0]:  # type: ignore[index]
+                problems.append(((i, 0), f"{row[0]:g} does not come after {schedule[i - 1][0]:g}"))  # type: ignore[index]
+        if problems:
+            raise LocatedError(*problems)
+        return schedule
+
+    @model_validator(mode="after")
+    def _check_alongside(self) -> HeatingOptions:
+        if self.alongside and self.schedules:
+            names = " and ".join(f"`{name}`" for name in self.schedules)
+            raise LocatedError((("alongside",), f"a host gives no {names}; remove them, or set alongside = false"))
+        return self
+
+    @property
+    def schedules(self) -> dict[str, FloatArray]:
+        """Columns of flight conditions that are declared: name -> (row, 2) time [s] and value."""
+        declared = {name: getattr(self, name) for name in ("T_surroundings_K", "T_back_K")}
+        return {name: np.array(rows, dtype=float) for name, rows in declared.items() if rows is not None}
 
 
 class ScenarioEffect(Declared):
@@ -79,6 +112,9 @@ class Measurements(Declared):
     )
     sample_offset_s: float = Field(default=0.0, description="time of the first sample after the start in s")
     clock_skew_s: float = Field(default=0.0, description="recorded T(t) = true T(t - skew) in s")
+    jet_q_fraction: float = Field(
+        default=0.0, gt=-1.0, le=10.0, description="relative error of the dynamic pressure while jets fire"
+    )
     lost_fraction: float = Field(default=0.0, ge=0.0, lt=1.0, description="fraction of samples lost at random")
     gaps_s: list[list[float]] = Field(default=[], description="[[start_s, end_s], ...] without telemetry")
     fault: list[SensorFault] = Field(default=[])

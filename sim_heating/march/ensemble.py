@@ -50,7 +50,7 @@ from sim_heating.march.point import (
 from sim_heating.thermal.elements import set_point, set_temperatures
 from sim_heating.thermal.frame import STEP_TOLERANCE_K, compiled
 from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.stack import Material
+from sim_heating.thermal.stack import BackFace, Material
 from sim_heating.thermal.step import LaneGroup
 from sim_heating.thermal.tables import PointTables, TableStore
 
@@ -235,6 +235,14 @@ class Ensemble:
         nodes[[0, mesh.nodes - 1], block.IS_FACE] = 1
         block.node_rows(B)[mesh.nodes :, block.M_RIGHT, lanes] = 1.0
         B[block.scalar_row(block.SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
+        if model.construction.stack.venting_tau_s > 0.0:
+            J[block.VENTS] = 1
+            B[block.scalar_row(block.VENTING_TAU)][lanes] = model.construction.stack.venting_tau_s
+        back = model.construction.stack.back
+        if isinstance(back, BackFace) and back.natural_h_W_m2K > 0.0:
+            J[block.CONVECTS] = 1
+            B[block.scalar_row(block.NATURAL)][lanes] = back.natural_h_W_m2K
+            B[block.scalar_row(block.NATURAL_EXPONENT)][lanes] = back.natural_exponent
         for row, value in (
             (block.BACK_NODE, mesh.nodes - 1), (block.N_PRESSURES, tables.columns),
             (block.PRESSURE_TABLE, tables.pressures), (block.EMISSIVITY_TABLE, tables.emissivity),

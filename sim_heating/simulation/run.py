@@ -140,7 +140,10 @@ def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_fra
 def models_of(
     scenario: Scenario, flown: Conditions, *, truth: bool = False
 ) -> tuple[list[PointModel], list[Conditions]]:
-    """Models and conditions of a scenario's control points; with `truth` those of its [truth]."""
+    """Models and conditions of a scenario's control points; with `truth` those of its [truth].
+
+    Its schedules of the temperatures around and behind the walls are linear in time, and constant beyond their ends.
+    """
     parameters = scenario.declared.truth.parameters if truth else {}
     reference = mean_condition(flown)
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
@@ -148,6 +151,8 @@ def models_of(
         point_of_vehicle(scenario.vehicle, p, parameters, scenario.effects(p.name, truth=truth), reference)
         for p in points
     ]
+    scheduled = {name: np.interp(flown.time_s, *rows.T) for name, rows in scenario.declared.heating.schedules.items()}
+    flown = flown.with_columns(**scheduled)
     return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
 
 

@@ -14,19 +14,26 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.transition import TRANSITION, intermittency
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.inputs.points import mean_condition
+from sim_heating.heating.reference.flat_plate import friction_rise
+from sim_heating.inputs.points import conditions_at_point, mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import PointHistory, march_points, values_at
 from sim_heating.simulation.run import fly_scenario, models_of
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.stack import Sensor
+from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.flight import Flight
 
 TRUTH = "truth.toml"
+AXIAL = "axial_accel_g"
 SYNTHESIS_TOLERANCE_K = 0.1 * STEP_TOLERANCE_K
 """Largest error of a time step of the truth [K]: a tenth of that of the march that will fit the record."""
 CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio_table.csv"
@@ -58,6 +65,7 @@ def synthesize(
     progress(0.7, "marching the truth")
     flown = flight.conditions
     models, flights = models_of(scenario, flown, truth=True)
+    flights = _with_axial_force(scenario, flights)
     measurements = scenario.declared.measurements
     points = [scenario.vehicle.control_point(name) for name in scenario.names]
     measurable = [(p, m, c) for p, m, c in zip(points, models, flights, strict=True) if p.sensors]
@@ -83,6 +91,58 @@ def _clock(scenario: Scenario, point: ControlPoint, flown: Conditions) -> FloatA
     measurements = scenario.declared.measurements
     start, end = flown.time_s[0], flown.time_s[-1]
     return sample_times(point.sensors, start, end, rate_hz=measurements.rate_hz, offset_s=measurements.sample_offset_s)
+
+
+def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list[Conditions]:
+    """Conditions whose axial acceleration has the friction of the transition in the truth.
+
+        da = Gamma d tau S / (m g0)
+
+    Gamma is the mean intermittency of the points that have a transition in [truth], d tau the rise of the friction of a
+    plate of the reference length [Pa], S the reference area. The trajectory itself is not changed.
+    Source: docs/scenario_format.md, `[truth]`; docs/equations_reference_heating.md, equation 17a.
+    """
+    vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
+    share = [
+        _intermittency(use(e.name, e.parameters), conditions)
+        for name, conditions in zip(scenario.names, flights, strict=True)
+        for e in truth
+        if e.name == TRANSITION and (e.control_points is None or name in e.control_points)
+    ]
+    spec = scenario.declared.trajectory
+    # Only of a flight with the vehicle's own aerodynamics is the mass known.
+    if not share or AXIAL not in flights[0] or spec.source not in ("jsbsim", "entry-3dof"):
+        return list(flights)
+    rise, mass = friction_rise(flights[0], vehicle.reference_length_m), flown_aero(spec, vehicle.directory).mass_kg
+    added = np.mean(share, axis=0) * rise * vehicle.reference_area_m2 / (mass * G0_M_S2)
+    return [conditions.with_columns(**{AXIAL: conditions[AXIAL] + added}) for conditions in flights]
+
+
+def _intermittency(used: EffectUse, conditions: Conditions) -> FloatArray:
+    """(time,) intermittency [-] of a transition along a flight."""
+    history = condition_history(conditions)
+    block = np.column_stack([history, np.tile(used.values, (len(history), 1))])
+    return np.array([intermittency(row, 0, history.shape[1]) for row in block])
+
+
+def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions) -> Conditions:
+    """Conditions as a flight crew has them: the density of a dynamic pressure that the jets disturb.
+
+        q = (1 + f jets) rho V^2 / 2,    rho = 2 q / V^2
+
+    The reference heating, the surface pressure and the Reynolds number follow from that density.
+    Source: the pitch-jet spikes of STS-2 in the founding paper; docs/effects.md, jet-interaction.
+    """
+    fraction = scenario.declared.measurements.jet_q_fraction
+    if fraction == 0.0 or "jets" not in conditions:
+        return conditions
+    factor = 1.0 + fraction * conditions["jets"]
+    rho = conditions["rho_kg_m3"] * factor
+    disturbed = conditions.with_columns(
+        rho_kg_m3=rho, q_Pa=0.5 * rho * conditions["velocity_m_s"] ** 2,
+        log10_re=conditions["log10_re"] + np.log10(factor),
+    )  # fmt: skip
+    return conditions_at_point(scenario.vehicle, point, disturbed)
 
 
 def _faults(scenario: Scenario) -> dict[str, SensorErrors]:
@@ -114,7 +174,11 @@ def _record(
                 f"within the flight ({span}); change them"
             )
     return make_record(
-        declaration(scenario, point, point.sensors), conditions, columns, ratio_table_of(point), point.name
+        declaration(scenario, point, point.sensors),
+        _as_measured(scenario, point, conditions),
+        columns,
+        ratio_table_of(point),
+        point.name,
     )
 
 

@@ -19,8 +19,8 @@ from sim_heating.base.kernels.block import (
     BACK_EPS,
     BACK_H,
     BACK_NODE,
-    BACK_T,
     C_STAGES,
+    CONVECTS,
     EMISSIVITY_TABLE,
     ENTHALPY_TABLE,
     EPS_AT_FOOT,
@@ -38,19 +38,22 @@ from sim_heating.base.kernels.block import (
     N_EFFECTS,
     N_EMITTING,
     N_NODES,
+    NATURAL_EXPONENT,
     NODE_ROWS,
     R_BASE,
     RECOVERY,
     SLOPE,
     SOURCE,
+    STAGE_BACK_T,
+    STAGE_NATURAL,
+    STAGE_SURROUNDINGS4,
     SURFACE_SHARE,
-    SURROUNDINGS4,
     WALL_COLUMN,
     WALL_HIGH,
     WALL_LOW,
     T,
 )
-from sim_heating.base.kernels.elementary import lanes_outside
+from sim_heating.base.kernels.elementary import LN_10, exp, lanes_outside, log10
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.heating.film import emittance_factor, ratio_with_effects
 from sim_heating.thermal.assembly import BIN_K, BINS, FAR, property_bin
@@ -166,7 +169,7 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, st
     Source: docs/equations_thermal_step.md, equations 14 to 18.
     """
     evaluate_surface(B, J, table, dispatcher, stage)
-    evaluate_back(B, J)
+    evaluate_back(B, J, stage)
     if J[GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
 
@@ -225,7 +228,7 @@ def _write_surface_balance(
     film, film_slope = film * share, film_slope * share
     driving = B[(RECOVERY + stage) * LANES + lane] - H_w
     cube = wall * wall * wall
-    excess = cube * wall - B[SURROUNDINGS4 * LANES + lane]
+    excess = cube * wall - B[(STAGE_SURROUNDINGS4 + stage) * LANES + lane]
     radiated = factor * eps * SIGMA * excess
     B[a + SOURCE * LANES] = film * driving + B[(ADDED + stage) * LANES + lane] - radiated
     radiated = factor * SIGMA * (4.0 * eps * cube + eps_slope * excess)
@@ -284,18 +287,34 @@ def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, sta
 
 
 @inline_always
-def evaluate_back(B: FloatArray, J: IntArray) -> None:
+def evaluate_back(B: FloatArray, J: IntArray, stage: int) -> None:
     """Heat that enters at the back face [W/m2] and its slope against the temperature there [W/(m2 K)], of all lanes.
 
-        s_b = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4)
+        s_b = -(h_b + h_n |T - T_b|^n) (T - T_b) - eps_b sigma (T^4 - T_b^4)
 
-    An adiabatic back has h_b = 0 and eps_b = 0. Source: docs/equations_thermal_step.md, equations 15 and 18.
+    stage : 0, 1 or 2, whose temperature behind the wall and natural film h_n are used
+
+    An adiabatic back has h_b = h_n = 0 and eps_b = 0. Source: docs/equations_thermal_step.md, equations 15 and 18.
     """
     for lane in range(LANES):
         a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
-        inner, ambient = B[a + T * LANES + lane], B[BACK_T * LANES + lane]
+        inner, ambient = B[a + T * LANES + lane], B[(STAGE_BACK_T + stage) * LANES + lane]
         emitted = SIGMA * B[BACK_EPS * LANES + lane]
         h_b = B[BACK_H * LANES + lane]
         cube, square = inner * inner * inner, ambient * ambient
         B[a + SOURCE * LANES + lane] = -h_b * (inner - ambient) - emitted * (cube * inner - square * square)
         B[a + SLOPE * LANES + lane] = -h_b - 4.0 * emitted * cube
+    if J[CONVECTS] == 1:
+        _add_natural_convection(B, J, stage)
+
+
+@inline_always
+def _add_natural_convection(B: FloatArray, J: IntArray, stage: int) -> None:
+    """Add the natural convection of all lanes to the heat at the back face and its slope."""
+    for lane in range(LANES):
+        a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES
+        above = B[a + T * LANES + lane] - B[(STAGE_BACK_T + stage) * LANES + lane]
+        n = B[NATURAL_EXPONENT * LANES + lane]
+        film = B[(STAGE_NATURAL + stage) * LANES + lane] * exp(n * LN_10 * log10(abs(above)))
+        B[a + SOURCE * LANES + lane] -= film * above
+        B[a + SLOPE * LANES + lane] -= (1.0 + n) * film

@@ -56,15 +56,19 @@ from sim_heating.base.kernels.block import (
     R_BASE,
     RECOVERY,
     SCALAR_ROWS,
+    STAGE_BACK_T,
     STAGE_IN,
     STAGE_LEFT,
+    STAGE_NATURAL,
     STAGE_RIGHT,
+    STAGE_SURROUNDINGS4,
     STAR_COPY,
     STEPPING,
     STEPS,
     T_START,
     TOLERANCE,
     TOLERATED,
+    VENTED,
     T,
 )
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function, force_inline, inline_always, njit
@@ -85,7 +89,10 @@ from sim_heating.thermal.step import (
 
 EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
-STAGE_ROWS = (FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT)
+STAGE_ROWS = (
+    FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT, STAGE_SURROUNDINGS4, STAGE_BACK_T,
+    STAGE_NATURAL, VENTED,
+)  # fmt: skip
 """First rows of the quantities that have one row for each of the three stages."""
 STEP_TOLERANCE_K = 0.02
 """Largest error of one step at any node [K]. On an entry at steps of 1 s one step in a hundred exceeds it."""

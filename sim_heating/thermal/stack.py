@@ -257,12 +257,17 @@ class Layer(Declared):
 class BackFace(Declared):
     """A back face that convects and radiates to T_K: q = h (T - T_K) + emissivity sigma (T^4 - T_K^4) [W/m2].
 
-    docs/equations_thermal_step.md, equation 15.
+    Natural convection adds natural_h_W_m2K |T - T_K|^natural_exponent (p / 101325 Pa)^(2 natural_exponent) to h.
+    docs/equations_thermal_step.md, equations 15 and 15a.
     """
 
     quantities: ClassVar = {"emissivity": "effective_emissivity"}
 
     h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
+    natural_h_W_m2K: float = Field(
+        default=0.0, ge=0.0, le=100.0, description="film of natural convection at 1 K and sea level in W/(m2 K)"
+    )
+    natural_exponent: float = Field(default=1.0 / 3.0, ge=0.0, le=1.0, description="its exponent, 1/3 or 1/4")
     T_K: float = Field(ge=0.0, le=HOTTEST_K, description="temperature behind the wall in K")
     emissivity: float = Field(default=0.0, ge=0.0, le=1.0, description="0 to 1")
 
@@ -278,6 +283,9 @@ class Stack(Declared):
 
     nodes: int | None = Field(default=None, ge=3, le=10_000, description="a hint, 14 to 100 as a rule")
     surroundings_K: float = Field(default=0.0, ge=0.0, le=HOTTEST_K, description="temperature radiated to in K")
+    venting_tau_s: float = Field(
+        default=0.0, ge=0.0, description="time constant of the pressure in the insulation in s"
+    )
     initial: Literal["uniform", "profile"] = "uniform"
     initial_K: float | None = Field(default=None, le=HOTTEST_K, description="temperature in K")
     initial_profile: Table | None = Field(default=None, description="[[x_m, T_K], ...]")

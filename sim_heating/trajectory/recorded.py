@@ -1,7 +1,8 @@
 """A flight as it was recorded: conditions from a CSV file in the contract's columns.
 
-The columns that a host provides are required; temperature, pressure, Mach and Reynolds number are taken as recorded,
-and derived by sim_heating.heating.atmosphere where a column is absent. Further columns of numbers are kept.
+The columns that a host provides are required, with the density or the dynamic pressure `q_Pa` that it follows from;
+temperature, pressure, Mach and Reynolds number are taken as recorded, and derived by sim_heating.heating.atmosphere
+where a column is absent. Further columns of numbers are kept.
 """
 
 from __future__ import annotations
@@ -15,13 +16,24 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
-from sim_heating.heating.recorded_columns import implausible_values
+from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
 DERIVED = ("T_inf_K", "p_inf_Pa", "mach", "log10_re")
 REQUIRED = tuple(name for name in STATE if name not in DERIVED)
-OPTIONAL = (*DERIVED, "jets", "qbar_Pa", "q_add_W_m2", *EXTRAS, *HEATING)
+OPTIONAL = (
+    "rho_kg_m3",
+    "q_Pa",
+    *DERIVED,
+    "jets",
+    "qbar_Pa",
+    "T_surroundings_K",
+    "T_back_K",
+    "q_add_W_m2",
+    *EXTRAS,
+    *HEATING,
+)
 
 
 def fly(
@@ -48,7 +60,8 @@ def read_conditions(path: Path, length_m: float) -> Conditions:
 
     raises : InputError naming file, row and column
     """
-    table = read_csv_columns(path, REQUIRED, OPTIONAL)
+    required = [name for name in REQUIRED if name not in OPTIONAL]
+    table = with_density(read_csv_columns(path, required, OPTIONAL))
     raise_problems(_problems(table))
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)

@@ -267,7 +267,7 @@ def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
             factors = {"stack.emissivity_factor": 1.0 + deviation[i, 4]}
             factors |= {"stack.rsi.conductivity_factor": 1.0 + deviation[i, 5]} if p == 1 else {}
             model = replace(entry.lanes.models[p], parameters=factors, nodes=entry.meshes[p].nodes)
-            along = with_soak(conditions_at_point(entry.study.vehicle, limited.point, conditions), limited.point, 600.0)
+            along = with_soak(conditions_at_point(entry.study.vehicle, limited.point, conditions), 600.0)
             history = march_points([model], [along], longest_step_s=4.0)[0]
             assert peaks.surface_K[i, p] == pytest.approx(history.surface_K.max(), abs=0.05)
             assert peaks.bondline_K[i, p] == pytest.approx(history.bondline_K.max(), abs=0.05)
@@ -289,7 +289,7 @@ def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     peaks = entry.march(entry.planned, deviation, z)
     conditions = conditions_from_rows(entry.planned.rows[0, : entry.planned.frame_counts[0]], 32.77362)
     point = entry.points[1].point
-    along = with_soak(conditions_at_point(entry.study.vehicle, point, conditions), point, 600.0)
+    along = with_soak(conditions_at_point(entry.study.vehicle, point, conditions), 600.0)
     for i in (0, TOGETHER - 1):
         onset = {"effect.transition.log10_re_onset": 6.0 + deviation[i, 0]}
         model = replace(entry.lanes.models[1].with_parameters(onset), nodes=entry.meshes[1].nodes)

@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,10 @@ class CsvTable:
         before = f"does not come after {values[bad[0] - 1]:.10g}; sort the rows by {column} and remove repeated ones"
         value = f"{values[bad[0]]:.10g}"
         return [f"{display_path(self.path)}, row {self.lines[bad[0]]}, column {column}: {value} {before}"]
+
+    def with_columns(self, columns: Mapping[str, FloatArray]) -> CsvTable:
+        """Copy of the table with columns added, each (row,) in the unit that its name ends in."""
+        return replace(self, columns={**self.columns, **columns})
 
     def celsius_problems(self, column: str) -> list[str]:
         """Problems of a temperature column [K]: values below 100 K are taken for Celsius. NaN is accepted."""

@@ -25,12 +25,12 @@ would be compiled a second time."""
 # table.
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
 P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
-TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION = 13, 14, 15
-N_CONDITIONS = 16
+TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION, SURROUNDINGS, BEHIND = 13, 14, 15, 16, 17
+N_CONDITIONS = 18
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
-    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg",
+    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/equations.md, section 2: 5 first and
@@ -42,9 +42,9 @@ N_PARAMETERS = EFFECT_PARAMETERS + EFFECT_SLOTS * EFFECT_WIDTH
 
 # Scalar rows. The first six have one row a stage, at t_n, t_n + gamma dt, t_n + dt: film coefficient [kg/(m2 s)],
 # recovery enthalpy [J/kg], added flux [W/m2], pressure column and fraction [-], ratio before the effects that depend on
-# the wall temperature [-]. Then T_sur^4 [K4], back face and emittance factor; whether a lane iterates, its failures and
-# iterations, the pressure column of its polynomials, samples outside a table and with a negative ratio; heat [W/m2] and
-# energy [J/m2] at the faces.
+# the wall temperature [-]. Then declared T_sur^4 [K4], back face and emittance factor; whether a lane iterates, its
+# failures and iterations, the pressure column of its polynomials, samples outside a table and with a negative ratio;
+# heat [W/m2] and energy [J/m2] at the faces.
 FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
 SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
@@ -61,7 +61,12 @@ AIR_PLACE, RATIO_FOUND = 42, 45
 # the end of the step. Counters at the end of a frame: OUTSIDE and NEGATIVE.
 TOLERANCE, STEPS, STEPPING, TOLERATED, DONE = 46, 47, 48, 49, 50
 BEFORE_FACES, BEFORE_FAILED, BEFORE_LAG, COUNTED = 51, 55, 56, 58
-C_STAGES = 60
+# Surroundings and back face, one row a stage: T_sur^4 [K4], temperature behind the wall [K], film coefficient of
+# natural convection there at a difference of 1 K [W/(m2 K)]. Of that film: declared coefficient at sea level, exponent.
+STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, NATURAL, NATURAL_EXPONENT = 60, 63, 66, 69, 70
+# Pressure in the insulation where it lags [Pa], one row a stage, and its time constant [s].
+VENTED, VENTING_TAU = 71, 74
+C_STAGES = 75
 # After the conditions of the three stages those at the start and at the end of a frame that is divided.
 FRAME_START, FRAME_END = 3, 4
 PARAMETERS = C_STAGES + 5 * N_CONDITIONS
@@ -128,7 +133,8 @@ INVALID_HIGH_K = -1e30
 # the first of those that are evaluated again at each wall temperature, the code of each, the node at the back face
 # (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat), number of
 # effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of transition,
-# or NONE; then two flags of the group, whether any lane has moisture or radiation in depth and whether any has gaps.
+# or NONE; then four flags of the group, whether any lane has moisture or radiation in depth, gaps, natural convection
+# behind, or a venting lag.
 # Then for each node two flags, whether its two elements differ in material in any lane and whether heat enters it from
 # outside in any lane, and the material-table offset of the element to its right in each lane.
 N_NODES = 0
@@ -147,7 +153,9 @@ LAG_SLOT = N_EMITTING + LANES
 TRANSITION_SLOT = LAG_SLOT + LANES
 IN_DEPTH = TRANSITION_SLOT + LANES
 GAPS = IN_DEPTH + 1
-NODE_INTS = GAPS + 1
+CONVECTS = GAPS + 1
+VENTS = CONVECTS + 1
+NODE_INTS = VENTS + 1
 IS_INTERFACE, IS_FACE, MATERIAL_TABLE = 0, 1, 2
 INTS_PER_NODE = MATERIAL_TABLE + LANES
 

@@ -14,6 +14,7 @@ from sim_heating.base.kernels.jit import force_inline, power_of_two, split
 from sim_heating.base.kernels.numba_private import WHOLE
 
 LN2_HIGH, LN2_LOW, LOG2_E = 6.93147180369123816490e-01, 1.90821492927058770002e-10, 1.4426950408889634
+LN_10 = 2.302585092994046
 LARGEST_EXPONENT = 708.0
 TERMS = 14
 """Taylor terms of exp on |x| < ln(2)/2: the first omitted one is below 1e-17."""

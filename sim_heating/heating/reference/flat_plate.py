@@ -15,6 +15,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.reference.gas import (
     PRANDTL,
@@ -31,6 +35,8 @@ SCHULTZ_GRUNOW_EXPONENT = -2.584
 SCHULTZ_GRUNOW_LOG_RE = 7.0
 SCHULTZ_GRUNOW_FULL_LOG_RE = 7.3
 """The two turbulent laws differ by 3 % at 1e7: one blends into the other, linearly in log10 Re*, from 1e7 to 2e7."""
+FRICTION_WALL_K = 1000.0
+"""Wall temperature at which skin friction is estimated [K]."""
 DIVERGING_LAMINAR = math.sqrt(3.0)
 DIVERGING_TURBULENT = 1.176
 """Factors on h where the flow diverges from a point (a cone against a plate)."""
@@ -124,3 +130,34 @@ def eckert_kernel(
     if not diverging:
         return h
     return h * (DIVERGING_TURBULENT if turbulent else DIVERGING_LAMINAR)
+
+
+@njit
+def friction_rise_kernel(
+    rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, alpha_deg: float, length_m: float
+) -> float:
+    """Rise of the mean skin friction of a windward plate [Pa] where its boundary layer turns turbulent.
+
+        d tau = Pr^2/3 u_e (5/4 h_turbulent(L) - 2 h_laminar(L))
+
+    length_m : length of the plate [m]; other arguments as of `eckert_kernel`, its wall at FRICTION_WALL_K
+
+    Reynolds' analogy, tau = rho* u_e^2 C_f/2 with C_f/2 = C_h Pr^2/3, that both laws of C_h come from; means over the
+    length of what falls as x^-1/5 and x^-1/2. Source: docs/equations_reference_heating.md, equation 17a.
+    """
+    u_e = edge_speed(max(velocity_m_s, SLOWEST_M_S), alpha_deg)
+    turbulent, laminar = (
+        eckert_kernel(rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, length_m, FRICTION_WALL_K, True, False),
+        eckert_kernel(rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, length_m, FRICTION_WALL_K, False, False),
+    )
+    return PRANDTL ** (2.0 / 3.0) * u_e * (1.25 * turbulent - 2.0 * laminar)
+
+
+def friction_rise(flown: Conditions, length_m: float) -> FloatArray:
+    """(time,) `friction_rise_kernel` along a flight [Pa], for a plate of length_m [m]; not below 0.
+
+    Source: docs/equations_reference_heating.md, equation 17a.
+    """
+    rho, V, T, alpha = (flown[n] for n in ("rho_kg_m3", "velocity_m_s", "T_inf_K", "alpha_deg"))
+    rise = [friction_rise_kernel(rho[i], V[i], T[i], alpha[i], length_m) for i in range(len(flown))]
+    return np.maximum(rise, 0.0)

@@ -20,7 +20,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, Q_ADD, TIME
+from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, SURROUNDINGS, TIME
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.planning.dispersion.spec import DispersedInput
@@ -305,7 +305,7 @@ def condition_kernel(
 
     rows, frame_counts : kept frames, as SampledFlights holds them
     host, points       : as plugin_kernel.derive_conditions takes them
-    soak               : (point, 3) h_ref [kg/(m2 s)], p_surface [Pa], q_add [W/m2] of the soak
+    soak               : (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] of the soak
     time_s             : (time,) frames of the flights, then those of the soak [s]
     histories          : (point, flight, time, condition), filled
     """
@@ -317,8 +317,8 @@ def condition_kernel(
                 derive_conditions(rows[f, k, :_FRAME], host, points, lanes, then)
             for p in range(len(points)):
                 if k >= frame_counts[f]:
-                    then[p, H_REF], then[p, P_SURFACE], then[p, Q_ADD] = soak[p, 0], soak[p, 1], soak[p, 2]
+                    then[p, H_REF], then[p, P_SURFACE], then[p, SURROUNDINGS] = soak[0], soak[1], soak[2]
                 then[p, TIME] = time_s[k]
                 for c in range(N_CONDITIONS):
                     histories[p, f, k, c] = then[p, c]
-        then[:, Q_ADD] = 0.0
+        then[:, SURROUNDINGS] = 0.0

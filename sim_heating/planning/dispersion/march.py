@@ -32,7 +32,7 @@ from sim_heating.march.mesh_choice import TOLERANCE_K
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
 from sim_heating.planning.dispersion.flight import COMPLETED, SampledFlights, condition_kernel
 from sim_heating.planning.limited_point import LimitedPoint
-from sim_heating.planning.soak import soak_conditions
+from sim_heating.planning.soak import SOAK
 from sim_heating.simulation.plugin import host_array, point_numbers
 from sim_heating.thermal.mesh import Mesh
 
@@ -117,7 +117,7 @@ class LaneMarch:
         self._tables = [self._ratio_nodes(p) for p in range(len(points))]
         self.host = host_array(vehicle)
         self.numbers = point_numbers(vehicle, [p.point for p in points])
-        self.soak = np.array([list(soak_conditions(p.point.construction).values()) for p in points])
+        self.soak = np.array(list(SOAK.values()))
         self._outputs = self.ensemble.outputs().reshape(len(points), 2 * LANES)
         self._memory = np.empty(0)
 

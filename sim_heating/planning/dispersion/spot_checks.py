@@ -84,6 +84,6 @@ def _six_dof(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
     except RunError:
         return np.full((len(QUANTITIES), len(entry.points)), np.nan)
     points = [p.point for p in entry.points]
-    flights = [with_soak(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
+    flights = [with_soak(conditions_at_point(vehicle, p, flown), soak_s) for p in points]
     marched = march_points(entry.lanes.models, flights)
     return np.array([[np.max(h.surface_K) for h in marched], [np.max(h.bondline_K) for h in marched]])

@@ -136,7 +136,7 @@ class MarginEvaluator:
     def _evaluate_flight(self, flown: FlownCase) -> EvaluatedCase:
         vehicle = self.base.vehicle
         own = [conditions_at_point(vehicle, p.point, flown.at_side(p.point.position_m[1])) for p in self.points]
-        flights = [with_soak(c, p.point, self.soak_s) for c, p in zip(own, self.points, strict=True)]
+        flights = [with_soak(c, self.soak_s) for c in own]
         margins = self._trim_margins(flown)
         outside: list[str] = []
         marched = peak_sensitivities(self.models, self.meshes, self.roots, flights)

@@ -160,7 +160,7 @@ class EntrySearch:
             return []
         vehicle, soak_s = self.study.vehicle, self.study.declared.soak_s
         points = [p.point for p in self.study.points]
-        flights = [with_soak(conditions_at_point(vehicle, p, flown), p, soak_s) for p in points]
+        flights = [with_soak(conditions_at_point(vehicle, p, flown), soak_s) for p in points]
         return march_points(models, flights)
 
     def peaks(self, histories: Sequence[PointHistory]) -> tuple[PeakTemperatures, ...]:

@@ -51,6 +51,7 @@ from sim_heating.base.kernels.block import (
     SOURCE,
     STAGE_IN,
     STAGE_OUT,
+    STAGE_SURROUNDINGS4,
     STEPS,
     SURFACE_SHARE,
     SURROUNDINGS4,
@@ -258,7 +259,7 @@ def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
         B, J = at(block, point[P_LANE]), at(ints, point[P_LANE])
         wall = B[(HEAD_ROWS + TEMPERATURE) * LANES]
         h_ref = R[N[VECTORS] + (point[P_GROUP] * LANES + point[P_LANE]) * N_CONDITIONS + H_REF]
-        excess = wall * wall * wall * wall - B[SURROUNDINGS4 * LANES]
+        excess = wall * wall * wall * wall - B[(STAGE_SURROUNDINGS4 + 2) * LANES]
         eps = B[FACTOR_EPS * LANES] * emittance(at(T, N[TABLE]), J[EMISSIVITY_TABLE], wall)
         if J[N_EMITTING] > 0:
             eps *= emittance_factor(block, ints, A[0], point[P_LANE], END, wall)
