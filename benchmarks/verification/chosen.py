@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from benchmarks.verification import exact
-from benchmarks.verification.conduction import CARSLAW, RATIO_ONE, START_K, film
+from benchmarks.verification.conduction import CARSLAW, START_K, film
 from benchmarks.verification.row import Row
-from benchmarks.verification.walls import FloatArray, flight, heat, material, wall
+from benchmarks.verification.walls import FloatArray, as_run, material, wall
 from sim_heating.march.mesh_choice import TOLERANCE_K
 from sim_heating.thermal.stack import Construction
 
@@ -39,8 +39,8 @@ def largest(
     construction: Construction, t: FloatArray, rise: Callable[[FloatArray], FloatArray], **heating: float
 ) -> float:
     """Largest error of the surface from the second sample on [K]."""
-    _, out = heat(construction, flight(t, **heating), nodes=None, parameters=RATIO_ONE)
-    return float(np.max(np.abs(out[1:, 0] - START_K - rise(t[1:]))))
+    surface = as_run(construction, t, **heating)
+    return float(np.max(np.abs(surface[1:] - START_K - rise(t[1:]))))
 
 
 def rows() -> list[Row]:

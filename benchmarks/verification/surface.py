@@ -14,7 +14,7 @@ from benchmarks.verification.gas import CANTERA, cantera_air
 from benchmarks.verification.gas import equilibrium as gas_equilibrium
 from benchmarks.verification.row import Row
 from benchmarks.verification.volterra import surface_temperature
-from benchmarks.verification.walls import FloatArray, flight, from_the_first_instant, heat, material, wall
+from benchmarks.verification.walls import FloatArray, as_run, flight, from_the_first_instant, heat, material, wall
 from sim_heating.march.mesh_choice import TOLERANCE_K
 from sim_heating.thermal.stack import Construction
 
@@ -124,9 +124,9 @@ def _after_a_jump(
         _, out = heat(construction, flight(from_the_first_instant(end), q_add_W_m2=q), nodes=200)
         limit = 2e-4 * (T - START_K)
         rows.append(Row(at, T, out[-1, 0], limit, "K", source, "second-order error of 200 nodes, 2e-4 of the rise"))
-        _, out = heat(construction, flight(np.arange(0.0, end + 1.0), q_add_W_m2=q), nodes=None)
+        surface = as_run(construction, np.arange(0.0, end + 1.0), q_add_W_m2=q)
         is_ = "tolerance of the choice of the mesh"
-        rows.append(Row(f"{at}, mesh and steps as chosen", T, out[-1, 0], TOLERANCE_K, "K", source, is_))
+        rows.append(Row(f"{at}, mesh and steps as chosen", T, surface[-1], TOLERANCE_K, "K", source, is_))
     return rows
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating import flight_variables
 from sim_heating.march.ensemble import Ensemble, condition_history
+from sim_heating.march.history import march_points
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
@@ -60,6 +61,16 @@ def heat(
     """A single wall marched through a flight: the ensemble, and (time, surface | bondline | sensors) [K]."""
     ensemble = pack([PointModel("wall", construction, depths_m, nodes=nodes, **model)], step_s, tolerance_K)
     return ensemble, ensemble.march(history[0, :, flight_variables.time_s], history)
+
+
+def as_run(construction: Construction, time_s: ArrayLike, **columns: ArrayLike) -> FloatArray:
+    """Surface temperature [K] of a wall of ratio 1, with the mesh and the steps that a flight is run with."""
+    time = np.asarray(time_s, dtype=float)
+    full = {"h_ref_kg_m2_s": 0.0, "H_r_J_kg": 0.0} | columns
+    flown = Conditions(
+        {"time_s": time} | {n: np.broadcast_to(np.asarray(v, float), time.shape) for n, v in full.items()}
+    )
+    return march_points([PointModel("wall", construction, parameters={"ratio.d0": 1.0})], [flown])[0].surface_K
 
 
 def even_mesh(length_m: float, elements: int) -> Mesh:
