@@ -23,6 +23,7 @@ from benchmarks.verification import (
     conduction,
     gas,
     heating,
+    inside,
     numerics,
     optimum,
     sensors,
@@ -38,6 +39,7 @@ LEAST_ROWS = 60
 SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Conduction": conduction.rows,
     "Surface": surface.rows,
+    "Behind and within a wall": inside.rows,
     "Mesh and steps as chosen": chosen.rows,
     "Method": numerics.rows,
     "Whole stack, estimates": stack.rows,

@@ -1,0 +1,76 @@
+"""Behind and within a wall: surroundings and back in time, natural convection, venting of an insulation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from benchmarks.verification.row import Row
+from benchmarks.verification.walls import flight, heat, material, wall
+from sim_heating.thermal.stack import PressureTable
+
+START_K = 300.0
+
+
+def surroundings() -> list[Row]:
+    """A wall that nothing heats takes the temperature of what it radiates to."""
+    t = np.linspace(0.0, 4000.0, 401)
+    w = wall((material(emissivity=0.85), 0.001))
+    _, out = heat(w, flight(t, T_surroundings_K=np.where(t < 100.0, 300.0, 500.0)), nodes=14)
+    name, source = "wall in surroundings of 500 K from 100 s on: at 4000 s", "no flux at their temperature"
+    return [Row(name, 500.0, out[-1, 0], 1e-3, "K", source, "settled: exp(-13)")]
+
+
+def back_in_time() -> list[Row]:
+    """A plate whose back is in air that warms steadily: it lags as a first-order system."""
+    h, rate, t, thickness = 50.0, 0.5, np.linspace(0.0, 100.0, 101), 0.001
+    w = wall((material(1e4), thickness), back={"h_W_m2K": h, "T_K": START_K})
+    _, out = heat(w, flight(t, T_back_K=START_K + rate * t), nodes=14)
+    tau = 1e6 * thickness / h
+    source, is_ = "r (t - tau (1 - exp(-t/tau))), tau = rho c d / h", "controlled error of the steps"
+    expected = {at: START_K + rate * (at - tau * (1.0 - math.exp(-at / tau))) for at in (20, 100)}
+    name = "plate with air behind it that warms by 0.5 K/s"
+    return [Row(f"{name}: at {at} s", T, out[at, 0], 0.01, "K", source, is_) for at, T in expected.items()]
+
+
+def natural_convection() -> list[Row]:
+    """Steady flux through a plate into air behind it, at sea level and at a tenth of its pressure."""
+    C, q = 1.31, 200.0
+    rows = []
+    for p, at in ((101325.0, "0.1 MPa"), (10132.5, "10 kPa")):
+        w = wall((material(1e4), 0.001), back={"T_K": START_K, "natural_h_W_m2K": C, "natural_exponent": 1.0 / 3.0})
+        t = np.linspace(0.0, 1e5, 1001)
+        _, out = heat(w, flight(t, q_add_W_m2=q, p_surface_Pa=p), nodes=14)
+        rise = (q / (C * (p / 101325.0) ** (2.0 / 3.0))) ** 0.75
+        source, is_ = "McAdams, vertical plate: q = 1.31 dT^(4/3), Ra ~ p^2", "emittance of 1e-9"
+        name = f"natural convection behind a plate, 200 W/m2, {at}"
+        rows.append(Row(name, START_K + rise, out[-1, 0], 1e-3, "K", source, is_))
+    return rows
+
+
+def venting() -> list[Row]:
+    """Pressure in an insulation behind that of the surface, seen in its conductivity."""
+    tau, q, length, h = 20.0, 1e3, 0.001, 100.0
+    k = PressureTable(p_Pa=[100.0, 10000.0], T_K=[300.0, 1300.0], k=[[0.01, 0.03], [0.01, 0.03]])
+    light = material(c=100.0, rho=10.0).model_copy(update={"conductivity_W_mK": k})
+    t = np.linspace(0.0, 60.0, 601)
+    p = np.interp(t, [0.0, 1.0], [100.0, 2000.0])
+    w = wall((light, length), back={"h_W_m2K": h, "T_K": START_K}, venting_tau_s=tau)
+    _, out = heat(w, flight(t, q_add_W_m2=q, p_surface_Pa=p), nodes=14)
+    after_ramp = 100.0 + 1900.0 * (1.0 - tau * (1.0 - math.exp(-1.0 / tau)))
+    source, is_ = "p' = (p_surface - p) / tau; k linear in log10 p", "heat in the layer: rho c L dT/dt"
+    rows = []
+    for at in (20.0, 60.0):
+        within = 2000.0 - (2000.0 - after_ramp) * math.exp(-(at - 1.0) / tau)
+        conductivity = 0.01 + 0.02 * math.log10(within / 100.0) / 2.0
+        expected = START_K + q * (1.0 / h + length / conductivity)
+        got = float(np.interp(at, t, out[:, 0]))
+        name = f"insulation that vents with tau 20 s: surface at {at:g} s"
+        rows.append(Row(name, expected, got, 0.02, "K", source, is_))
+    return rows
+
+
+def rows() -> list[Row]:
+    """All of this subject."""
+    return [row for part in (surroundings, back_in_time, natural_convection, venting) for row in part()]
