@@ -130,7 +130,7 @@ def _parts(entry: DispersedEntry) -> dict[str, float]:
         t2 = time.process_time()
         time_s = lanes.times(int(flown.frame_counts.max()))
         histories = np.empty((len(lanes.points), LANES, len(time_s), kept[0][1].shape[-1]))
-        condition_kernel(flown.rows, flown.frame_counts, lanes.host, lanes.numbers, lanes.soak, time_s, histories)
+        condition_kernel(flown.rows, flown.frame_counts, lanes.host, lanes.constants, lanes.soak, time_s, histories)
         lanes.ensemble.reset()
         t3 = time.process_time()
         lanes.march_all(time_s, histories)

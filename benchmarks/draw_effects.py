@@ -46,6 +46,7 @@ DRAWN: Mapping[str, Mapping[str, float]] = {
     "moisture": {"latent_J_kg": 4e4, "boil_K": 373.0},
     "nonisothermal-wall": {"lag_s": 5.0, "lag_fraction": 0.6, "overshoot": 0.15},
     "radiative-conduction": {"k_rad": 0.05},
+    "recombination": {"efficiency": 1.0},
     "sensor-lag": {"tau_s": 3.0},
     "sideslip": {"slope_abs_beta": 0.002},
     "time-skew": {"skew_s": 3.0},
@@ -69,7 +70,8 @@ def main() -> None:
     flown = fly_scenario(scenario).conditions
     point = scenario.vehicle.control_point(scenario.names[0])
     at_point = conditions_at_point(scenario.vehicle, point, flown)
-    bare = point_of_vehicle(scenario.vehicle, point, reference=mean_condition(flown))
+    # Without the declared effects: each picture shows what its own effect does.
+    bare = replace(point_of_vehicle(scenario.vehicle, point, reference=mean_condition(flown)), effects=())
     known = effects()
     undrawn = sorted(set(known) - set(DRAWN))
     if undrawn:

@@ -9,7 +9,8 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.edge_flow import edge_flow, edge_flow_columns
+from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.heating.reference.models import point_heating
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
@@ -48,7 +49,7 @@ def point_of_vehicle(
         nodes=point.construction.stack.nodes,
         parameters=dict(parameters or {}),
         reference=reference,
-        effects=(*point.effects, *effects),
+        effects=combined_uses(point.effects, effects),
     )
 
 
@@ -61,7 +62,8 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         running_length_m=point.running_length_m,
         recovery=point.recovery,
     )
-    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating)
+    of_edge = edge_flow_columns(point.flow, flown)
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating, **of_edge)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -91,7 +93,7 @@ def point_of_record(
         nodes=record.declared.stack.nodes,
         parameters=dict(parameters or {}),
         reference=reference_of_record(record),
-        effects=tuple(effects),
+        effects=combined_uses(record.declared.heating.effects, effects),
     )
 
 
@@ -105,7 +107,15 @@ def conditions_of_record(record: Record) -> Conditions:
         running_length_m=heating.running_length_m,
         recovery=heating.recovery_of_point,
     )
-    return record.conditions.with_columns(**columns)
+    catalysis = heating.catalysis
+    flow = edge_flow(
+        heating.effects,
+        heating.recovery_of_point,
+        heating.running_length_m,
+        "none" if catalysis is None else catalysis.atoms_of,
+        (record.ratio_table, record.turbulent),
+    )
+    return record.conditions.with_columns(**columns, **edge_flow_columns(flow, record.conditions))
 
 
 def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:

@@ -2,8 +2,8 @@
 
     sim-heating ratio-tables aircraft_data/orbiter
 
-reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<control point>.csv`. A source defines, for one
-or more control points,
+reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<control point>.csv`, or
+`<control point>_turbulent.csv` for turbulent flow. A source defines, for one or more control points,
 
     ratio(alpha, beta, log10_re, elevon, bodyflap) = base(alpha, log10_re) * factor_1 * factor_2 * ...
     (sigma / ratio)^2 = relative_sigma^2 + sum of the sigma curves^2
@@ -54,6 +54,7 @@ from sim_heating.heating.ratio.tunnel_to_flight import (
     windward_trend,
 )
 from sim_heating.heating.reference.recovery import RecoveryName
+from sim_heating.inputs.declared_effects import turbulent_recovery
 from sim_heating.inputs.vehicle import recovery_of, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME, ControlPointFile, VehicleFile
 from sim_heating.trajectory.spec import state_problems
@@ -62,6 +63,8 @@ Variable = Literal["alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_
 Points = list[list[float]]
 """[[x, value], ...], x increasing; linear between the points, constant beyond the ends."""
 
+TURBULENT = "_turbulent"
+"""What the name of a turbulent table adds to that of its control point."""
 FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
 """Number formats of a table: rounded far below any sigma, so that every machine writes the same bytes."""
 
@@ -198,6 +201,7 @@ class RatioSource(Declared):
     confidence: str
     revision: str
     recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
+    flow: Literal["laminar", "turbulent"] = Field(default="laminar", description="turbulent: NAME_turbulent.csv")
     relative_sigma: float = Field(gt=0.0, description="one standard deviation over the ratio, above 0")
     note: str = ""
     axes: Axes
@@ -235,7 +239,8 @@ class RatioSource(Declared):
 def build_tables(
     vehicle: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None
 ) -> dict[str, RatioTable]:
-    """The ratio tables that a vehicle's ratio_sources describe, by control point.
+    """The ratio tables that a vehicle's ratio_sources describe, by the names of their files without the ending: those
+    of the control points, with `_turbulent` for turbulent flow.
 
     root   : as `load_vehicle` takes it
     raises : InputError where there is no source, a source or a file that it names cannot be used, or two sources make
@@ -257,17 +262,18 @@ def build_tables(
                 f"{display_path(path)}, {part}: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
             )
         for name in source.control_points:
-            if name in tables:
+            table = name + (TURBULENT if source.flow == "turbulent" else "")
+            if table in tables:
                 raise InputError(
-                    f"{display_path(path)}: `control_points`: {name} already has a table from another source; remove "
-                    f"one"
+                    f"{display_path(path)}: `control_points`: {table} already has a table from another source; remove "
+                    "one"
                 )
             if name not in points:
                 rule = f"the vehicle has no control point `{name}`{suggestion(name, points)}"
                 raise InputError(f"{display_path(path)}: `control_points`: {rule}")
             point = read_toml(directory / "control_points" / f"{name}.toml", ControlPointFile)
             with error_context(display_path(path)):
-                tables[name] = _build(source, path, point, file)
+                tables[table] = _build(source, path, point, file)
     return tables
 
 
@@ -321,6 +327,8 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
     if source.scaling is not None:
         table = scale_table(table, source.scaling_to_flight)
     expected = recovery_of(point, vehicle.heating.reference).kind
+    if source.flow == "turbulent":
+        expected = turbulent_recovery(expected)
     if differs := table.recovery_problem(expected, vehicle.heating.reference):
         raise InputError(f"{point.name}: {differs} of the control point; give both the same `recovery`")
     return table

@@ -3,7 +3,7 @@
     record.toml         the declaration
     conditions.csv      flight conditions, one row a sample
     thermocouples.csv   measurements, one column a sensor; an empty cell is a lost sample
-    ratio_table.csv     optional: the declared heating-ratio table
+    ratio_table.csv     optional: the declared heating-ratio table, and a turbulent one for declared transition
 
 The whole record is checked before anything is returned.
 """
@@ -44,10 +44,12 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.atmosphere import R_AIR, us76
+from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
 from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
+from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_problems
 from sim_heating.thermal.stack import Construction, PressureTable, Sensor, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
@@ -180,6 +182,8 @@ class Heating(Declared):
     ratio_table: FileOfRecord | None = Field(default=None, description="file of the declared heating ratio")
     recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
     local_angle_deg: LocalAngle = None
+    transition: RecordTransition | None = None
+    catalysis: Catalysis | None = None
     elevon_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the elevon that turns the surface")
     bodyflap_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the flap that turns the surface")
 
@@ -189,6 +193,30 @@ class Heating(Declared):
         return declared_recovery(
             self.recovery, self.local_angle_deg, self.reference, self.elevon_factor, self.bodyflap_factor
         )
+
+    @property
+    def effects(self) -> tuple[EffectUse, ...]:
+        """Effects of the declared model: transition and recombination, as far as declared."""
+        turning = () if self.transition is None else (self.transition.effect,)
+        return (*turning, *(() if self.catalysis is None else self.catalysis.effects))
+
+    @property
+    def turbulent_file(self) -> str | None:
+        """File of the turbulent heating ratio, None without one."""
+        return None if self.transition is None else self.transition.ratio_table_turbulent
+
+    @model_validator(mode="after")
+    def _check_transition(self) -> Heating:
+        if self.transition is None:
+            return self
+        if self.transition.ratio_table_turbulent is not None and self.ratio_table is None:
+            rule = "needs the laminar `ratio_table` as well; name it, or give `factor` in place of the turbulent table"
+            raise LocatedError((("transition", "ratio_table_turbulent"), rule))
+        needs_edge = self.transition.by_re_theta
+        if needs_edge and (self.recovery_of_point.kind == "total" or self.running_length_m is None):
+            rule = "needs the edge of the point: `recovery`, `local_angle_deg` and `running_length_m` in [heating]"
+            raise LocatedError((("transition", "re_theta_over_m_e"), rule))
+        return self
 
     @model_validator(mode="after")
     def _check_edge(self) -> Heating:
@@ -205,6 +233,28 @@ class Heating(Declared):
             if self.reference in names and getattr(self, key) is None:
                 raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
         return self
+
+
+class RecordTransition(Transition):
+    """[heating.transition] of a record: the criterion, and the turbulent heating."""
+
+    quantities: ClassVar = {"width": "transition_width", "factor": "transition_factor"}
+
+    ratio_table_turbulent: FileOfRecord | None = Field(default=None, description="file of the turbulent heating ratio")
+    factor: float | None = Field(default=None, gt=0.0, description="turbulent over laminar, or on that of the tables")
+    factor_sigma: float | None = Field(default=None, ge=0.0, description="its standard deviation")
+
+    @model_validator(mode="after")
+    def _check_turbulent(self) -> RecordTransition:
+        if self.ratio_table_turbulent is None and self.factor is None:
+            raise LocatedError((("ratio_table_turbulent",), "is missing; name the turbulent table, or give `factor`"))
+        return self
+
+    @property
+    def effect(self) -> EffectUse:
+        """The effect that it declares."""
+        by_table = self.ratio_table_turbulent is not None
+        return self.use(1.0 if self.factor is None else self.factor, by_table, self.factor_sigma)
 
 
 class ReferenceCondition(Declared):
@@ -258,7 +308,8 @@ class RecordFile(Construction):
             (("thermocouples", "sensor", *place), text)
             for place, text in sensor_problems(self.stack, self.thermocouples.sensor)
         ]
-        files = (self.conditions.file, self.thermocouples.file, self.heating.ratio_table)
+        heating = self.heating
+        files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
         if len({f for f in files if f}) < sum(f is not None for f in files):
             problems.append((("conditions", "file"), "two parts of the record name the same file; give each its own"))
         if problems:
@@ -278,6 +329,7 @@ class Record:
     thermocouples : column -> (sample,) of the measurement file; `time_s`, a column a sensor [K], NaN a lost sample
     ratio_table   : the declared heating ratio, or None
     directory     : folder that it was read from, for messages and names of results
+    turbulent     : the declared turbulent heating ratio, or None
     """
 
     declared: RecordFile
@@ -285,6 +337,7 @@ class Record:
     thermocouples: Mapping[str, FloatArray]
     ratio_table: RatioTable | None = None
     directory: Path = field(default=Path("record"))
+    turbulent: RatioTable | None = None
 
     def __repr__(self) -> str:
         sensors, t = len(self.sensors), self.conditions.time_s
@@ -423,7 +476,8 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     roots = roots_of(home / DECLARATION, root)
     roots.check_link(home / DECLARATION)
     declared = read_toml(home / DECLARATION, RecordFile)
-    for name in (declared.conditions.file, declared.thermocouples.file, declared.heating.ratio_table):
+    heating = declared.heating
+    for name in (declared.conditions.file, declared.thermocouples.file, heating.ratio_table, heating.turbulent_file):
         if name is not None:
             roots.check_link(home / name)
     reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
@@ -437,8 +491,9 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     thermocouples = read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
-    table = None if declared.heating.ratio_table is None else read_ratio_table(home / declared.heating.ratio_table)
-    return _check_record(declared, conditions, thermocouples, table, home)
+    files = (heating.ratio_table, heating.turbulent_file)
+    table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
+    return _check_record(declared, conditions, thermocouples, (table, turbulent), home)
 
 
 def _refuse_folder_of_records(home: Path) -> None:
@@ -458,6 +513,7 @@ def make_record(
     thermocouples: Mapping[str, ArrayLike],
     ratio_table: RatioTable | None = None,
     directory: str | os.PathLike[str] = "record",
+    turbulent: RatioTable | None = None,
 ) -> Record:
     """A record from parts in memory, checked as one that is read from files.
 
@@ -466,13 +522,19 @@ def make_record(
     home = Path(directory)
     measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
     raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
-    if (declared.heating.ratio_table is None) != (ratio_table is None):
-        raise InputError(
-            f"{display_path(home / DECLARATION)}, [heating]: `ratio_table` and the given table must both be present "
-            f"or both absent"
-        )
+    heating = declared.heating
+    for key, file, table in (
+        ("`ratio_table`", heating.ratio_table, ratio_table),
+        ("`ratio_table_turbulent`", heating.turbulent_file, turbulent),
+    ):
+        if (file is None) != (table is None):
+            raise InputError(
+                f"{display_path(home / DECLARATION)}, [heating]: {key} and the given table must both be present "
+                f"or both absent"
+            )
     flown = _as_table(conditions.columns, home / declared.conditions.file)
-    return _check_record(declared, flown, _as_table(measured, home / declared.thermocouples.file), ratio_table, home)
+    readings = _as_table(measured, home / declared.thermocouples.file)
+    return _check_record(declared, flown, readings, (ratio_table, turbulent), home)
 
 
 def _array_problems(measured: Mapping[str, FloatArray], declared: RecordFile, where: str) -> list[str]:
@@ -497,8 +559,13 @@ def _as_table(columns: Mapping[str, FloatArray], path: Path) -> CsvTable:
 
 
 def _check_record(
-    declared: RecordFile, conditions: CsvTable, thermocouples: CsvTable, table: RatioTable | None, home: Path
+    declared: RecordFile,
+    conditions: CsvTable,
+    thermocouples: CsvTable,
+    tables: tuple[RatioTable | None, RatioTable | None],
+    home: Path,
 ) -> Record:
+    table, turbulent = tables
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.
@@ -510,9 +577,10 @@ def _check_record(
             *_clock_problems(conditions, thermocouples),
             *_segment_problems(declared, thermocouples, home),
             *_table_problems(declared.heating, table, home),
+            *_turbulent_problems(declared.heating, table, turbulent, home),
         ]
     )
-    return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home)
+    return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home, turbulent)
 
 
 def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:
@@ -641,6 +709,22 @@ def _table_problems(heating: Heating, table: RatioTable | None, home: Path) -> l
     )
 
 
+def _turbulent_problems(
+    heating: Heating, laminar: RatioTable | None, turbulent: RatioTable | None, home: Path
+) -> list[str]:
+    """A turbulent table that does not go with the laminar one."""
+    if turbulent is None or laminar is None:
+        return []
+    file = display_path(home / str(heating.turbulent_file))
+    if laminar.reference is not None and turbulent.reference != laminar.reference:
+        stated = f"is `{turbulent.reference}`, that of the laminar table `{laminar.reference}`"
+        return [f"{file}, header `reference`: {stated}; they must agree"]
+    return [
+        f"{file}, {line} of the record"
+        for line in turbulent_problems(turbulent, heating.recovery_of_point.kind, heating.reference)
+    ]
+
+
 def _reference_problems(heating: Heating, table: RatioTable, file: str) -> list[str]:
     """A ratio table over an unknown reference heating, or over another one than the record's."""
     if table.reference is None:
@@ -676,5 +760,10 @@ def write_record(
         conditions = {name: values for name, values in record.conditions.columns.items() if name not in DERIVED}
         write_csv(folder / declared.conditions.file, conditions, formats)
         write_csv(folder / declared.thermocouples.file, record.thermocouples, formats)
-        if record.ratio_table is not None and declared.heating.ratio_table is not None:
-            write_ratio_table(folder / declared.heating.ratio_table, record.ratio_table, formats)
+        tables = (
+            (declared.heating.ratio_table, record.ratio_table),
+            (declared.heating.turbulent_file, record.turbulent),
+        )
+        for file, table in tables:
+            if file is not None and table is not None:
+                write_ratio_table(folder / file, table, formats)

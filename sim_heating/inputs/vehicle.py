@@ -15,7 +15,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
@@ -34,10 +34,12 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.paths import real_path
-from sim_heating.heating.effects import EffectUse, check_count, use
+from sim_heating.heating.edge_flow import EdgeFlow, edge_flow
+from sim_heating.heating.effects import EffectUse, check_count, combined_uses, use
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureModel, surface_pressure
+from sim_heating.inputs.declared_effects import Catalysis, turbulent_recovery
 from sim_heating.inputs.record import declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
 from sim_heating.thermal.stack import Construction, Material, Sensor, construct
@@ -64,7 +66,9 @@ class ControlPoint:
     recovery         : enthalpy that the ratio is reduced with, and the surface that its edge follows from
     running_length_m : length of the boundary layer up to the point [m], None where it has no meaning (leeside)
     turbulent_factor : turbulent over laminar film coefficient [-], None where not declared
-    effects          : effects of the declared model, usually none
+    effects          : effects of the declared model: transition, recombination, and those of its file
+    flow             : what these effects ask of the flow at its edge, with its laminar and turbulent tables
+    catalysis_source : source of its recombination coefficients, empty without
     declared         : contents of the file, with sources and notes
     """
 
@@ -81,6 +85,8 @@ class ControlPoint:
     recovery: Recovery
     turbulent_factor: float | None
     effects: tuple[EffectUse, ...]
+    flow: EdgeFlow
+    catalysis_source: str
     declared: ControlPointFile
 
     def surface_pressure(self, conditions: Conditions) -> FloatArray:
@@ -330,9 +336,14 @@ def _read_control_points(
             construction = problems.attempt(construct, file.stack, materials, display_path(path))
         recovery = recovery_of(file, None if vehicle is None else vehicle.heating.reference)
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
-        effects = problems.attempt(_effects, path, file)
-        if construction is not None and ratio is not None and effects is not None:
-            points[file.name] = _control_point(file, construction, ratio, recovery, effects)
+        turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
+        effects = problems.attempt(_effects, path, file, vehicle)
+        if construction is not None and ratio is not None and turbulent is not None and effects is not None:
+            flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
+            if flow is not None:
+                catalysis = _catalysis(file, vehicle)
+                source = "" if catalysis is None else catalysis.source
+                points[file.name] = _control_point(file, construction, ratio, effects, flow, source)
     for line in _repeated_sensors(directory, points):
         problems.add(line)
     return points
@@ -358,13 +369,15 @@ def recovery_of(file: ControlPointFile, reference: str | None) -> Recovery:
     return declared_recovery(file.recovery, file.local_angle_deg, reference or "none", *turns)
 
 
-def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None, recovery: Recovery) -> RatioTable:
+def _read_ratio(
+    owner: Path, ratio_table: str, vehicle: VehicleFile | None, recovery: Recovery, key: str = "ratio_table"
+) -> RatioTable:
     """The ratio table of a control point file, over the vehicle's own reference heating and the point's recovery."""
     path = owner.parent.parent / ratio_table
     if not os.path.isfile(path):
         describe = "; write one, or describe it in ratio_sources and build it"
         hint = suggestion(path.name, sorted(p.name for p in path.parent.glob("*.csv")), otherwise=describe)
-        raise InputError(f"{display_path(owner)}: `ratio_table`: there is no file `{ratio_table}`{hint}")
+        raise InputError(f"{display_path(owner)}: `{key}`: there is no file `{ratio_table}`{hint}")
     table = read_ratio_table(path)
     declared = table.reference
     if vehicle is not None and declared != vehicle.heating.reference:
@@ -378,20 +391,79 @@ def _read_ratio(owner: Path, ratio_table: str, vehicle: VehicleFile | None, reco
     return table
 
 
-def _effects(path: Path, file: ControlPointFile) -> tuple[EffectUse, ...]:
-    """The declared effects of a control point with their parameters."""
+def _read_turbulent(
+    owner: Path, file: ControlPointFile, vehicle: VehicleFile | None, recovery: Recovery
+) -> tuple[RatioTable, ...]:
+    """The turbulent ratio table of a control point; none where its file names none."""
+    if file.ratio_table_turbulent is None:
+        return ()
+    turbulent = replace(recovery, kind=turbulent_recovery(recovery.kind))
+    return (_read_ratio(owner, file.ratio_table_turbulent, vehicle, turbulent, "ratio_table_turbulent"),)
+
+
+def _effects(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
+    """The declared effects of a control point with their parameters: those of its own file take the place of others."""
     with error_context(f"{display_path(path)}, [effect]"):
-        uses = tuple(use(effect.name, effect.parameters) for effect in file.effect)
+        own = tuple(use(effect.name, effect.parameters) for effect in file.effect)
+    uses = combined_uses((*_transition(path, file, vehicle), *_recombination(file, vehicle)), own)
     check_count(uses, display_path(path))
     return uses
+
+
+def _transition(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
+    """Declared transition of a control point: of its own file, or the vehicle's at a point with a turbulent table."""
+    by_table = file.ratio_table_turbulent is not None
+    criterion = file.transition or (vehicle.transition if vehicle is not None and by_table else None)
+    if criterion is None:
+        return ()
+    if not by_table and file.turbulent is None:
+        rule = "needs the turbulent heating: `ratio_table_turbulent`, or `factor` in [turbulent]"
+        raise InputError(f"{display_path(path)}, [transition]: {rule}")
+    factor = 1.0 if by_table or file.turbulent is None else file.turbulent.factor
+    with error_context(f"{display_path(path)}, [transition]"):
+        return (criterion.use(factor, by_table),)
+
+
+def _catalysis(file: ControlPointFile, vehicle: VehicleFile | None) -> Catalysis | None:
+    """Declared recombination at a control point: of its own file, or of its outermost material."""
+    of_material = {} if vehicle is None else vehicle.catalysis
+    return file.catalysis or of_material.get(file.stack.layer[0].material)
+
+
+def _recombination(file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
+    declared = _catalysis(file, vehicle)
+    return () if declared is None else declared.effects
+
+
+def _flow(
+    path: Path,
+    file: ControlPointFile,
+    vehicle: VehicleFile | None,
+    recovery: Recovery,
+    effects: tuple[EffectUse, ...],
+    tables: tuple[RatioTable, ...],
+) -> EdgeFlow:
+    """What the effects of a control point ask of the flow at its edge.
+
+    raises : InputError where a criterion in Re_theta / M_e has no edge
+    """
+    declared = _catalysis(file, vehicle)
+    flow = edge_flow(
+        effects, recovery, file.running_length_m, "edge-oxygen" if declared is None else declared.atoms_of, tables
+    )
+    if flow.re_theta and (recovery.kind == "total" or file.running_length_m is None):
+        rule = "transition by Re_theta / M_e needs the edge: `recovery`, `local_angle_deg` and `running_length_m`"
+        raise InputError(f"{display_path(path)}: {rule}")
+    return flow
 
 
 def _control_point(
     file: ControlPointFile,
     construction: Construction,
     ratio: RatioTable,
-    recovery: Recovery,
     effects: tuple[EffectUse, ...],
+    flow: EdgeFlow,
+    catalysis_source: str,
 ) -> ControlPoint:
     x, y, z = file.position_m
     return ControlPoint(
@@ -405,9 +477,11 @@ def _control_point(
         limits=file.limits,
         pressure=file.pressure,
         ratio=ratio,
-        recovery=recovery,
+        recovery=flow.recovery,
         turbulent_factor=None if file.turbulent is None else file.turbulent.factor,
         effects=effects,
+        flow=flow,
+        catalysis_source=catalysis_source,
         declared=file,
     )
 

@@ -13,6 +13,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from sim_heating.base.files import Declared, LocatedError, Location, path_below
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
+from sim_heating.inputs.declared_effects import Catalysis, Transition
 from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
 
@@ -47,6 +48,8 @@ class VehicleFile(Declared):
     reference_length_m: float = Field(gt=0.0, description="length of the Reynolds number in m")
     reference_area_m2: float = Field(gt=0.0, description="reference area in m2")
     heating: ReferenceHeating
+    transition: Transition | None = None
+    catalysis: dict[str, Catalysis] = Field(default={}, description="by material of an outermost layer")
     source: str
     confidence: str
     note: str = ""
@@ -91,7 +94,7 @@ class Limits(Declared):
 
 
 class Turbulent(Declared):
-    """Turbulent over laminar film coefficient at the point, for effects that switch between them."""
+    """Turbulent over laminar film coefficient at the point, for transition at a point without a turbulent table."""
 
     factor: float = Field(ge=1.0, description="1 or more")
     source: str
@@ -119,6 +122,9 @@ class ControlPointFile(Declared):
     ratio_table: Annotated[str, path_below("is outside the vehicle directory; give a path below it")] = Field(
         description="path below the vehicle directory"
     )
+    ratio_table_turbulent: (
+        Annotated[str, path_below("is outside the vehicle directory; give a path below it")] | None
+    ) = Field(default=None, description="path below the vehicle directory")
     recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
     local_angle_deg: LocalAngle = None
     source: str
@@ -129,6 +135,8 @@ class ControlPointFile(Declared):
     limits: Limits
     pressure: PressureModel
     turbulent: Turbulent | None = None
+    transition: Transition | None = None
+    catalysis: Catalysis | None = None
     effect: list[DeclaredEffect] = Field(default=[])
 
     @model_validator(mode="after")

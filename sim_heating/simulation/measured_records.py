@@ -24,7 +24,7 @@ from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, make_record, write_record
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario
 from sim_heating.simulation.run import fly_scenario
-from sim_heating.simulation.synthesize import declaration, ratio_table_of
+from sim_heating.simulation.synthesize import declaration, flown_columns, ratio_table_of, turbulent_table_of
 
 NUMBER_FORMAT = ".7g"
 """Format of numbers in a record's files; finer than their accuracy."""
@@ -69,7 +69,8 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
     declared = declared.model_copy(update={"title": title, "measured": True, "segments": measured.segments})
     columns = {"time_s": measured.time_s, sensor.column: measured.temperature_K, "sigma_K": measured.sigma_K}
     conditions = conditions_at_point(scenario.vehicle, point, flown)
-    return make_record(declared, conditions, columns, ratio_table_of(point), point.name)
+    table, turbulent = ratio_table_of(point), turbulent_table_of(point)
+    return make_record(declared, flown_columns(conditions), columns, table, point.name, turbulent)
 
 
 def write_compared_records(scenario: Scenario, directory: Path) -> list[Path]:

@@ -24,6 +24,7 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import limit_message
+from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
 from sim_heating.inputs.points import point_of_vehicle
@@ -74,7 +75,7 @@ class HeatingPlugin:
     effects        : effects by control point, in addition to those that the vehicle declares
 
     Attributes: `names` of the control points; `outputs`, (control point, `surface`, `bondline` or sensor) of each of
-    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `pressures`, (point, POINT_WIDTH) as
+    `temperatures()`; `ensemble`, whose state is that at `heated_s`; `constants` of the points as
     simulation/plugin_kernel.py takes them.
 
     >>> import sim_heating as sh
@@ -107,14 +108,14 @@ class HeatingPlugin:
         if nodes is not None:
             models = [replace(model, nodes=nodes) for model in models]
         self.ensemble = e = pack(models, longest_step_s)
-        self.pressures = point_numbers(vehicle, self.points)
+        self.constants = point_constants(vehicle, self.points)
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
         self._published = np.zeros((4, len(outputs)))
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
-            e.lane_groups, self.pressures, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
+            e.lane_groups, self.constants, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
             np.array([place for _, _, place in outputs]), self._host, self._published,
         )  # fmt: skip
 
@@ -245,16 +246,15 @@ class HeatingPlugin:
             raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
 
 
-def point_numbers(vehicle: Vehicle, points: Sequence[ControlPoint]) -> FloatArray:
-    """(point, plugin_kernel.POINT_WIDTH) pressure model, recovery and running length [m] of control points, as
-    plugin_kernel.derive_conditions takes them; a length that the reference heating does not use is 1."""
+def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.PointConstants:
+    """What the conditions of control points follow from, as plugin_kernel.derive_conditions takes it; a running length
+    [m] that the reference heating does not use is 1."""
     on_plate = reference_model(vehicle.heating.reference).on_plate
     # Without a flat plate all points get one length, so that the kernel computes the reference heating once a frame.
     lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
-    numbers = [
-        [*p.pressure.parameters(), *p.recovery.parameters(), length] for p, length in zip(points, lengths, strict=True)
-    ]
-    return np.array(numbers, dtype=float)
+    flows, tables = pack_flows([p.flow for p in points])
+    rows = zip(points, lengths, flows, strict=True)
+    return k.PointConstants(np.array([[*p.pressure.parameters(), x, *flow] for p, x, flow in rows]), tables)
 
 
 def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: float = 0.0) -> FloatArray:

@@ -19,6 +19,7 @@ It asks for a thermal step when
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,12 +30,14 @@ from sim_heating.base.kernels.block import (
     BETA,
     BODYFLAP,
     CURVE,
+    DISSOCIATION,
     ELEVON,
     FAILED,
     H_REF,
     JETS,
     LANES,
     LOG10_RE,
+    LOG10_RE_THETA_M,
     MACH,
     N_CONDITIONS,
     P_SURFACE,
@@ -42,13 +45,15 @@ from sim_heating.base.kernels.block import (
     RECOVERY_ENTHALPY,
     RECOVERY_RISE,
     TIME,
+    TURBULENT_RATIO,
     T,
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
+from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, edge_flow_kernel
 from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
-from sim_heating.heating.reference.recovery import RECOVERY_WIDTH, point_recovery_kernel
+from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
@@ -60,10 +65,25 @@ THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3
 longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last one [s], wait
 for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of change of the
 frame's values over the last thermal step [1/s]."""
-RECOVERY_AT = PRESSURE_WIDTH
-RUNNING_LENGTH = RECOVERY_AT + RECOVERY_WIDTH
-POINT_WIDTH = RUNNING_LENGTH + 1
-"""Numbers of a control point: its pressure model, its recovery enthalpy from RECOVERY_AT on, its running length [m]."""
+RUNNING_LENGTH = PRESSURE_WIDTH
+FLOW_AT = RUNNING_LENGTH + 1
+RECOVERY_AT = FLOW_AT + KIND
+POINT_WIDTH = FLOW_AT + FLOW_WIDTH
+"""Numbers of a control point: its pressure model, the running length of its reference heating [m], what its declared
+effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy."""
+
+
+class PointConstants(NamedTuple):
+    """What the conditions of control points follow from.
+
+    numbers : (point, POINT_WIDTH) of each point
+    tables  : its laminar and turbulent ratio tables where it has declared transition (heating/edge_flow.py)
+    """
+
+    numbers: FloatArray
+    tables: FloatArray
+
+
 CURRENT, VALUE, LINEAR, QUADRATIC = range(4)
 """Rows of the published array: the temperatures now [K], and their parabola: T_h [K], s [K/s], c [K/s2]."""
 
@@ -163,12 +183,12 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
 
 @njit
 def derive_conditions(
-    frame: FloatArray, host: FloatArray, points: FloatArray, lanes: IntArray, vectors: FloatArray
+    frame: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray
 ) -> None:
     """Derive the conditions of all lanes from one frame of the host.
 
     host    : (HOST_SIZE,), of which the reference model, reference length and nose radius are read
-    points  : (point, POINT_WIDTH) pressure model, recovery and running length of each point
+    points  : pressure model, edge and running length of each point, and the tables of its declared transition
     lanes   : the point in each lane; a lane that fills a group up repeats the one before it
     vectors : (lane, condition), filled
     """
@@ -177,7 +197,7 @@ def derive_conditions(
     T_inf, p_inf, mach, log10_re = free_stream_kernel(frame[F_ALTITUDE], V, rho, host[LENGTH])
     radius, length = host[RADIUS], -1.0
     h_ref, H_0 = 0.0, total_enthalpy_kernel(V, T_inf)
-    # One shock for the surface pressures and the reference heating.
+    # One shock for the surface pressures, the reference heating and the edges of the points.
     state = stagnation_kernel(rho, max(V, SLOWEST_M_S), T_inf)
     rise, cos_beta = stagnation_rise(state), math.cos(math.radians(beta))
     for i in range(len(lanes)):
@@ -186,7 +206,7 @@ def derive_conditions(
             for c in range(N_CONDITIONS):
                 vectors[i, c] = vectors[i - 1, c]
             continue
-        point = points[lanes[i]]
+        point = points.numbers[lanes[i]]
         # The reference heating is the largest part of a frame; it differs between points by their running length alone.
         if point[RUNNING_LENGTH] != length:
             length = point[RUNNING_LENGTH]
@@ -201,6 +221,9 @@ def derive_conditions(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
         vectors[i, JETS], vectors[i, MACH], vectors[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
+        vectors[i, TURBULENT_RATIO], vectors[i, LOG10_RE_THETA_M], vectors[i, DISSOCIATION] = edge_flow_kernel(
+            state, V, vectors[i], point, FLOW_AT, points.tables
+        )
 
 
 @njit
@@ -219,8 +242,8 @@ def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray
 
 @njit
 def _heat_to(
-    all_lanes: LaneGroups, points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray,
-    published: FloatArray, frame: FloatArray,
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """Advance from the frame that the model is at to another, in thermal steps of at most LONGEST_STEP."""
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
@@ -243,8 +266,8 @@ def _heat_to(
 
 @njit
 def heat_points(
-    all_lanes: LaneGroups, points: FloatArray, lanes: IntArray, vectors: FloatArray, places: IntArray, host: FloatArray,
-    published: FloatArray, frame: FloatArray, outcome: int,
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    host: FloatArray, published: FloatArray, frame: FloatArray, outcome: int,
 ) -> int:  # fmt: skip
     """Advance all points to a frame, or start with it where it is the first.
 

@@ -15,10 +15,13 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.heating.edge_flow import FLOW_COLUMNS
 from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION, intermittency
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
+from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
 from sim_heating.inputs.points import conditions_at_point, mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
@@ -37,6 +40,7 @@ AXIAL = "axial_accel_g"
 SYNTHESIS_TOLERANCE_K = 0.1 * STEP_TOLERANCE_K
 """Largest error of a time step of the truth [K]: a tenth of that of the march that will fit the record."""
 CONDITIONS, THERMOCOUPLES, TABLE = "conditions.csv", "thermocouples.csv", "ratio_table.csv"
+TURBULENT = "ratio_table_turbulent.csv"
 
 
 def synthesize(
@@ -173,13 +177,15 @@ def _record(
                 f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
                 f"within the flight ({span}); change them"
             )
-    return make_record(
-        declaration(scenario, point, point.sensors),
-        _as_measured(scenario, point, conditions),
-        columns,
-        ratio_table_of(point),
-        point.name,
-    )
+    declared = declaration(scenario, point, point.sensors)
+    table, turbulent = ratio_table_of(point), turbulent_table_of(point)
+    measured = flown_columns(_as_measured(scenario, point, conditions))
+    return make_record(declared, measured, columns, table, point.name, turbulent)
+
+
+def flown_columns(conditions: Conditions) -> Conditions:
+    """Conditions of a point without the columns that follow from what its record declares."""
+    return Conditions({name: values for name, values in conditions.columns.items() if name not in FLOW_COLUMNS})
 
 
 def ratio_table_of(point: ControlPoint) -> RatioTable:
@@ -216,6 +222,28 @@ def _recovery_keys(point: ControlPoint) -> dict[str, Any]:
     return {"recovery": own.kind, "local_angle_deg": own.local_angle_deg, **turned}
 
 
+def _declared_effects(point: ControlPoint) -> dict[str, Any]:
+    """Keys of [heating] that state declared transition and recombination of a control point."""
+    keys: dict[str, Any] = {}
+    for used in point.effects:
+        if used.effect.name == TRANSITION:
+            keys["transition"] = transition_keys(used, TURBULENT)
+        elif used.effect.name == RECOMBINATION:
+            keys["catalysis"] = catalysis_keys(used, point.flow.atoms, point.catalysis_source)
+    if point.flow.re_theta:
+        keys["running_length_m"] = point.running_length_m
+    return keys
+
+
+def turbulent_table_of(point: ControlPoint) -> RatioTable | None:
+    """Turbulent ratio table of a control point as its record holds it; None where its transition is by no table."""
+    table = point.flow.turbulent
+    kind = turbulent_recovery(point.recovery.kind)
+    if table is None or kind == "total":
+        return table
+    return replace(table, header={**table.header, "recovery": kind})
+
+
 def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
     """Content of record.toml for a control point with these sensors."""
     vehicle = scenario.vehicle
@@ -226,6 +254,7 @@ def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Senso
         "wall_enthalpy": vehicle.heating.model_dump()["wall_enthalpy"],
         "ratio_table": TABLE,
         **_recovery_keys(point),
+        **_declared_effects(point),
     }
     data |= {
         "conditions": {"file": CONDITIONS},
@@ -238,8 +267,13 @@ def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Senso
 def files_of(scenario: Scenario) -> list[str]:
     """Names of all files of the records of a scenario."""
     measured = [name for name in scenario.names if scenario.vehicle.control_point(name).sensors]
-    folders = [""] if len(measured) == 1 else [f"{name}/" for name in measured]
-    return [TRUTH, *(f"{folder}{n}" for folder in folders for n in (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE))]
+    files = []
+    for name in measured:
+        folder = "" if len(measured) == 1 else f"{name}/"
+        turbulent = scenario.vehicle.control_point(name).flow.turbulent is not None
+        own = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
+        files += [f"{folder}{n}" for n in own]
+    return [TRUTH, *files]
 
 
 def write_records(

@@ -136,9 +136,9 @@ def test_the_step_may_change_from_frame_to_frame(plugin: HeatingPlugin) -> None:
 def test_a_long_frame_is_divided_into_thermal_steps(plugin: HeatingPlugin) -> None:
     at_once = run(plugin, [frame(0.0), frame(30.0, alpha_deg=44.0)])
     frames = [frame(t, alpha_deg=40.0 + 4.0 * t / 30.0) for t in np.linspace(0.0, 30.0, 31)]
-    # what is linear between frames is what was derived at them: surface pressure, 0.0002 K here, and the recovery
-    # enthalpy, which goes with the square of the cosine of the angle, 0.002 K
-    np.testing.assert_allclose(at_once, run(plugin, frames), rtol=0.0, atol=5e-3)
+    # what is linear between frames is what was derived at them: surface pressure, 0.0002 K here, the recovery enthalpy,
+    # which goes with the square of the cosine of the angle, 0.002 K, and the heat of dissociation, 0.09 K
+    np.testing.assert_allclose(at_once, run(plugin, frames), rtol=0.0, atol=0.12)
 
 
 def test_values_of_a_frame_are_reached_linearly_at_its_end(plugin: HeatingPlugin) -> None:
@@ -202,7 +202,8 @@ def test_temperatures_between_thermal_steps_are_those_of_a_step_with_every_frame
 
 
 def test_temperatures_between_thermal_steps_follow_a_popu(plugin: HeatingPlugin, every_frame: HeatingPlugin) -> None:
-    assert largest_difference_K(plugin, every_frame, glide(60.0)[1]) < 0.02
+    # 0.023 K where the atoms of the flow, linear between thermal steps, pass a corner of the gas table
+    assert largest_difference_K(plugin, every_frame, glide(60.0)[1]) < 0.03
 
 
 def test_a_quiet_flight_takes_a_thermal_step_every_quarter_of_a_second(plugin: HeatingPlugin) -> None:

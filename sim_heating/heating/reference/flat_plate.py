@@ -59,9 +59,22 @@ def windward_edge_kernel(
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     p_0, h_0, _, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
+    return windward_edge(p, p_0, h_0, V, alpha_deg)
+
+
+@njit
+def windward_edge(
+    p_inf_Pa: float, p_0_Pa: float, h_0_J_kg: float, velocity_m_s: float, angle_deg: float
+) -> tuple[float, float, float]:
+    """Edge pressure [Pa], enthalpy [J/kg] and speed [m/s] as `windward_edge_kernel`, from the stagnation state.
+
+    p_inf_Pa, p_0_Pa, h_0_J_kg : free-stream and stagnation pressure [Pa], stagnation enthalpy [J/kg]
+    velocity_m_s, angle_deg    : free-stream speed [m/s], angle of the surface against the flow [deg]
+    Source: docs/equations_reference_heating.md, equation 18.
+    """
     # Newtonian pressure acts on the windward side only.
-    sine, u_e = max(math.sin(math.radians(alpha_deg)), 0.0), edge_speed(V, alpha_deg)
-    return p + (p_0 - p) * sine * sine, h_0 - 0.5 * u_e * u_e, u_e
+    sine, u_e = max(math.sin(math.radians(angle_deg)), 0.0), edge_speed(velocity_m_s, angle_deg)
+    return p_inf_Pa + (p_0_Pa - p_inf_Pa) * sine * sine, h_0_J_kg - 0.5 * u_e * u_e, u_e
 
 
 @njit

@@ -24,7 +24,7 @@ from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, SURRO
 from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.planning.dispersion.spec import DispersedInput
-from sim_heating.simulation.plugin_kernel import derive_conditions
+from sim_heating.simulation.plugin_kernel import PointConstants, derive_conditions
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
@@ -298,7 +298,7 @@ def fly_kernel(
 
 @njit
 def condition_kernel(
-    rows: FloatArray, frame_counts: IntArray, host: FloatArray, points: FloatArray, soak: FloatArray,
+    rows: FloatArray, frame_counts: IntArray, host: FloatArray, points: PointConstants, soak: FloatArray,
     time_s: FloatArray, histories: FloatArray,
 ) -> None:  # fmt: skip
     """Conditions of all points along some flights, and behind the end of each flight those of its soak.
@@ -309,13 +309,13 @@ def condition_kernel(
     time_s             : (time,) frames of the flights, then those of the soak [s]
     histories          : (point, flight, time, condition), filled
     """
-    lanes = np.arange(len(points))
-    then = np.zeros((len(points), N_CONDITIONS))
+    lanes = np.arange(len(points.numbers))
+    then = np.zeros((len(points.numbers), N_CONDITIONS))
     for f in range(len(rows)):
         for k in range(len(time_s)):
             if k < frame_counts[f]:
                 derive_conditions(rows[f, k, :_FRAME], host, points, lanes, then)
-            for p in range(len(points)):
+            for p in range(len(points.numbers)):
                 if k >= frame_counts[f]:
                     then[p, H_REF], then[p, P_SURFACE], then[p, SURROUNDINGS] = soak[0], soak[1], soak[2]
                 then[p, TIME] = time_s[k]

@@ -33,7 +33,7 @@ from sim_heating.march.point import PointModel, heating_vector, kernel_effects, 
 from sim_heating.planning.dispersion.flight import COMPLETED, SampledFlights, condition_kernel
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.soak import SOAK
-from sim_heating.simulation.plugin import host_array, point_numbers
+from sim_heating.simulation.plugin import host_array, point_constants
 from sim_heating.thermal.mesh import Mesh
 
 QUANTITIES = ("surface_K", "bondline_K")
@@ -89,7 +89,7 @@ class LaneMarch:
     step_s  : of the march, and between the kept frames of flights [s]
     soak_s  : after the end of each flight [s]
 
-    Attributes: `models` of the points; `host`, `numbers` and `soak`, as flight.condition_kernel takes them.
+    Attributes: `models` of the points; `host`, `constants` and `soak`, as flight.condition_kernel takes them.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class LaneMarch:
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
         self._tables = [self._ratio_nodes(p) for p in range(len(points))]
         self.host = host_array(vehicle)
-        self.numbers = point_numbers(vehicle, [p.point for p in points])
+        self.constants = point_constants(vehicle, [p.point for p in points])
         self.soak = np.array(list(SOAK.values()))
         self._outputs = self.ensemble.outputs().reshape(len(points), 2 * LANES)
         self._memory = np.empty(0)
@@ -167,7 +167,7 @@ class LaneMarch:
         frame_counts = flown.frame_counts[lane]
         time_s = self.times(int(frame_counts.max()))
         histories = self._history_memory(len(time_s))
-        condition_kernel(flown.rows[lane], frame_counts, self.host, self.numbers, self.soak, time_s, histories)
+        condition_kernel(flown.rows[lane], frame_counts, self.host, self.constants, self.soak, time_s, histories)
         self.ensemble.restore(self._initial_state)
         self._write_parameters(changes, lane)
         self._write_ratio_tables(table_factors, lane)

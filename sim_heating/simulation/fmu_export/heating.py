@@ -335,7 +335,11 @@ class _HeatingPacker(ImagePacker):
         host[:3] = self.plugin._host[:3]
         if self.columns:
             host[k.CODE] = COLUMNS
-        self.head |= {k.HOST: self.image.add_numbers(host), k.PRESSURES: self.image.add_numbers(self.plugin.pressures)}
+        numbers, tables = self.plugin.constants
+        self.head |= {
+            k.HOST: self.image.add_numbers(host), k.CONSTANTS: self.image.add_numbers(numbers),
+            k.FLOW_TABLES: self.image.add_numbers(tables), k.N_FLOW_TABLES: len(tables),
+        }  # fmt: skip
 
     def _pack_points(self) -> None:
         e, image = self.ensemble, self.image

@@ -94,6 +94,7 @@ from sim_heating.simulation.plugin_kernel import (
     F_TIME,
     F_VELOCITY,
     RECOVERY_AT,
+    PointConstants,
     derive_conditions,
 )
 from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
@@ -105,9 +106,10 @@ from sim_heating.thermal.frame import STAGE_ROWS
 (
     N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
-    STATE, TABLE, VECTORS, PRESSURES, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
-) = range(I_HEAD, I_HEAD + 23)  # fmt: skip
-N_MODEL = 32
+    STATE, TABLE, VECTORS, CONSTANTS, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
+    FLOW_TABLES, N_FLOW_TABLES,
+) = range(I_HEAD, I_HEAD + 25)  # fmt: skip
+N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
 F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
@@ -189,7 +191,8 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
     for k in range(len(FRAME) - 1):
         frame[1 + k] = inputs[k]
     vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    points = carray(at(R, N[PRESSURES]), (N[N_POINTS], POINT_CONSTANTS))
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points = PointConstants(numbers, carray(at(R, N[FLOW_TABLES]), N[N_FLOW_TABLES]))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
     derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
     for i in range(n):
@@ -199,7 +202,7 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
             # The host's enthalpy is that of the flow; a point with an edge recovers less of it.
             vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
                 inputs[F_H_R - 1], frame[F_VELOCITY], frame[F_ALPHA], frame[F_ELEVON], frame[F_BODYFLAP],
-                points[at(N, N[LANE_POINTS])[i]], RECOVERY_AT,
+                numbers[at(N, N[LANE_POINTS])[i]], RECOVERY_AT,
             )  # fmt: skip
 
 

@@ -1,0 +1,221 @@
+"""What declared transition and declared recombination read of the flow at a control point, along a flight or a frame.
+
+    turbulent_ratio    turbulent over laminar heating ratio of the point's tables [-]
+    log10_re_theta_m   log10 of Re_theta / M_e [-] of the laminar boundary layer
+    dissociation_J_kg  heat of dissociation of the flow at its edge [J/kg]
+
+The edge of the boundary layer is that of the point's recovery enthalpy (heating/reference/recovery.py): Newtonian
+pressure, u_e = V |cos(angle)|. The laminar momentum thickness is Eckert's,
+
+    Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e,
+
+with sqrt(3) for flow that diverges as over a cone. Atoms are those of equilibrium air at the edge, or at the stagnation
+point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they are from there on (frozen).
+Equations: docs/equations_reference_heating.md, equations 33 to 35.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.base.kernels.jit import njit
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.recombination import HEAT_OF_OXYGEN, RECOMBINATION
+from sim_heating.heating.effects.transition import BY_RE_THETA as BY_RE_THETA_VALUE
+from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.ratio.lookup import pack_table, table_ratio
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, reference_enthalpy, windward_edge
+from sim_heating.heating.reference.gas import (
+    air_density_of_enthalpy_kernel,
+    air_kernel,
+    air_state_kernel,
+    air_temperature_kernel,
+)
+from sim_heating.heating.reference.recovery import Recovery
+from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
+
+FLOW_COLUMNS = ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
+"""Columns of the conditions that follow from declared transition and recombination."""
+LAMINAR_AT, TURBULENT_AT, BY_RE_THETA, ATOMS, LENGTH, KIND, ANGLE, BY_ELEVON, BY_BODYFLAP = range(9)
+FLOW_WIDTH = 9
+"""Places in the numbers of a point: its tables in the flat array (-1 without), whether Re_theta / M_e is asked for, of
+which flow the atoms are, running length [m]; its recovery, local angle [deg], elevon and body-flap factor [-]."""
+Atoms = Literal["none", "edge", "stagnation", "edge-oxygen", "stagnation-oxygen"]
+"""Flow whose atoms reach the wall."""
+NO_ATOMS, OF_EDGE, OF_STAGNATION, EDGE_OXYGEN, STAGNATION_OXYGEN = 0.0, 1.0, 2.0, 3.0, 4.0
+ATOMS_OF: dict[Atoms, float] = dict(
+    zip(get_args(Atoms), (NO_ATOMS, OF_EDGE, OF_STAGNATION, EDGE_OXYGEN, STAGNATION_OXYGEN), strict=True)
+)
+MOMENTUM_C = 0.664
+"""Of Blasius: Re_theta = 0.664 sqrt(Re_x)."""
+WALL_K = 1100.0
+"""Wall temperature of the laminar boundary layer [K], that of the lower-surface estimate."""
+STEP = 1e-3
+"""Relative step of the differences for the speed of sound."""
+
+
+@dataclass(frozen=True)
+class EdgeFlow:
+    """What a point asks of the flow at its edge.
+
+    recovery           : of the point, with the angle of its surface
+    running_length_m   : from the origin of the boundary layer [m]
+    re_theta           : whether its transition has a criterion in Re_theta / M_e
+    atoms              : flow whose atoms reach its wall
+    laminar, turbulent : its ratio tables, both or none
+    """
+
+    recovery: Recovery = field(default_factory=Recovery)
+    running_length_m: float = 1.0
+    re_theta: bool = False
+    atoms: Atoms = "none"
+    laminar: RatioTable | None = None
+    turbulent: RatioTable | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the conditions that it adds."""
+        asked = (self.turbulent is not None, self.re_theta, self.atoms != "none")
+        return tuple(name for name, wanted in zip(FLOW_COLUMNS, asked, strict=True) if wanted)
+
+
+def edge_flow(
+    effects: Sequence[EffectUse],
+    recovery: Recovery,
+    running_length_m: float | None,
+    atoms: Atoms,
+    tables: Sequence[RatioTable | None],
+) -> EdgeFlow:
+    """What the effects of a point ask of the flow at its edge.
+
+    recovery, running_length_m : of the point, the length [m]
+    atoms                      : flow whose atoms reach the wall, where the point has recombination
+    tables                     : laminar ratio table, and the turbulent one where there is one
+    """
+    names = {used.effect.name for used in effects}
+    by_re_theta = any(used.effect.name == TRANSITION and used.values[BY_RE_THETA_VALUE] > 0.0 for used in effects)
+    laminar, turbulent = (*tables, None, None)[:2]
+    # Tables only with transition: without it a turbulent one does nothing.
+    both = (laminar, turbulent) if TRANSITION in names and turbulent is not None else (None, None)
+    return EdgeFlow(recovery, running_length_m or 1.0, by_re_theta, atoms if RECOMBINATION in names else "none", *both)
+
+
+def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
+    """Numbers (point, FLOW_WIDTH) of points as `edge_flow_kernel` takes them, and the flat array of their tables.
+
+    flows   : of the points
+    returns : numbers in the units of their places, angles in [deg]; tables as `pack_table` makes them, a 0 behind them
+    The ratio of the tables is turbulent over laminar (docs/effects.md, equation 23).
+    """
+    numbers, tables, end = np.full((len(flows), FLOW_WIDTH), -1.0), [], 0
+    for row, flow in zip(numbers, flows, strict=True):
+        if flow.laminar is not None and flow.turbulent is not None:
+            for place, table in ((LAMINAR_AT, flow.laminar), (TURBULENT_AT, flow.turbulent)):
+                tables.append(pack_table(table))
+                row[place], end = end, end + len(tables[-1])
+        row[BY_RE_THETA:] = (
+            float(flow.re_theta), ATOMS_OF[flow.atoms], flow.running_length_m, *flow.recovery.parameters(),
+        )  # fmt: skip
+    return numbers, np.concatenate([*tables, np.zeros(1)])
+
+
+@njit
+def _sound_speed(h: float, p: float) -> float:
+    """Speed of sound a of equilibrium air [m/s], a^-2 = (d rho/d h)_p / rho + (d rho/d p)_h, by differences."""
+    rho = air_density_of_enthalpy_kernel(h, p)
+    by_h = (air_density_of_enthalpy_kernel(h * (1.0 + STEP), p) - rho) / (h * STEP)
+    by_p = (air_density_of_enthalpy_kernel(h, p * (1.0 + STEP)) - rho) / (p * STEP)
+    return 1.0 / math.sqrt(by_h / rho + by_p)
+
+
+@njit
+def re_theta_over_mach(p_e: float, h_e: float, u_e: float, length_m: float) -> float:
+    """Re_theta / M_e [-] of a laminar boundary layer on a cone-like surface at 1100 K.
+
+        Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e
+
+    p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  length_m : running length x [m]
+    rho*, mu* are at Eckert's reference enthalpy. Source: Eckert 1956; docs/equations_reference_heating.md, equations 33
+    and 34.
+    """
+    h_w = air_kernel(WALL_K, p_e)[0]
+    rho, mu = air_state_kernel(reference_enthalpy(h_e, h_w, u_e, False), p_e)
+    mu_e = air_state_kernel(h_e, p_e)[1]
+    re_theta = MOMENTUM_C * math.sqrt(rho * mu * u_e * length_m) / (mu_e * DIVERGING_LAMINAR)
+    return re_theta * _sound_speed(h_e, p_e) / u_e
+
+
+@njit
+def edge_flow_kernel(
+    state: tuple[float, float, float, float], velocity_m_s: float, x: FloatArray, numbers: FloatArray, first: int,
+    tables: FloatArray,
+) -> tuple[float, float, float]:  # fmt: skip
+    """turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg] of a point; 1, 0 and 0 where not asked for.
+
+    state          : stagnation pressure [Pa], enthalpy [J/kg] and density [kg/m3], free-stream pressure [Pa], as
+                     `stagnation.stagnation_kernel` gives them
+    velocity_m_s   : free-stream speed [m/s]
+    x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
+    numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
+    Source: docs/equations_reference_heating.md, equations 33 to 35.
+    """
+    ratio, criterion, dissociation = 1.0, 0.0, 0.0
+    if numbers[first + TURBULENT_AT] >= 0.0:
+        turbulent = table_ratio(tables, int(numbers[first + TURBULENT_AT]), x, 0)
+        ratio = turbulent / table_ratio(tables, int(numbers[first + LAMINAR_AT]), x, 0)
+    atoms, by_re_theta = numbers[first + ATOMS], numbers[first + BY_RE_THETA] > 0.0
+    if by_re_theta or atoms > NO_ATOMS:
+        p_0, h_0, _, p_inf = state
+        p_e, h_e = p_0, h_0
+        # Without a known edge: the flow of the stagnation point.
+        if numbers[first + KIND] > 0.0 and (by_re_theta or atoms in (OF_EDGE, EDGE_OXYGEN)):
+            angle = x[0] + numbers[first + ANGLE]
+            angle += numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
+            p_e, h_e, u_e = windward_edge(p_inf, p_0, h_0, velocity_m_s, angle)
+            if by_re_theta:
+                criterion = math.log10(re_theta_over_mach(p_e, h_e, u_e, numbers[first + LENGTH]))
+        if atoms in (OF_STAGNATION, STAGNATION_OXYGEN):
+            p_e, h_e = p_0, h_0
+        if atoms > NO_ATOMS:
+            dissociation = air_kernel(air_temperature_kernel(h_e, p_e), p_e)[2]
+        if atoms >= EDGE_OXYGEN:
+            dissociation = min(dissociation, HEAT_OF_OXYGEN)
+    return ratio, criterion, dissociation
+
+
+@njit
+def _flow_loop(
+    rho: FloatArray, V: FloatArray, T_inf: FloatArray, x: FloatArray, numbers: FloatArray, tables: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    for i in range(len(V)):
+        state = stagnation_kernel(rho[i], max(V[i], SLOWEST_M_S), T_inf[i])
+        out[i, 0], out[i, 1], out[i, 2] = edge_flow_kernel(state, V[i], x[i], numbers, 0, tables)
+
+
+def edge_flow_columns(flow: EdgeFlow, flown: Conditions) -> dict[str, FloatArray]:
+    """Columns that a point's declared transition and recombination read, along a flight.
+
+    flow    : what the point asks for
+    flown   : conditions with rho_kg_m3, velocity_m_s, T_inf_K and the five ratio variables
+    returns : (time,) turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg], those asked for
+    Source: docs/equations_reference_heating.md, equations 33 to 35.
+    """
+    if not flow.columns:
+        return {}
+    numbers, tables = pack_flows([flow])
+    # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
+    rho, V, T_inf = (np.array(flown[name], dtype=float) for name in ("rho_kg_m3", "velocity_m_s", "T_inf_K"))
+    x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
+    out = np.empty((len(flown), 3))
+    _flow_loop(rho, V, T_inf, np.ascontiguousarray(x), numbers[0], tables, out)
+    found = dict(zip(FLOW_COLUMNS, out.T, strict=True))
+    return {name: np.ascontiguousarray(found[name]) for name in flow.columns}

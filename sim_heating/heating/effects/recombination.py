@@ -1,0 +1,116 @@
+"""Finite-rate recombination of oxygen and nitrogen atoms at the wall: heating below that of a fully catalytic wall.
+
+    f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r
+    phi = rho_w k_w / (rho_w k_w + h_m),    k_w = gamma sqrt(R_u T_w / (2 pi M)),    gamma = A exp(-T_A / T_w)
+
+h_O and h_N are the heats of dissociation that the flow brings to the wall as atoms, frozen through the boundary layer;
+h_m = Le^(2/3) film is its coefficient of mass transfer, film the fully catalytic one of the point. Oxygen dissociates
+first: h_O is up to 3.59 MJ/kg of the heat of dissociation, that of all its atoms, and h_N the rest.
+Source: Goulard, Jet Propulsion 28 (1958) 737; phi = 0 is Fay and Riddell's (1958) frozen flow at a noncatalytic wall;
+derived in docs/effects.md, equations 25 to 28.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels import block
+from sim_heating.base.kernels.elementary import exp
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import Parameter
+from sim_heating.heating.atmosphere import MOLAR_GAS_CONSTANT
+from sim_heating.heating.effects import Effect, SearchStart, flight
+from sim_heating.heating.reference.gas import MOLAR_MASS_N2_O2, R_TABLE
+
+RECOMBINATION = "recombination"
+"""Name of the effect."""
+O_FACTOR, O_ACTIVATION, N_FACTOR, N_ACTIVATION, HIGHEST, EFFICIENCY = range(6)
+OXYGEN, NITROGEN = 0.21, 0.79
+"""Mole fractions of O2 and N2 in undissociated air, those of the gas table."""
+MOLAR_MASS_O, MOLAR_MASS_N = 15.999, 14.007
+"""[kg/kmol]."""
+FORMATION_O, FORMATION_N = 246.790e6, 470.818e6
+"""Heats of formation of the atoms at 0 K [J/kmol], those of the gas table (heating/data/equilibrium_air.csv)."""
+HEAT_OF_OXYGEN = 2.0 * OXYGEN * FORMATION_O / MOLAR_MASS_N2_O2
+HEAT_OF_NITROGEN = 2.0 * NITROGEN * FORMATION_N / MOLAR_MASS_N2_O2
+"""Heats of dissociation of all oxygen and of all nitrogen of air [J/kg]: 3.59e6 and 25.8e6."""
+LEWIS_2_3 = 1.4 ** (2.0 / 3.0)
+"""Le^(2/3) [-] with the Lewis number 1.4 of atoms in air (Fay and Riddell 1958)."""
+
+
+@njit
+def film_found(B: FloatArray, c: int) -> float:
+    """Film coefficient [kg/(m2 s)] that an effect which multiplies the ratio finds, r h_ref of docs/effects.md,
+    equation 26.
+
+    B, c : block of the lane group, and where the conditions of its lane and stage begin
+    """
+    lane = (c - block.C_STAGES * block.LANES) // block.N_CONDITIONS % block.LANES
+    return B[block.RATIO_FOUND * block.LANES + lane] * B[c + flight.h_ref_kg_m2_s]
+
+
+@njit
+def recombined_part(gamma: float, molar_mass: float, rho_w: float, wall_K: float, h_m: float) -> float:
+    """Part of the atoms brought to the wall that recombine there, phi = rho_w k_w / (rho_w k_w + h_m) [-].
+
+    gamma      : recombination coefficient, part of the atoms that strike the wall which recombine [-]
+    molar_mass : of the atom [kg/kmol];  rho_w : density of the gas at the wall [kg/m3];  wall_K : its temperature [K]
+    h_m        : coefficient of mass transfer [kg/(m2 s)], above 0
+    Source: Goulard (1958); docs/effects.md, equation 26.
+    """
+    rate = rho_w * gamma * math.sqrt(MOLAR_GAS_CONSTANT * wall_K / (2.0 * math.pi * molar_mass))
+    return rate / (rate + h_m)
+
+
+@njit
+def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """Factor of finite-rate recombination on the heating ratio [-], from 1 - h_D / H_r (noncatalytic) to 1 (fully).
+
+        f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r
+
+    B       : block of the lane group; B[c] flight conditions with h_D, H_r [J/kg], p_surface [Pa], B[p] the parameters
+    wall_K  : wall temperature T_w [K], above 0; gamma stays as it is at `highest_K` above that
+    returns : factor [-]; 1 where the flow has no atoms, or no film
+
+    gamma is at most 1. Source: Goulard (1958), Scott (1980); docs/effects.md, equations 25 to 28.
+    """
+    h_D, film = B[c + flight.dissociation_J_kg], film_found(B, c)
+    if h_D <= 0.0 or film <= 0.0:
+        return 1.0
+    h_O = min(h_D, HEAT_OF_OXYGEN)
+    h_N = h_D - h_O
+    moles = 1.0 + OXYGEN * h_O / HEAT_OF_OXYGEN + NITROGEN * h_N / HEAT_OF_NITROGEN
+    rho_w = B[c + flight.p_surface_Pa] / (moles * R_TABLE * wall_K)
+    h_m, T = LEWIS_2_3 * film, min(wall_K, B[p + HIGHEST])
+    gamma_O = min(B[p + EFFICIENCY] * B[p + O_FACTOR] * exp(-B[p + O_ACTIVATION] / T), 1.0)
+    gamma_N = min(B[p + EFFICIENCY] * B[p + N_FACTOR] * exp(-B[p + N_ACTIVATION] / T), 1.0)
+    phi_O = recombined_part(gamma_O, MOLAR_MASS_O, rho_w, wall_K, h_m)
+    phi_N = recombined_part(gamma_N, MOLAR_MASS_N, rho_w, wall_K, h_m)
+    return 1.0 - ((1.0 - phi_O) * h_O + (1.0 - phi_N) * h_N) / B[c + flight.H_r_J_kg]
+
+
+def search_starts(flown: Conditions) -> Sequence[SearchStart]:
+    """None [-]: it is declared data; what a record shows beyond it is searched for as `catalysis`."""
+    return []
+
+
+EFFECT = Effect(
+    name=RECOMBINATION,
+    mode="multiply",
+    parameters=(
+        Parameter("gamma_O_factor", "1", 16.0, 0.0, 0.0, 1e9, "oxygen: A of gamma = A exp(-T_A / T_w)"),
+        Parameter("gamma_O_activation_K", "K", 10271.0, 0.0, 0.0, 1e5, "oxygen: T_A"),
+        Parameter("gamma_N_factor", "1", 0.0734, 0.0, 0.0, 1e9, "nitrogen: A"),
+        Parameter("gamma_N_activation_K", "K", 2219.0, 0.0, 0.0, 1e5, "nitrogen: T_A"),
+        Parameter("highest_K", "K", 1650.0, 0.0, 200.0, 5000.0, "temperature above which gamma stays as it is there"),
+        Parameter("efficiency", "1", 1.0, 0.5, 0.0, 1e3, "gamma over that of its law; 0: a noncatalytic wall"),
+    ),
+    kernel=recombination_factor,
+    needs_wall=True,
+    search_starts=search_starts,
+    physics="Atoms that do not recombine at the wall carry their heat of dissociation away with the flow.",
+    source="Goulard, Jet Propulsion 28 (1958) 737; coefficients of the tiles' coating: Scott, AIAA 80-1477 (1980)",
+)
