@@ -51,7 +51,7 @@ def hotter(host: Host) -> None:
 
 def from_file(host: Host) -> None:
     """The table of the body flap at the nose cap, by its path."""
-    path = ROOT / "aircraft_data" / "orbiter" / "ratio_tables" / "BODYFLAP.csv"
+    path = ROOT / "aircraft_data" / "orbiter" / "ratio_tables" / "LEE_UPPER.csv"
     host.fmu.setString([host.refs["NOSECAP.ratio_table.file"]], [str(path)])
 
 
