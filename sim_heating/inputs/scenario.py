@@ -383,7 +383,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     sensors = {s.name for p in vehicle.control_points.values() for s in p.sensors}
     return [
         *_collect_problems(lambda name: vehicle.control_point(name), points),
-        *_collect_problems(lambda e: use(e.name, e.parameters), uses),
+        *_collect_problems(_checked_use, uses),
         *(
             f"[measurements], fault: unknown sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
             for f in declared.measurements.fault
@@ -395,6 +395,17 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         *_fmu_problems(declared.trajectory, vehicle),
         *_design_problems(declared),
     ]
+
+
+def _checked_use(declared: ScenarioEffect) -> EffectUse:
+    """An effect as a scenario uses it; one of the readings has no part in a march, and stands in [measurements]."""
+    used = use(declared.name, declared.parameters)
+    if used.effect.acts_on_readings:
+        raise InputError(
+            f"effect `{declared.name}` is one of the readings; give `clock_skew_s` of [measurements], or `tau_s` of "
+            "[[measurements.fault]]"
+        )
+    return used
 
 
 def _repeated_labels(compare: Sequence[Compare]) -> list[str]:

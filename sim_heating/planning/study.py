@@ -164,6 +164,11 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.Pat
         if not os.path.isfile(source):
             raise InputError(f"{display_path(place)}: `scenario`: the file {display_path(source)} does not exist")
         flown = read_toml(source, ScenarioFile)
+        if flown.heating.schedules:
+            raise InputError(
+                f"{display_path(source)}, [heating]: a study has no {' and '.join(flown.heating.schedules)} in time; "
+                "fly a scenario without, and declare them in the stacks"
+            )
         copied = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.

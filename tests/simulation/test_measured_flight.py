@@ -121,6 +121,27 @@ def test_a_recorded_trajectory_takes_dynamic_pressure_for_the_density(tmp_path: 
     np.testing.assert_allclose(found["rho_kg_m3"], 2.0 * found["q_Pa"] / found["velocity_m_s"] ** 2)
 
 
+# Thermocouples ------------------------------------------------------------------------------------------------------
+
+
+def test_a_lag_that_is_not_declared_is_in_the_readings_and_not_in_the_record(tmp_path: Path) -> None:
+    lag = '[[measurements.fault]]\nsensor = "V09T9527"\ntau_s = 2.0\n'
+    prompt, late = (record_of(tmp_path, more) for more in ("", lag))
+    column = prompt.sensors[0].column
+    difference = prompt.thermocouples[column] - late.thermocouples[column]
+    # the same noise in both: what remains is tau dT/dt of a heating wall
+    assert np.max(difference) > 5.0
+    assert late.sensors[0].tau_s == 0.0
+    value, sigma = estimate(late, ["ratio.scale", "sensor.V09T9527.tau_s"]).parameters["sensor.V09T9527.tau_s"]
+    assert abs(value - 2.0) < 4.0 * sigma
+
+
+@pytest.mark.parametrize("effect", ["time-skew", "sensor-lag"])
+def test_an_effect_of_the_readings_stands_in_the_measurements_of_a_scenario(effect: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"effect `{effect}` is one of the readings; give `clock_skew_s`"):
+        record_of(tmp_path, f'[[truth.effect]]\nname = "{effect}"\n')
+
+
 # On the ground --------------------------------------------------------------------------------------------------------
 
 
