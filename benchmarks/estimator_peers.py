@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from sim_heating.estimation.record_fit import RecordFit, declared_profile
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.point import PointModel
+from sim_heating.thermal.frame import NOT_CONTROLLED_K
 
 try:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -48,7 +49,8 @@ class Plain:
         self.history = condition_history(self.part.conditions.at(self.time_s))
         begun = self.part.initial_K(None)
         self.start_K = declared_profile(self.part) if begun is None else begun
-        self.ensemble = Ensemble([self.part.model], [self.part.mesh])
+        # all sides march in the schedule of the fit
+        self.ensemble = Ensemble([self.part.model], [self.part.mesh], tolerance_K=NOT_CONTROLLED_K)
         self.nodes = self.ensemble.node_offsets(0)
         self.sensors = np.array(self.part.mesh.sensors)
 
@@ -134,7 +136,7 @@ def by_side_by_side(point: Plain, values: FloatArray, iterations: int) -> FloatA
     """Gauss-Newton with differences marched side by side in the lanes of one group: the march at its very best."""
     scale = np.array([_scale(point, n) for n in point.names])
     m, at = len(values), values.copy()
-    group = Ensemble([point.part.model] * (m + 1), [point.part.mesh] * (m + 1))
+    group = Ensemble([point.part.model] * (m + 1), [point.part.mesh] * (m + 1), tolerance_K=NOT_CONTROLLED_K)
     kept = np.concatenate([group.node_offsets(i, point.sensors) for i in range(len(group.models))])
     for _ in range(iterations):
         r = _several(point, group, kept, np.vstack([at, at + MOVED * np.diag(scale)]))
