@@ -21,6 +21,7 @@ from benchmarks.verification import (
     atmosphere,
     chosen,
     conduction,
+    effects,
     gas,
     heating,
     inside,
@@ -39,6 +40,7 @@ LEAST_ROWS = 60
 SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Conduction": conduction.rows,
     "Surface": surface.rows,
+    "Transition and recombination": effects.rows,
     "Behind and within a wall": inside.rows,
     "Mesh and steps as chosen": chosen.rows,
     "Method": numerics.rows,

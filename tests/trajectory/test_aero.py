@@ -114,9 +114,8 @@ def test_a_vehicle_without_attitude_control_is_refused(tmp_path: Path) -> None:
         open_vehicle(tmp_path)
 
 
-# Elevon in trim at Mach 10 and more [deg] at alpha 30, 35, 40 and 45 deg, computed by another program from the own points of
-# the source, which are
-# 5 deg apart, and printed to 0.1 deg.
+# Elevon in trim at Mach 10 and more [deg] at alpha 30, 35, 40 and 45 deg, computed by another program from the own
+# points of the source, which are 5 deg apart, and printed to 0.1 deg.
 PUBLISHED_TRIM = {
     (0.66, 0.0, 0.0): (1.8, 0.3, -2.4, -5.3), (0.66, 0.0, 16.3): (-18.8, -19.7, -23.5, -32.7),
     (0.66, 0.03, 10.0): (5.2, 2.2, -1.0, -5.4), (0.67, 0.0, 0.0): (7.4, 6.6, 5.4, 3.3),

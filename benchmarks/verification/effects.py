@@ -1,0 +1,88 @@
+"""Transition and finite-rate recombination: settled walls against the same balances, written down again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import brentq
+
+from benchmarks.verification.conduction import CP_J_KGK, RATIO_ONE
+from benchmarks.verification.exact import SIGMA
+from benchmarks.verification.row import Row
+from benchmarks.verification.walls import flight, heat, material, wall
+from sim_heating.heating.effects import use
+
+EPS, FILM, H_R, P_PA = 0.85, 0.012, 2.0e7, 1500.0
+"""Emittance, film coefficient [kg/(m2 s)], recovery enthalpy [J/kg] and pressure [Pa] at the wall."""
+LONG_S = np.linspace(0.0, 4000.0, 401)
+SETTLED = "settled after 4000 s; Newton's last update"
+
+
+def settled(effect: str, parameters: dict[str, float], **columns: float) -> float:
+    """Surface temperature [K] of a thin radiating wall with an effect, after more than an hour."""
+    w = wall((material(emissivity=EPS), 0.001))
+    held = {"h_ref_kg_m2_s": FILM, "H_r_J_kg": H_R, "p_surface_Pa": P_PA} | columns
+    used = (use(effect, parameters),)
+    return float(heat(w, flight(LONG_S, **held), nodes=14, parameters=RATIO_ONE, effects=used)[1][-1, 0])
+
+
+def goulard(T: float, h_D: float, efficiency: float) -> float:
+    """Heat flux over that of a fully catalytic wall [-]: atoms of a frozen layer that meet a wall of finite rate.
+
+    1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r, phi = 1 / (1 + Le^(2/3) film / (rho_w k_w)), Le 1.4, oxygen first,
+    k_w = gamma sqrt(R T / (2 pi M)). Goulard (1958); gamma: Scott, AIAA 80-1477 (1980).
+    """
+    moles = 1.0 / 0.02885064
+    h_O = min(h_D, 0.42 * moles * 246.790e3)
+    h_N = h_D - h_O
+    # Moles of a kg of the dissociated mixture, each heat of dissociation over that of a mole of atoms, halved
+    mixed = moles + 0.5 * h_O / 246.790e3 + 0.5 * h_N / 470.818e3
+    density = P_PA / (mixed * 8.314462618 * T)
+    lost = 0.0
+    for h, A, T_A, M in ((h_O, 16.0, 10271.0, 0.015999), (h_N, 0.0734, 2219.0, 0.014007)):
+        gamma = min(efficiency * A * math.exp(-T_A / T), 1.0)
+        rate = density * gamma * math.sqrt(8.314462618 * T / (2.0 * math.pi * M))
+        lost += h * (1.0 - rate / (rate + 1.4 ** (2.0 / 3.0) * FILM))
+    return 1.0 - lost / H_R
+
+
+def recombination() -> list[Row]:
+    """Walls of no, finite and large recombination in dissociated flow, oxygen alone and with nitrogen."""
+    rows = []
+    cases = (
+        ("noncatalytic", 8.0e6, 0.0),
+        ("coated tile", 8.0e6, 1.0),
+        ("coated tile, oxygen alone", 2.5e6, 1.0),
+        ("a thousand times its coefficients", 8.0e6, 1e3),
+    )
+    for name, h_D, efficiency in cases:
+
+        def excess(T: float, h_D: float = h_D, efficiency: float = efficiency) -> float:
+            return FILM * goulard(T, h_D, efficiency) * (H_R - CP_J_KGK * T) - EPS * SIGMA * T**4
+
+        T = float(brentq(excess, 400.0, 1649.0, xtol=1e-9))
+        got = settled("recombination", {"efficiency": efficiency}, dissociation_J_kg=h_D)
+        row = f"recombination, {h_D / 1e6:g} MJ/kg of dissociation, {name}: wall"
+        source = "Goulard (1958), coefficients of Scott (1980)"
+        rows.append(Row(row, T, got, 0.01, "K", source, "digits of R and of molar masses"))
+    return rows
+
+
+def transition() -> list[Row]:
+    """Heating and recovery enthalpy at the onset and far beyond it."""
+    rows = []
+    rise, factor = 6e5, 3.0
+    for name, decades, share in (("at its onset", 0.0, 0.5), ("a decade beyond", 1.0, 1.0)):
+        ratio, H_r = 1.0 + (factor - 1.0) * share, H_R + share * rise
+        T = float(brentq(lambda T, r=ratio, H=H_r: FILM * r * (H - CP_J_KGK * T) - EPS * SIGMA * T**4, 400.0, 3000.0))
+        parameters = {"log10_re_onset": 6.5, "width": 0.03, "factor": factor}
+        got = settled("transition", parameters, log10_re=6.5 + decades, H_r_rise_J_kg=rise, alpha_deg=40.0)
+        source = "ratio and recovery enthalpy by intermittency 1/2 and 1"
+        rows.append(Row(f"transition, factor 3, {name}: wall", T, got, 1e-5, "K", source, SETTLED))
+    return rows
+
+
+def rows() -> list[Row]:
+    """All of this subject."""
+    return [*recombination(), *transition()]
