@@ -175,7 +175,9 @@ def estimate(
     checked = [without_stuck_sensors(record) for record in loaded]
     loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
     wanted = tuple(names) if names is not None else default_names(loaded)
-    options = FitOptions((*effects, *implied_effects(wanted, effects)), priors=priors, starts=starts)
+    declared = loaded[0].declared.heating.effects
+    implied = implied_effects(wanted, (*effects, *declared))
+    options = FitOptions((*effects, *implied), priors=priors, starts=starts)
     condition = joint_reference(loaded, reference)
     # derivatives against variables that do not change are known before any march; the rest is judged by its bounds
     # below

@@ -16,12 +16,15 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
+from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
 from sim_heating.inputs.record import Record
 
 SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
 BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
 """Parameters of a sensor that are estimated together."""
+ONSET_NAME = "log10_re_onset"
+"""Parameter that the search for a declared transition is started from several values of."""
 CONSTANT = 1e-3
 """Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
@@ -75,14 +78,52 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
     """
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
-    found = []
+    declared = {used.effect.name for used in record.declared.heating.effects}
+    found = _declared_candidates(record, flown, taken)
     for name, effect in effects().items():
-        if name not in taken and not (effect.lags and lag_taken) and all(_varies(v, flown) for v in effect.needs):
+        if (
+            name not in {*taken, *declared}
+            and not (effect.lags and lag_taken)
+            and all(_varies(v, flown) for v in effect.needs)
+        ):
             found += _effect_candidates(effect, record, flown)
     for name, forms in ((SENSOR_EFFECT, BIASES), (LAG_EFFECT, LAGS)):
         if name not in taken:
             found += _sensor_candidates(record, name, forms)
     return found
+
+
+def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]) -> list[Candidate]:
+    """Candidates that free what the record declares of an effect, from its values and from the starts of its search.
+
+    Their priors are the declared ones: a declared effect is found where it differs from its declaration.
+    """
+    found = []
+    for used in record.declared.heating.effects:
+        effect, prefix = used.effect, f"{EFFECT_PREFIX}{used.effect.name}."
+        starts = effect.starts_for(with_criterion(used, flown))
+        if effect.name in taken or not starts:
+            continue
+        free = tuple(p.name for p in used.definitions if p.sigma > 0.0)
+        declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
+        onsets = {start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values}
+        for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
+            values = declared | changed
+            names = tuple(f"{prefix}{name}" for name in free)
+            start = {f"{prefix}{name}": values[name] for name in free}
+            found.append(
+                Candidate(effect.name, (replace(used, values=tuple(values.values())),), names, start, names, names)
+            )
+    return found
+
+
+def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
+    """Conditions in which the onset of a declared transition is searched for: its own criterion in place of log10 Re.
+
+    used : the declared effect;  flown : conditions of the flight, with the column of the criterion
+    """
+    by_re_theta = used.effect.name == TRANSITION and used.values[BY_RE_THETA] > 0.0
+    return flown.with_columns(log10_re=flown["log10_re_theta_m"]) if by_re_theta else flown
 
 
 def _varies(variable: str, flown: Conditions) -> bool:

@@ -1,0 +1,154 @@
+"""Declared transition and recombination of a vehicle and of the records of its points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_heating.base.errors import InputError
+from sim_heating.closure.search.candidates import candidates
+from sim_heating.estimation.fit import estimate
+from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.points import conditions_at_point, conditions_of_record
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.predict import predict
+from sim_heating.simulation.synthesize import synthesize, write_records
+
+POINT = "STS96_480"
+SCENARIO = f"""
+format = "scenario/1"
+title = "a glide through transition"
+vehicle = "orbiter"
+control_points = ["{POINT}"]
+[trajectory]
+source = "entry-3dof"
+sample_s = 1.0
+[trajectory.initial]
+altitude_m = 53000.0
+velocity_m_s = 3300.0
+gamma_deg = -0.5
+heading_deg = 90.0
+latitude_deg = 30.0
+longitude_deg = -100.0
+[trajectory.stop]
+altitude_m = 40000.0
+velocity_m_s = 2100.0
+time_s = 140.0
+"""
+EARLY = """
+[[truth.effect]]
+name = "transition"
+parameters = { log10_re_onset = 2.42, factor = 1.0, by_table = 1.0, by_re_theta = 1.0 }
+"""
+
+
+def made(folder: Path, truth: str = "") -> Record:
+    """A record of the point, written and read back."""
+    (folder / "glide.toml").write_text(SCENARIO + truth)
+    scenario = load_scenario(folder / "glide.toml")
+    write_records(scenario, synthesize(scenario), folder / "record")
+    return load_record(folder / "record")
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    return made(tmp_path_factory.mktemp("declared"))
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """Its layer turns at Re_theta / M_e of 263; it declares 300 +- 50."""
+    return made(tmp_path_factory.mktemp("earlier"), EARLY)
+
+
+@pytest.fixture(scope="module")
+def orbiter() -> Vehicle:
+    return load_vehicle("orbiter")
+
+
+def values(used: EffectUse) -> dict[str, float]:
+    return {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
+
+
+def test_windward_points_turn_turbulent_by_the_vehicles_criterion_and_the_nose_does_not(orbiter: Vehicle) -> None:
+    names = {n: [u.effect.name for u in p.effects] for n, p in orbiter.control_points.items()}
+    assert names[POINT] == ["transition", "recombination"]
+    assert names["NOSECAP"] == ["recombination"]
+    assert names["V07T9975"] == []
+    transition = orbiter.control_point(POINT).effects[0]
+    assert 10.0 ** values(transition)["log10_re_onset"] == pytest.approx(300.0)
+    prior = {p.name: p for p in transition.definitions}["log10_re_onset"]
+    assert (prior.value, prior.sigma) == (pytest.approx(np.log10(300.0)), pytest.approx(50.0 / 300.0 / np.log(10.0)))
+
+
+def test_a_record_carries_what_its_point_declares(record: Record, orbiter: Vehicle) -> None:
+    point = orbiter.control_point(POINT)
+    own, its = record.declared.heating.effects, point.effects
+    assert [u.effect.name for u in own] == [u.effect.name for u in its]
+    for a, b in zip(own, its, strict=True):
+        assert a.values == pytest.approx(b.values, rel=1e-9)
+        assert [p.sigma for p in a.definitions] == pytest.approx([p.sigma for p in b.definitions], rel=1e-9)
+    assert record.turbulent is not None
+    np.testing.assert_array_equal(record.turbulent.ratio, point.flow.turbulent.ratio)  # type: ignore[union-attr]
+
+
+def test_a_record_sees_the_flow_that_its_point_saw(record: Record, orbiter: Vehicle) -> None:
+    flown = conditions_of_record(record)
+    at_point = conditions_at_point(orbiter, orbiter.control_point(POINT), record.conditions)
+    for column in ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "H_r_rise_J_kg"):
+        assert column not in record.conditions or column == "H_r_rise_J_kg"
+        np.testing.assert_allclose(flown[column], at_point[column], rtol=1e-9)
+    assert np.all((flown["turbulent_ratio"] > 3.0) & (flown["turbulent_ratio"] < 8.0))
+
+
+def test_the_declared_model_predicts_the_record_of_its_own_flight(record: Record) -> None:
+    errors = predict(record).segment_errors()["fit"]
+    assert errors["rmse_K"] < 1.1 * record.noise_floor_K()
+
+
+def test_an_onset_that_differs_from_its_declaration_is_found_by_a_fit(earlier: Record) -> None:
+    before = predict(earlier).segment_errors()["fit"]["rmse_K"]
+    fit = estimate(earlier, ["effect.transition.log10_re_onset"])
+    value, sigma = fit.parameters["effect.transition.log10_re_onset"]
+    assert before > 10.0 * earlier.noise_floor_K()
+    assert abs(value - 2.42) < 4.0 * sigma + 1e-3
+
+
+def test_the_search_for_transition_frees_the_declared_one(record: Record) -> None:
+    found = [c for c in candidates(record, conditions_of_record(record)) if c.name == "transition"]
+    declared = record.declared.heating.effects[0]
+    assert found[0].uses == (declared,)
+    assert found[0].start["effect.transition.log10_re_onset"] == pytest.approx(np.log10(300.0))
+    assert {n.rpartition(".")[2] for n in found[0].names} == {"log10_re_onset", "alpha_sens", "width", "factor"}
+    onsets = [c.start["effect.transition.log10_re_onset"] for c in found]
+    assert min(onsets) < 2.45 < max(onsets)
+
+
+def test_recombination_is_no_candidate(record: Record) -> None:
+    assert "recombination" not in {c.name for c in candidates(record, conditions_of_record(record))}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("re_theta_over_m_e =", "re_theta_over_m =", "unknown key `re_theta_over_m`"),
+        ("width = 0.03", "width = 30.0", r"`width`: 30 is not a width in log10 Re"),
+        ('ratio_table_turbulent = "ratio_table_turbulent.csv"', "", "name the turbulent table, or give `factor`"),
+        ("running_length_m = 19.33", "", "needs the edge of the point"),
+        ("factor = 16.0", "factor = -16.0", "factor"),
+    ],
+)
+def test_a_wrong_declaration_gets_a_line(record: Record, tmp_path: Path, old: str, new: str, message: str) -> None:
+    for file in record.directory.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    text = (tmp_path / "record.toml").read_text()
+    if old == 'ratio_table_turbulent = "ratio_table_turbulent.csv"':
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(("factor =", "factor_sigma")))
+    assert old in text
+    (tmp_path / "record.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        load_record(tmp_path)
