@@ -159,7 +159,8 @@ def test_plugin_vents_as_the_march_does():
     slow = replace(point, construction=type(point.construction).model_validate(data))
     changed = replace(vehicle, control_points={**vehicle.control_points, point.name: slow})
     t = np.arange(0.0, 300.0, 0.5)
-    z, V = 75e3 - 150.0 * t, 6500.0 - 2.0 * t
+    # from where heating is low: a cold wall in full heating shows the mesh, not the pressure
+    z, V = 100e3 - 150.0 * t, 6500.0 - 2.0 * t
     rho = us76(z)[2]
     frame = {"time_s": t, "altitude_m": z, "velocity_m_s": V, "alpha_deg": 40.0 + 0.0 * t, "rho_kg_m3": rho}
     frame |= {name: np.zeros(len(t)) for name in FRAME if name not in frame}
@@ -175,7 +176,8 @@ def test_plugin_vents_as_the_march_does():
     marched, at_once = (
         march_points([point_of_vehicle(changed, p)], [at_point])[0].surface_K[1:] for p in (slow, point)
     )
-    assert np.max(np.abs(np.array(surface) - marched)) < 0.05
+    apart = np.max(np.abs(np.array(surface) - marched))
+    assert apart < 0.05
     assert np.max(np.abs(at_once - marched)) > 0.2
 
 
