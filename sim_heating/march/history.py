@@ -29,7 +29,8 @@ class PointHistory:
                  quantisation
     ratio      : (time,) heating ratio with all corrections and effects [-]; NaN where h_ref is 0
     nodes      : number of nodes of the mesh
-    mesh_error_K : estimate of the largest error that the mesh leaves in a temperature [K]
+    mesh_error_K : estimate of the largest error that the mesh leaves in a temperature [K]; None where a march on the
+                   refined mesh did not converge
     """
 
     name: str
@@ -39,7 +40,7 @@ class PointHistory:
     sensors_K: FloatArray
     ratio: FloatArray
     nodes: int
-    mesh_error_K: float
+    mesh_error_K: float | None
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def march_points(
     """
     chosen = meshes_on_flights(models, flights, longest_step_s)
     meshes = [halve_repeatedly(mesh, halvings) for mesh, _ in chosen]
-    errors_K = [0.25**halvings * error for _, error in chosen]
+    errors_K = [None if error is None else 0.25**halvings * error for _, error in chosen]
     ensemble = Ensemble(models, meshes, longest_step_s, tolerance_K=tolerance_K)
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
@@ -102,7 +103,11 @@ def halve_repeatedly(mesh: Mesh, halvings: int) -> Mesh:
 
 
 def _point_histories(
-    ensemble: Ensemble, time: FloatArray, out: FloatArray, flown: Sequence[Conditions], mesh_errors_K: Sequence[float]
+    ensemble: Ensemble,
+    time: FloatArray,
+    out: FloatArray,
+    flown: Sequence[Conditions],
+    mesh_errors_K: Sequence[float | None],
 ) -> list[PointHistory]:
     points, column = [], 0
     first_film = out.shape[1] - len(ensemble.models)

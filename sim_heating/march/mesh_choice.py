@@ -18,6 +18,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import CONDITION_COLUMNS, H_REF, P_SURFACE, Q_ADD, RECOVERY_ENTHALPY
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.ratio.lookup import pack_table
@@ -86,14 +87,15 @@ def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tup
 
 def meshes_on_flights(
     models: Sequence[PointModel], flights: Sequence[Conditions], step_s: float = 1.0
-) -> list[tuple[Mesh, float]]:
+) -> list[tuple[Mesh, float | None]]:
     """Mesh of each control point with its error estimate on its own flight, eps = 4/3 F max |T_h - T_(h/2)|.
 
     models  : control points;  flights : conditions of each, on common times
     step_s  : longest time step of the marches to come [s]
     returns : (mesh, error [K]) of each point: the mesh of `choose_meshes`, refined where its error on the flight is not
-              below 0.3 K; one of a prescribed node count is kept
-    raises  : RunError where a march did not converge
+              below 0.3 K; one of a prescribed node count is kept. None for the error where a step did not converge, as
+              with parameters that cool a wall to 0 K
+    raises  : RunError where a trial march did not converge
 
     Results are cached for each point and flight. Derived in docs/equations_march.md, equation 16.
     """
@@ -104,11 +106,11 @@ def meshes_on_flights(
     trying = {i: mesh for i, (key, mesh) in enumerate(zip(keys, meshes, strict=True)) if key not in found}
     while trying:
         flown = np.stack([histories[i] for i in trying])
-        errors = _mesh_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
+        errors = _flown_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
         again: dict[int, Mesh] = {}
         for (i, mesh), error in zip(trying.items(), errors, strict=True):
             found[keys[i]] = (mesh, error)
-            nodes = _next_count(mesh.nodes, error) if models[i].nodes is None else None
+            nodes = _next_count(mesh.nodes, error) if error is not None and models[i].nodes is None else None
             if nodes is not None:
                 again[i] = mesh_of_nodes(models[i], nodes, step_s)
         trying = again
@@ -173,7 +175,7 @@ def _refine_on_trials(models: Mapping[Key, PointModel], step_s: float) -> dict[K
 
 
 _FlownKey = tuple[bytes, tuple[Effect, ...]]
-_CONFIRMED: dict[_FlownKey, tuple[Mesh, float]] = {}
+_CONFIRMED: dict[_FlownKey, tuple[Mesh, float | None]] = {}
 
 
 def _flown_key(model: PointModel, mesh: Mesh, step_s: float, time_s: FloatArray, history: FloatArray) -> _FlownKey:
@@ -201,6 +203,22 @@ def _mesh_errors(
     change = np.max(np.abs(coarse - fine), axis=0)
     ends = np.cumsum([2 + len(point.depths_m) for point in points])
     return [float(SAFETY * 4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
+
+
+def _flown_errors(
+    points: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float, time_s: FloatArray, histories: FloatArray
+) -> list[float | None]:
+    """Errors of meshes on flights [K]; None for a point whose march did not converge."""
+    try:
+        return [*_mesh_errors(points, meshes, step_s, time_s, histories)]
+    except RunError:
+        if len(points) == 1:
+            return [None]
+    alone = [
+        _flown_errors([p], [mesh], step_s, time_s, h[np.newaxis])
+        for p, mesh, h in zip(points, meshes, histories, strict=True)
+    ]
+    return [error for (error,) in alone]
 
 
 def _trial_errors(models: Sequence[PointModel], meshes: Sequence[Mesh], step_s: float) -> list[float]:

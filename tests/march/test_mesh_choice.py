@@ -199,6 +199,16 @@ def test_a_prescribed_node_count_is_kept_and_its_error_stated():
     assert history.mesh_error_K > TOLERANCE_K
 
 
+def test_a_point_that_cannot_be_marched_leaves_the_mesh_and_error_of_another_as_they_are():
+    """A negative film cools a bright skin to 0 K."""
+    good, flight = model_of("coated tile"), flown(model_of("coated tile"), hot_gas)
+    cooled = model_of("bright metal skin on insulation").with_parameters({"ratio.d0": -3.0})
+    (mesh, error), (_, none) = meshes_on_flights([good, cooled], [flight, flight])
+    assert none is None
+    assert (mesh, error) == meshes_on_flights([good], [flight])[0]
+    assert error < TOLERANCE_K
+
+
 def test_every_model_of_a_record_is_fitted_on_one_mesh():
     record, _ = practice_record("p06")
     reference = (40.0, 0.0, 5.0, 0.0, 0.0)
