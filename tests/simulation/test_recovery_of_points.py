@@ -24,7 +24,7 @@ from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.march.history import march_points
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.simulation.fmu_export.export import export_fmu
-from sim_heating.simulation.plugin import HeatingPlugin, host_array, point_numbers
+from sim_heating.simulation.plugin import HeatingPlugin, host_array, point_constants
 from sim_heating.simulation.plugin_kernel import derive_conditions
 from sim_heating.simulation.predict import predict
 from sim_heating.simulation.run import RunResult, run, with_reference_heating
@@ -124,7 +124,7 @@ def test_a_host_s_frame_has_the_enthalpies_of_the_march(vehicle, flown):
     marched = [conditions_at_point(vehicle, p, flown) for p in points]
     vectors = np.zeros((len(points), N_CONDITIONS))
     for i, frame in enumerate(frames(flown)):
-        derive_conditions(frame, host_array(vehicle), point_numbers(vehicle, points), np.arange(len(points)), vectors)
+        derive_conditions(frame, host_array(vehicle), point_constants(vehicle, points), np.arange(len(points)), vectors)
         np.testing.assert_allclose(vectors[:, RECOVERY_ENTHALPY], [m["H_r_J_kg"][i] for m in marched], rtol=1e-6)
         np.testing.assert_allclose(vectors[:, RECOVERY_RISE], [m["H_r_rise_J_kg"][i] for m in marched], rtol=1e-9)
     assert vectors[0, RECOVERY_RISE] > 0.0
@@ -232,11 +232,10 @@ def test_a_table_of_another_enthalpy_than_its_control_point_is_refused(tmp_path)
 def test_a_record_whose_table_is_of_another_enthalpy_is_refused(scenario, result, tmp_path):
     records = synthesize(scenario, flight=result.flight)
     write_records(scenario, records, tmp_path / "records")
-    file = tmp_path / "records/V09T9527/record.toml"
+    file = tmp_path / "records/V09T9527/ratio_table.csv"
     file.write_text(without_recovery(file.read_text()))
-    with pytest.raises(
-        InputError, match="header `recovery`: is `edge-laminar`; it must agree with `total` of the record"
-    ):
+    message = "header `recovery`: is not stated, which means `total`; it must agree with `edge-laminar` of the record"
+    with pytest.raises(InputError, match=message):
         load_record(file.parent)
 
 
@@ -246,22 +245,18 @@ def test_a_record_of_an_edge_with_the_total_enthalpy_in_its_column_is_refused(sc
     total = flown.with_columns(H_r_J_kg=0.5 * flown["velocity_m_s"] ** 2 + 1004.5 * flown["T_inf_K"])
     message = r'column H_r_J_kg: is the total enthalpy; recovery = "edge-laminar" needs that of the point'
     with pytest.raises(InputError, match=message):
-        make_record(record.declared, total, record.thermocouples, record.ratio_table)
+        make_record(record.declared, total, record.thermocouples, record.ratio_table, turbulent=record.turbulent)
 
 
 def test_ratio_tables_state_the_enthalpy_of_their_source(tmp_path):
     folder = tmp_path / "orbiter"
     shutil.copytree(ORBITER, folder)
-    for file in [*folder.glob("control_points/*.toml"), *folder.glob("ratio_sources/*.toml")]:
-        file.write_text(without_recovery(file.read_text()))
-    source = folder / "ratio_sources/bodyflap.toml"
+    source, point = folder / "ratio_sources/lee_upper.toml", folder / "control_points/LEE_UPPER.toml"
     source.write_text(source.read_text().replace("\nrevision =", '\nrecovery = "edge-laminar"\nrevision =', 1))
     with pytest.raises(InputError, match="it must agree with `total` of the control point; give both the same"):
         write_tables(folder)
-    point = folder / "control_points/BODYFLAP.toml"
-    point.write_text(
-        point.read_text().replace("\nsource =", '\nrecovery = "edge-laminar"\nlocal_angle_deg = 0.0\nsource =', 1)
-    )
+    keys = 'recovery = "edge-laminar"\nlocal_angle_deg = -30.0'
+    point.write_text(point.read_text().replace("\nsource =", f"\n{keys}\nsource =", 1))
     write_tables(folder)
-    assert "# recovery: edge-laminar\n" in (folder / "ratio_tables/BODYFLAP.csv").read_text()
-    assert load_vehicle(folder).control_point("BODYFLAP").recovery.bodyflap_factor != 0.0
+    assert "# recovery: edge-laminar\n" in (folder / "ratio_tables/LEE_UPPER.csv").read_text()
+    assert load_vehicle(folder).control_point("LEE_UPPER").recovery == Recovery("edge-laminar", -30.0)
