@@ -61,6 +61,7 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         nose_radius_m=vehicle.heating.nose_radius_m or 1.0,
         running_length_m=point.running_length_m,
         recovery=point.recovery,
+        sweep_deg=vehicle.heating.sweep_deg or 0.0,
     )
     of_edge = edge_flow_columns(point.flow, flown)
     return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating, **of_edge)
@@ -106,6 +107,7 @@ def conditions_of_record(record: Record) -> Conditions:
         nose_radius_m=heating.nose_radius_m or 1.0,
         running_length_m=heating.running_length_m,
         recovery=heating.recovery_of_point,
+        sweep_deg=heating.sweep_deg or 0.0,
     )
     catalysis = heating.catalysis
     flow = edge_flow(

@@ -163,17 +163,37 @@ def declared_recovery(
     return Recovery(recovery, local_angle_deg or 0.0, elevon_factor, bodyflap_factor)
 
 
-STAGNATION = ("sutton-graves", "detra-kemp-riddell", "fay-riddell")
+STAGNATION = ("sutton-graves", "detra-kemp-riddell", "fay-riddell", "swept-cylinder")
 FLAT_PLATE = ("eckert-laminar", "eckert-turbulent")
+SWEPT = "swept-cylinder"
+
+
+def sweep_problems(reference: str, sweep_deg: float | None) -> list[tuple[Location, str]]:
+    """Problems of a sweep [deg]: the cylinder needs one, and no other reference heating has one."""
+    if (sweep_deg is None) != (reference == SWEPT):
+        return []
+    if sweep_deg is None:
+        return [(("reference",), f'"{SWEPT}" needs `sweep_deg`; add it (0 for a cylinder across the flow)')]
+    return [(("sweep_deg",), f'is of "{SWEPT}" only; remove it, or change `reference`')]
 
 
 class Heating(Declared):
     """The reference heating that ratios are over, the wall enthalpy, and the declared ratio."""
 
     reference: Literal[
-        "columns", "sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent", "none"
+        "columns",
+        "sutton-graves",
+        "detra-kemp-riddell",
+        "fay-riddell",
+        "eckert-laminar",
+        "eckert-turbulent",
+        "swept-cylinder",
+        "none",
     ] = Field(description='"columns", a model of reference heating, or "none"')
-    nose_radius_m: float | None = Field(default=None, gt=0.0, description="radius of the reference sphere in m")
+    nose_radius_m: float | None = Field(
+        default=None, gt=0.0, description="radius of the reference sphere or cylinder in m"
+    )
+    sweep_deg: float | None = Field(default=None, ge=0.0, lt=90.0, description="sweep of the reference cylinder")
     running_length_m: float | None = Field(default=None, gt=0.0, description="length from the leading edge in m")
     wall_enthalpy: Annotated[
         Annotated[Literal["equilibrium-air"], Tag("named")] | Annotated[ConstantHeat, Tag("constant")],
@@ -232,6 +252,8 @@ class Heating(Declared):
         for names, key in ((STAGNATION, "nose_radius_m"), (FLAT_PLATE, "running_length_m")):
             if self.reference in names and getattr(self, key) is None:
                 raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
+        if problems := sweep_problems(self.reference, self.sweep_deg):
+            raise LocatedError(*problems)
         return self
 
 

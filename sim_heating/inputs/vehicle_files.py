@@ -14,7 +14,7 @@ from sim_heating.base.files import Declared, LocatedError, Location, path_below
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, Transition
-from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems
+from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems, sweep_problems
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
 
 NAME = r"[A-Za-z_][A-Za-z0-9_]*"
@@ -24,8 +24,13 @@ NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 class ReferenceHeating(Declared):
     """Reference heating of a ratio: a model, its nose radius, and the enthalpy of air at the wall."""
 
-    reference: Literal["sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent"]
-    nose_radius_m: float | None = Field(default=None, gt=0.0, description="radius of the reference sphere in m")
+    reference: Literal[
+        "sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent", "swept-cylinder"
+    ]
+    nose_radius_m: float | None = Field(
+        default=None, gt=0.0, description="radius of the reference sphere or cylinder in m"
+    )
+    sweep_deg: float | None = Field(default=None, ge=0.0, lt=90.0, description="sweep of the reference cylinder")
     wall_enthalpy: Annotated[
         Annotated[Literal["equilibrium-air"], Tag("text")] | Annotated[ConstantHeat, Tag("table")],
         Discriminator(lambda value: "text" if isinstance(value, str) else "table"),
@@ -35,6 +40,8 @@ class ReferenceHeating(Declared):
     def _check(self) -> ReferenceHeating:
         if self.nose_radius_m is None and self.reference in STAGNATION:
             raise LocatedError((("reference",), f'"{self.reference}" needs `nose_radius_m`; add it'))
+        if problems := sweep_problems(self.reference, self.sweep_deg):
+            raise LocatedError(*problems)
         return self
 
 

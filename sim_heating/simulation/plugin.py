@@ -265,7 +265,7 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
     host = np.zeros(k.HOST_SIZE)
     host[: k.STARTED] = (
         reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
-        vehicle.heating.nose_radius_m or 1.0, longest_step_s, longest_wait_s,
+        vehicle.heating.nose_radius_m or 1.0, vehicle.heating.sweep_deg or 0.0, longest_step_s, longest_wait_s,
     )  # fmt: skip
     return host
 

@@ -59,12 +59,12 @@ from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
-CODE, LENGTH, RADIUS, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(10)
+CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(11)
 THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3))
-"""Places in the host array. Constant: reference model, reference length [m], nose radius [m], longest thermal step and
-longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last one [s], wait
-for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of change of the
-frame's values over the last thermal step [1/s]."""
+"""Places in the host array. Constant: reference model, reference length [m], nose radius [m], sweep [deg], longest
+thermal step and longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last
+one [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of
+change of the frame's values over the last thermal step [1/s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
@@ -210,7 +210,7 @@ def derive_conditions(
         # The reference heating is the largest part of a frame; it differs between points by their running length alone.
         if point[RUNNING_LENGTH] != length:
             length = point[RUNNING_LENGTH]
-            h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state)
+            h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state, host[SWEEP])
         vectors[i, ALPHA], vectors[i, BETA], vectors[i, LOG10_RE] = alpha, beta, log10_re
         vectors[i, ELEVON], vectors[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vectors[i, P_SURFACE] = pressure_below_rise(

@@ -20,6 +20,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
+from sim_heating.heating.reference.cylinder import swept_cylinder_film
 from sim_heating.heating.reference.flat_plate import eckert_kernel
 from sim_heating.heating.reference.low_speed import CORRELATION_M_S, correlation_share
 from sim_heating.heating.reference.rarefied import bridged_film
@@ -34,7 +35,9 @@ from sim_heating.heating.reference.stagnation import (
     sutton_graves_kernel,
 )
 
-NONE, COLUMNS, SUTTON_GRAVES, DETRA_KEMP_RIDDELL, FAY_RIDDELL, ECKERT_LAMINAR, ECKERT_TURBULENT = range(7)
+NONE, COLUMNS, SUTTON_GRAVES, DETRA_KEMP_RIDDELL, FAY_RIDDELL, ECKERT_LAMINAR, ECKERT_TURBULENT, SWEPT_CYLINDER = range(
+    8
+)
 
 
 _TOTAL = Recovery("total")
@@ -87,6 +90,10 @@ _ALL = (
     ReferenceModel(
         "eckert-turbulent", ECKERT_TURBULENT, "windward flat plate, Eckert (1956), turbulent", _PLATE, True,
         Recovery("edge-turbulent"), (0.0, 8000.0),
+    ),
+    ReferenceModel(
+        "swept-cylinder", SWEPT_CYLINDER, "stagnation line of a swept cylinder, Fay & Riddell (1958), laminar", _PLATE,
+        holds_m_s=(0.0, 8000.0),
     ),
 )  # fmt: skip
 
@@ -144,13 +151,14 @@ def reference_film_kernel(
     running_length_m: float,
     wall_temperature_K: float,
     state: tuple[float, float, float, float],
+    sweep_deg: float = 0.0,
 ) -> float:
     """Reference film coefficient h_ref [kg/(m2 s)] of one flight condition whose stagnation state is known.
 
     state : result of `stagnation_kernel` at this density, temperature and speed (at least SLOWEST_M_S); a frame
             computes it once, for the film coefficient and for the surface pressures
     The other arguments are those of `reference_kernel`.
-    Source: docs/equations_reference_heating.md, equations 9 to 18, 31 and 32, by model.
+    Source: docs/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
     """
     if code in (NONE, COLUMNS):
         return 0.0
@@ -158,6 +166,8 @@ def reference_film_kernel(
     if code in (ECKERT_LAMINAR, ECKERT_TURBULENT):
         turbulent = code == ECKERT_TURBULENT
         return eckert_kernel(rho_kg_m3, V, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False)
+    if code == SWEPT_CYLINDER:
+        return swept_cylinder_film(rho_kg_m3, V, T_inf_K, alpha_deg, sweep_deg, nose_radius_m, wall_temperature_K)
     share = 0.0 if code == FAY_RIDDELL else correlation_share(V)
     film = 0.0
     if share < 1.0:
@@ -181,17 +191,19 @@ def reference_kernel(
     nose_radius_m: float,
     running_length_m: float,
     wall_temperature_K: float,
+    sweep_deg: float = 0.0,
 ) -> tuple[float, float]:
     """Reference film coefficient h_ref [kg/(m2 s)] and total enthalpy H_0 [J/kg] of one flight condition.
 
     code               : `ReferenceModel.code`; NONE and COLUMNS give h_ref = 0
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
-    alpha_deg          : angle of attack [deg];  running_length_m : [m]; both are read by the Eckert models only
-    nose_radius_m      : of the reference sphere [m], read by the other models
+    alpha_deg          : angle of attack [deg];  running_length_m : [m], of the Eckert models; alpha of the cylinder too
+    nose_radius_m      : of the reference sphere or cylinder [m], read by the other models
     wall_temperature_K : of the reference wall [K], 300 by definition; read by Fay-Riddell and Eckert (the two
                          correlations have theirs built in)
+    sweep_deg          : of the cylinder at alpha 0 [deg]
     Density, temperature, radius and length above 0; nothing is checked here.
-    Source: docs/equations_reference_heating.md, equations 9 to 18, 31 and 32, by model.
+    Source: docs/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
     """
     H_0 = total_enthalpy_kernel(velocity_m_s, T_inf_K)
     # These two read no density, and without one there is no stagnation state.
@@ -199,8 +211,9 @@ def reference_kernel(
         return 0.0, H_0
     state = stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K)
     h_ref = reference_film_kernel(
-        code, rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, nose_radius_m, running_length_m, wall_temperature_K, state
-    )
+        code, rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg, nose_radius_m, running_length_m, wall_temperature_K, state,
+        sweep_deg,
+    )  # fmt: skip
     return h_ref, H_0
 
 
@@ -211,13 +224,13 @@ def _reference_loop(
     V: FloatArray,
     T_inf: FloatArray,
     alpha_deg: FloatArray,
-    geometry: tuple[float, float, float],
+    geometry: tuple[float, float, float, float],
     h_ref: FloatArray,
     H_0: FloatArray,
 ) -> None:
-    radius, length, T_w = geometry
+    radius, length, T_w, sweep = geometry
     for i in range(len(V)):
-        h_ref[i], H_0[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w)
+        h_ref[i], H_0[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w, sweep)
 
 
 def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_m: float | None, T_w_K: float) -> None:
@@ -253,6 +266,7 @@ def reference_heating(
     running_length_m: float | None = None,
     wall_temperature_K: float = COLD_WALL_K,
     recovery: Recovery | None = None,
+    sweep_deg: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Reference film coefficient and recovery enthalpy along a flight.
 
@@ -262,6 +276,7 @@ def reference_heating(
     nose_radius_m      : of the reference sphere [m]
     running_length_m   : of the Eckert models [m]
     wall_temperature_K : of the reference wall [K]; 300, the definition, unless a table states another
+    sweep_deg          : of the reference cylinder at alpha 0 [deg], 0 to below 90
     recovery           : of the point; by default that of the reference: the total enthalpy, or the adiabatic wall of
                          an Eckert model at the angle of attack. Columns are those of the point and taken as given
     returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg]
@@ -280,6 +295,7 @@ def reference_heating(
         running_length_m=running_length_m,
         wall_temperature_K=wall_temperature_K,
         recovery=recovery,
+        sweep_deg=sweep_deg,
     ).values()
     return h_ref, H_r
 
@@ -292,10 +308,11 @@ def point_heating(
     running_length_m: float | None = None,
     wall_temperature_K: float = COLD_WALL_K,
     recovery: Recovery | None = None,
+    sweep_deg: float = 0.0,
 ) -> dict[str, FloatArray]:
     """Heating of a point along a flight as columns of its conditions.
 
-    name ... recovery : as in `reference_heating`
+    name ... sweep_deg : as in `reference_heating`
     returns           : (time,) h_ref_kg_m2_s [kg/(m2 s)], H_r_J_kg [J/kg] and, in this order, H_r_rise_J_kg [J/kg], the
                         rise of the recovery enthalpy from laminar to fully turbulent flow
     raises            : as `reference_heating`
@@ -304,6 +321,8 @@ def point_heating(
     model = reference_model(name)
     of_point = model.recovery if recovery is None else recovery
     _check_geometry(model, nose_radius_m, running_length_m, wall_temperature_K)
+    if not 0.0 <= sweep_deg < 90.0:
+        raise InputError(f"heating.sweep_deg: {sweep_deg} (must be 0 or above, and below 90)")
     _check_columns(model, of_point, conditions)
     # Copies, so that a change of the result does not change the record.
     if model.code == COLUMNS:
@@ -315,7 +334,7 @@ def point_heating(
     # Copies: to numba a read-only column is another type, for which the loop would be compiled a second time.
     rho, V, T_inf, alpha = (np.array(a, dtype=float) for a in inputs)
     h_ref, H_0 = np.empty(len(conditions)), np.empty(len(conditions))
-    geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K))
+    geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K), float(sweep_deg))
     _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_0)
     return dict(zip(HEATING_COLUMNS, (h_ref, *point_recovery(of_point, H_0, conditions)), strict=True))
 

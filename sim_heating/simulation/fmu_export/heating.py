@@ -75,6 +75,7 @@ from sim_heating.simulation.fmu_export.library import (
 )
 from sim_heating.simulation.fmu_export.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
+from sim_heating.simulation.plugin_kernel import SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
 
@@ -332,7 +333,7 @@ class _HeatingPacker(ImagePacker):
 
     def _pack_host(self) -> None:
         host = np.zeros(k.HOST_WIDTH)
-        host[:3] = self.plugin._host[:3]
+        host[: SWEEP + 1] = self.plugin._host[: SWEEP + 1]
         if self.columns:
             host[k.CODE] = COLUMNS
         numbers, tables = self.plugin.constants
