@@ -1,4 +1,4 @@
-"""Trim of the Orbiter: moment balance from its tables, read independently."""
+"""Trim of the Orbiter: moment balance from its tables, read independently, and another program's elevons in trim."""
 
 from __future__ import annotations
 
@@ -17,6 +17,15 @@ from sim_heating.trajectory.aero import load_aero
 
 CONTROL_MACH = 10.0
 """Highest Mach number of the tables; coefficients are held above."""
+
+
+PUBLISHED_TRIM = {
+    (0.66, 0.0, 0.0): (1.8, 0.3, -2.4, -5.3), (0.66, 0.0, 16.3): (-18.8, -19.7, -23.5, -32.7),
+    (0.66, 0.03, 10.0): (5.2, 2.2, -1.0, -5.4), (0.67, 0.0, 0.0): (7.4, 6.6, 5.4, 3.3),
+    (0.67, 0.0, 16.3): (-2.6, -3.6, -5.5, -8.3), (0.67, 0.03, 16.3): (6.6, 4.9, 2.7, -0.3),
+}  # fmt: skip
+"""Elevon in trim [deg] at alpha 30, 35, 40 and 45 deg and Mach 10 or more, by centre of gravity [-], moment found in
+flight [-] and body flap [deg]; computed by another program from the source's own points, 5 deg apart."""
 
 
 def _column(path: Path, keys: tuple[str, ...], name: str) -> Callable[..., float]:
@@ -77,4 +86,10 @@ def rows() -> list[Row]:
             "digits printed",
         )
     )
+    source, is_ = "another program, from the own points of the data book", "printed to 0.1 deg"
+    for (cg, shift, flap), published in PUBLISHED_TRIM.items():
+        flown = aero.with_changes(cg_fraction=cg, cm_shift=shift)
+        for alpha, elevon in ((35.0, published[1]), (45.0, published[3])):
+            name = f"elevon in trim, {alpha:g} deg, flap {flap:g} deg, centre of gravity {cg:g}, Cm shift {shift:g}"
+            found.append(Row(name, elevon, flown.trim_elevon_deg(12.0, alpha, flap), 0.06, "deg", source, is_))
     return found

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.verification.trim import PUBLISHED_TRIM
 from sim_heating.base.errors import InputError
 from sim_heating.trajectory.aero import Aero, load_aero
 from sim_heating.trajectory.jsbsim.host import open_vehicle
@@ -112,15 +113,6 @@ def test_a_vehicle_without_attitude_control_is_refused(tmp_path: Path) -> None:
     shutil.copytree(ORBITER / "aero", tmp_path / "aero")
     with pytest.raises(InputError, match=r"attitude_control\.xml: not found"):
         open_vehicle(tmp_path)
-
-
-# Elevon in trim at Mach 10 and more [deg] at alpha 30, 35, 40 and 45 deg, computed by another program from the own
-# points of the source, which are 5 deg apart, and printed to 0.1 deg.
-PUBLISHED_TRIM = {
-    (0.66, 0.0, 0.0): (1.8, 0.3, -2.4, -5.3), (0.66, 0.0, 16.3): (-18.8, -19.7, -23.5, -32.7),
-    (0.66, 0.03, 10.0): (5.2, 2.2, -1.0, -5.4), (0.67, 0.0, 0.0): (7.4, 6.6, 5.4, 3.3),
-    (0.67, 0.0, 16.3): (-2.6, -3.6, -5.5, -8.3), (0.67, 0.03, 16.3): (6.6, 4.9, 2.7, -0.3),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize(("cg", "shift", "flap"), PUBLISHED_TRIM)
