@@ -23,6 +23,7 @@ from sim_heating.base.kernels.block import (
     LANES,
     M_LEFT,
     M_RIGHT,
+    N_CONDITIONS,
     REFERENCE,
     SCALE,
     SURROUNDINGS4,
@@ -56,7 +57,18 @@ def compiler() -> str | None:
 def compile_peer(folder: Path, name: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     """Build the shared library with these flags and load it."""
     library = folder / f"{name}.so"
-    command = [compiler() or "gcc", "-std=gnu11", "-shared", "-fPIC", *flags, str(SOURCE), "-o", str(library), "-lm"]
+    command = [
+        compiler() or "gcc",
+        "-std=gnu11",
+        "-shared",
+        "-fPIC",
+        f"-DCONDITIONS={N_CONDITIONS}",
+        *flags,
+        str(SOURCE),
+        "-o",
+        str(library),
+        "-lm",
+    ]
     subprocess.run(command, check=True, capture_output=True, text=True)
     loaded = ctypes.CDLL(str(library))
     loaded.group_size.restype = ctypes.c_long

@@ -15,7 +15,6 @@
 #define LANES _Pragma("omp simd simdlen(4)") for (int l = 0; l < L; l++)
 #define VARIABLES 5
 #define CORNERS 32
-#define CONDITIONS 16
 #define PROPERTIES 9
 
 enum { P_SURFACE = 5, H_REF, RECOVERY, Q_ADD };
