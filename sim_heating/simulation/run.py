@@ -167,9 +167,9 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = no_
     >>> import sim_heating as sh
     >>> flown = sh.run("scenarios/recorded_sts107.toml")
     >>> flown
-    <RunResult 'Recorded trajectory: STS-107 early entry': 4 control points, peak 1561 K>
+    <RunResult 'Recorded trajectory: STS-107 early entry': 4 control points, peak 1547 K>
     >>> round(float(flown.points["V09T9527"].history.surface_K.max()))
-    1221
+    1183
     """
     scenario = load_scenario(scenario)
     heating = scenario.declared.heating
