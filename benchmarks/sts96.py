@@ -16,13 +16,22 @@ import matplotlib
 import numpy as np
 
 from benchmarks.measure import Figure, save
-from benchmarks.tile_fits import TRANSITION, Clock, Tile, as_nominal, fitted_clock, rms, tiles_of
+from benchmarks.tile_fits import (
+    TRANSITION,
+    Clock,
+    Tile,
+    as_nominal,
+    fitted_clock,
+    laminar,
+    laminar_records,
+    rms,
+    tiles_of,
+)
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.base.files.toml import read_toml_dict
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.simulation.measured_records import compared_records
 from sim_heating.simulation.predict import predict
 from sim_heating.simulation.run import fly_scenario
 
@@ -45,7 +54,8 @@ SHOWN_S = (560.0, 1600.0)
 def run() -> list[Figure]:
     """The tiles, the clock, other entries."""
     scenario = load_scenario(SCENARIO)
-    tiles = tiles_of({load_record(path).declared.control_point: load_record(path) for path in RECORDS})
+    records = [laminar(load_record(path)) for path in RECORDS]
+    tiles = tiles_of({record.declared.control_point: record for record in records})
     figures = [f for name, tile in tiles.items() for f in _figures(name, tile)]
     flown = fly_scenario(scenario).conditions
     clock = fitted_clock(scenario, flown, tiles)
@@ -55,7 +65,7 @@ def run() -> list[Figure]:
     for label, other in entries(scenario):
         stretch = float(flown.time_s[-1] / other.time_s[-1])
         try:
-            own = as_nominal(compared_records(scenario, flown=other, stretch=stretch), tiles)
+            own = as_nominal(laminar_records(scenario, other, stretch=stretch), tiles)
         except RunError as error:
             figures.append(Figure(f"{label}: cannot be fitted", float("nan"), "", note=str(error)))
             continue

@@ -1,7 +1,7 @@
 """Transition in the measured history of a tile, and a clock common to several tiles of a flight of unknown trajectory.
 
-A record is fitted with the declared laminar model and its linear derivatives (before), then with the effect
-`transition` on top (after), started at the Reynolds number of the steepest rise. The clock,
+A record without its declared transition is fitted with the laminar model and its linear derivatives (before), then with
+the effect `transition` on top (after), started at the Reynolds number of the steepest rise. The clock,
 
     recorded time = shift + stretch (time of the flight),
 
@@ -12,7 +12,7 @@ time.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,6 +96,20 @@ def onset_time_s(flown: Conditions, log10_re: float, after_s: float = 600.0) -> 
     return float(np.interp(log10_re, x[k - 1 : k + 1], t[k - 1 : k + 1])) if np.any(past) else float("nan")
 
 
+def laminar(record: Record) -> Record:
+    """The record without its declared transition, as if nobody had foreseen one."""
+    heating = record.declared.heating.model_copy(update={"transition": None})
+    return replace(record, declared=record.declared.model_copy(update={"heating": heating}), turbulent=None)
+
+
+def laminar_records(
+    scenario: Scenario, flown: Conditions, *, shift_s: float = 0.0, stretch: float = 1.0
+) -> dict[str, Record]:
+    """Records of a scenario's measured histories without declared transition, along a flight with a clock [s], [-]."""
+    found = compared_records(scenario, flown=flown, shift_s=shift_s, stretch=stretch)
+    return {name: laminar(record) for name, record in found.items()}
+
+
 # One tile ------------------------------------------------------------------------------------------------------------
 
 
@@ -175,7 +189,7 @@ def fitted_clock(scenario: Scenario, flown: Conditions, tiles: dict[str, Tile], 
 
 def refitted(scenario: Scenario, flown: Conditions, clock: FloatArray, tiles: Mapping[str, Tile]) -> dict[str, Tile]:
     """The tiles with another clock, from the values that they have."""
-    records = compared_records(scenario, flown=flown, shift_s=clock[0], stretch=clock[1])
+    records = laminar_records(scenario, flown, shift_s=clock[0], stretch=clock[1])
     found = {}
     for name, tile in tiles.items():
         reference = tile.after.problem.reference
@@ -192,7 +206,8 @@ def _normal_equations(
     here = tile.after.problem.samples(values)[0]
     columns = []
     for change in (np.array([STEP_S, 0.0]), np.array([0.0, STEP_STRETCH])):
-        moved = compared_records(scenario, flown=flown, shift_s=(clock + change)[0], stretch=(clock + change)[1])[name]
+        shift_s, stretch = clock + change
+        moved = laminar_records(scenario, flown, shift_s=shift_s, stretch=stretch)[name]
         names, reference = list(tile.after.values), tile.after.problem.reference
         problem = FitProblem([moved], names, reference, FitOptions(effects=[use("transition")], prior_scale=np.inf))
         columns.append((problem.samples(values)[0].mean_K - here.mean_K) / np.max(change))

@@ -160,7 +160,8 @@ def transition_keys(used: EffectUse, turbulent_file: str | None) -> dict[str, An
     by_table, by_re_theta = number.pop("by_table")[0] > 0.0, number.pop("by_re_theta")[0] > 0.0
     key = "re_theta_over_m_e" if by_re_theta else "log10_re_onset"
     if by_re_theta:
-        onset, onset_sigma = _rounded(10.0**onset), _rounded(10.0**onset * math.log(10.0) * onset_sigma)
+        # Fewer digits than those of the logarithm, whose rounding would show.
+        onset, onset_sigma = (float(f"{x:.7g}") for x in (10.0**onset, 10.0**onset * math.log(10.0) * onset_sigma))
     keys: dict[str, Any] = {key: onset, key + SIGMA: onset_sigma}
     spots = number.pop("spots")[0]
     if by_table:

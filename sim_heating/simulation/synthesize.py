@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.heating.edge_flow import FLOW_COLUMNS
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION, intermittency
@@ -185,7 +184,7 @@ def _record(
 
 def flown_columns(conditions: Conditions) -> Conditions:
     """Conditions of a point without the columns that follow from what its record declares."""
-    return Conditions({name: values for name, values in conditions.columns.items() if name not in FLOW_COLUMNS})
+    return Conditions({name: values for name, values in conditions.columns.items() if name not in DERIVED})
 
 
 def ratio_table_of(point: ControlPoint) -> RatioTable:

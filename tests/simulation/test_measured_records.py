@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.tile_fits import Tile, fitted, onset_time_s, rise_time_s, starts_at
+from benchmarks.tile_fits import Tile, fitted, laminar, onset_time_s, rise_time_s, starts_at
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.estimation.problem import joint_reference
@@ -74,7 +74,7 @@ def test_time_of_an_onset_is_when_the_flight_passes_its_reynolds_number() -> Non
 
 @pytest.mark.parametrize("name", ["STS96_468", "STS96_480"])
 def test_transition_explains_the_rise_of_a_tile(name: str) -> None:
-    record = load_record(RECORDS / name.lower())
+    record = laminar(load_record(RECORDS / name.lower()))
     reference, rise_s = joint_reference([record]), rise_time_s(record)
     after = fitted(record, reference, starts_at(record, rise_s)[:1])
     tile = Tile(record, rise_s, fitted(record, reference), after)
