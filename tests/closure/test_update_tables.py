@@ -61,7 +61,7 @@ parameters = {{ {parameters} }}
 
 
 def one_point_orbiter(home: Path) -> Path:
-    """The Orbiter with one control point."""
+    """The Orbiter with one control point, laminar and fully catalytic: without declared effects."""
     source = ROOT / "aircraft_data" / "orbiter"
     for name in ("vehicle.toml", f"control_points/{POINT}.toml", f"ratio_tables/{POINT}.csv"):
         (home / "orbiter" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -70,6 +70,9 @@ def one_point_orbiter(home: Path) -> Path:
     for name in ("aero", "guidance.toml"):
         place = source / name
         (shutil.copytree if place.is_dir() else shutil.copy)(place, home / "orbiter" / name)
+    vehicle, point = home / "orbiter" / "vehicle.toml", home / "orbiter" / "control_points" / f"{POINT}.toml"
+    vehicle.write_text(vehicle.read_text().partition("\n[transition]")[0] + "\n")
+    point.write_text(re.sub(r"ratio_table_turbulent = .*\n", "", point.read_text()))
     return home / "orbiter"
 
 
