@@ -295,7 +295,8 @@ class _HeatingPacker(ImagePacker):
             state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
             n = int(e.integers(g)[N_NODES])
             image.kept_numbers += [(state + row * LANES, LANES) for row in k.KEPT_ROWS]
-            image.kept_numbers.append((state + conditions_at(END, 0), LANES * N_CONDITIONS))
+            points = len(np.unique(e.lanes[g * LANES : (g + 1) * LANES]))
+            image.kept_numbers.append((state + conditions_at(END, 0), points * N_CONDITIONS))
             image.kept_numbers += [
                 (state + node_row(i, row).start, LANES) for i in range(n) for row in k.KEPT_NODE_ROWS
             ]
@@ -344,7 +345,7 @@ class _HeatingPacker(ImagePacker):
 
     def _pack_points(self) -> None:
         e, image = self.ensemble, self.image
-        numbers = image.keep_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
+        numbers = image.add_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
         written = image.add_numbers(np.zeros(k.PARAMETERS_WIDTH * len(e.models)))
         R, rows, sensors = np.zeros(k.POINT_WIDTH * len(e.models)), [], []
         for i, (point, model, mesh, place) in enumerate(
@@ -374,6 +375,12 @@ class _HeatingPacker(ImagePacker):
             sensors += self._pack_sensors(point, mesh, place)
             self._pack_ratio_table(point, place)
             self._declare_direct_outputs(named, any(u.effect.mode == "emittance" for u in kernel_effects(model)))
+        # No host changes a number without a name, such as the parameters of effects that a point does not have.
+        image.kept_numbers += [
+            (v.place, v.count)
+            for v in image.variables
+            if v.kind is Kind.NUMBER and numbers <= v.place < numbers + len(R)
+        ]
         whole = image.R
         whole[numbers : numbers + len(R)] = R
         own = R.reshape(-1, k.POINT_WIDTH)[:, : k.PARAMETERS_WIDTH]

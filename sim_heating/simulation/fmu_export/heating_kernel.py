@@ -66,6 +66,7 @@ from sim_heating.inputs.sensor_model import indicated_kernel
 from sim_heating.march.frames import (
     BLOCK_END,
     BLOCK_START,
+    END_STAGE,
     INTS_END,
     INTS_START,
     advance_groups,
@@ -141,7 +142,7 @@ KEPT_ROWS = (
     STEPS,
 )  # fmt: skip
 """Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
-conditions of that stage are kept as well."""
+conditions of that stage are kept as well, of the first lane of each point."""
 KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)
 """Rows of a node that belong to the state. All others follow from parameters, or are written in a step before they are
 read, or are caches with bounds."""
@@ -340,9 +341,15 @@ def _resume(R, N) -> int:  # type: ignore[no-untyped-def]
     """Make the blocks agree with the kept rows of another instance (KEPT_ROWS, KEPT_NODE_ROWS)."""
     # Property polynomials stay: they hold for temperatures between their bounds, whichever instance asks.
     _write_parameters(R, N, False)
+    lanes = at(N, N[LANE_POINTS])
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = carray(at(R, N[STATE] + groups[g, BLOCK_START]), groups[g, BLOCK_END] - groups[g, BLOCK_START])
+        for lane in range(1, LANES):
+            if lanes[g * LANES + lane] == lanes[g * LANES + lane - 1]:
+                last = END_STAGE + lane * N_CONDITIONS
+                for c in range(last, last + N_CONDITIONS):
+                    B[c] = B[c - N_CONDITIONS]
         J = at(N, N[INTS] + groups[g, INTS_START])
         # The instances may have different ratio tables.
         invalidate_cells(B)
