@@ -7,6 +7,7 @@ the enthalpy with the frozen Prandtl number:
     (C f'')' + f f'' + beta (rho_e/rho - f'^2) = 0
     (C/Pr h')' + f h' + C u_e^2 f''^2 = 0,         C = rho mu / (rho_e mu_e)
     d eta/dy = rho (2 du_e/dx / (rho_e mu_e))^1/2,  beta = 1/2, u_e = 0     at the stagnation point of a sphere
+    d eta/dy = rho (du_e/dx / (rho_e mu_e))^1/2,    beta = 1, u_e = 0       on the stagnation line of a cylinder
     d eta/dy = rho (u_e / (2 rho_e mu_e x))^1/2,    beta = 0                on a flat plate
 
 Turbulent friction is van Driest's, a transformation of the incompressible plate's.
@@ -116,17 +117,19 @@ def solve(
     return Layer(float(found.y[3, 0]) * h_e, float(found.y[4, 0]) * h_e)
 
 
-def stagnation_film(p_0: float, T_0: float, T_w_K: float, gradient_1_s: float, prandtl: float | None = None) -> float:
-    """Film coefficient q/(h_0 - h_w) [kg/(m2 s)] at the stagnation point of a sphere.
+def stagnation_film(
+    p_0: float, T_0: float, T_w_K: float, gradient_1_s: float, prandtl: float | None = None, *, plane: bool = False
+) -> float:
+    """Film coefficient q/(h_0 - h_w) [kg/(m2 s)] at the stagnation point of a sphere, or on that of a cylinder (plane).
 
     p_0, T_0 : stagnation pressure [Pa], temperature [K];  T_w_K : wall temperature [K]
     gradient_1_s : velocity gradient du_e/dx [1/s];  prandtl : constant Prandtl number; None for the frozen one of air
     """
     air = isobar(p_0, T_0)
     h_0, h_w = air.enthalpy(T_0), air.enthalpy(T_w_K)
-    layer = solve(air, h_0, 0.0, 0.5, h_w=h_w, prandtl=prandtl)
+    layer = solve(air, h_0, 0.0, 1.0 if plane else 0.5, h_w=h_w, prandtl=prandtl)
     rho_mu = float(air.density(np.array(h_0)) * air.viscosity(np.array(h_0)))
-    return layer.flux * math.sqrt(2.0 * gradient_1_s * rho_mu) / (h_0 - h_w)
+    return layer.flux * math.sqrt((1.0 if plane else 2.0) * gradient_1_s * rho_mu) / (h_0 - h_w)
 
 
 @dataclass(frozen=True)

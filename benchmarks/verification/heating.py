@@ -141,6 +141,25 @@ def stagnation_layers() -> list[Row]:
     return rows
 
 
+def cylinder() -> list[Row]:
+    """Stagnation line of a cylinder across the flow: plane similarity solution, and the ratio of the two constants."""
+    state = conditions(rho_kg_m3=1e-3, velocity_m_s=2500.0, T_inf_K=270.0, alpha_deg=0.0)
+
+    def film(model: str, T_w: float) -> float:
+        return float(reference_heating(model, state, nose_radius_m=FOOT_M, wall_temperature_K=T_w)[0][0])
+
+    p_0, h_0, rho_0, p = stagnation_kernel(1e-3, 2500.0, 270.0)
+    gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / FOOT_M
+    T_0 = gas.air_temperature_kernel(h_0, p_0)
+    expected = stagnation_film(p_0, T_0, 1200.0, gradient, gas.PRANDTL, plane=True)
+    got, ratio = film("swept-cylinder", 1200.0), film("swept-cylinder", 300.0) / film("fay-riddell", 300.0)
+    name, constants = "swept-cylinder, 2500 m/s, no sweep", "Fay & Riddell (1958): 0.57 and 0.763"
+    return [
+        within(0.03, f"{name}, wall 1200 K: film coefficient", expected, got, "kg/(m2 s)", SIMILARITY, CORRELATED),
+        within(1e-5, f"{name}, over the sphere of its radius", 0.57 / 0.763, ratio, "-", constants, "bridging"),
+    ]
+
+
 def plate_layers() -> list[Row]:
     """Eckert's reference enthalpy and recovery factor against similarity solutions with varying properties."""
     rows = []
@@ -230,5 +249,5 @@ def rows() -> list[Row]:
     """All of this subject; without Cantera, what needs no equilibrium of another program."""
     found = [*correlations(), *recovery(), *slow_plate(), *turbulent_plate(), *rarefied()]
     if cantera_air() is not None:
-        found += [*stagnation_layers(), *plate_layers(), *slow_sphere(), *pressure()]
+        found += [*stagnation_layers(), *cylinder(), *plate_layers(), *slow_sphere(), *pressure()]
     return found

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.verification.boundary_layer import Isobar, plate, solve, stagnation_film, van_driest_friction
 from sim_heating.heating.atmosphere import us76_kernel
+from sim_heating.heating.reference.cylinder import swept_cylinder_film
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
 from sim_heating.heating.reference.gas import (
     PRANDTL,
@@ -55,6 +56,15 @@ def test_fay_riddell_is_within_3_percent_of_the_boundary_layer_at_a_heated_wall(
 def test_fay_riddell_is_2_to_5_percent_above_the_boundary_layer_at_its_wall_of_300_K(altitude_m, V):
     # Its exponent of rho_w mu_w was fitted with Sutherland's law at the edge: rho mu varied more across the layer.
     assert 0.02 < stagnation_ratio(altitude_m, V, 300.0) - 1.0 < 0.055
+
+
+@pytest.mark.parametrize(("V", "rho", "T_inf"), [(7081.0, 7.04e-5, 217.0), (4500.0, 3.1e-4, 247.0)])
+def test_the_constant_of_a_cylinder_is_3_to_8_percent_above_the_plane_boundary_layer(V, rho, T_inf):
+    p_0, h_0, rho_0, p = stagnation_kernel(rho, V, T_inf)
+    gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / RADIUS_M
+    for T_w, low, high in ((300.0, 0.05, 0.08), (1200.0, 0.03, 0.045)):
+        own = stagnation_film(p_0, air_temperature_kernel(h_0, p_0), T_w, gradient, PRANDTL, plane=True)
+        assert low < swept_cylinder_film(rho, V, T_inf, 0.0, 0.0, RADIUS_M, T_w) / own - 1.0 < high
 
 
 PLATES = [(70e3, 7000.0, 25.0), (70e3, 6300.0, 40.0), (66e3, 5500.0, 40.0), (57e3, 3900.0, 40.0), (49e3, 2650.0, 40.0)]
