@@ -29,7 +29,7 @@ from sim_heating.march.ensemble import Ensemble, condition_history, histories
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.mesh_choice import choose_meshes, pack
 from sim_heating.simulation.run import SOURCES, models_of
-from sim_heating.simulation.synthesize import declaration
+from sim_heating.simulation.synthesize import declaration, flown_columns, ratio_table_of, turbulent_table_of
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.flight import Flight, Window
 from sim_heating.trajectory.spec import Manoeuvre
@@ -262,7 +262,10 @@ class Planner:
         declared = declaration(self.scenario, self.point, instruments.sensors)
         declared = declared.model_copy(update={"segments": Segments(fit=[list(s) for s in spans])})
         columns = {s.column: indicated_temperature(s, T) for s, T in zip(instruments.sensors, read, strict=True)}
-        record = make_record(declared, flown, {"time_s": clock, **columns}, self.point.ratio, self.point.name)
+        tables = ratio_table_of(self.point), turbulent_table_of(self.point)
+        record = make_record(
+            declared, flown_columns(flown), {"time_s": clock, **columns}, tables[0], self.point.name, tables[1]
+        )
         return record, start if design.start == "profile" else None
 
     def _marched(
