@@ -112,6 +112,11 @@ class Linearised:
     sensitivity: FloatArray
 
 
+def _curved_in_ratio(model: PointModel) -> bool:
+    """Whether the film is not affine in the heating ratio, for an effect that depends on the ratio which it multiplies."""
+    return any(used.effect.reads_ratio for used in model.effects)
+
+
 def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     """Perturbation of a parameter for its derivative, and whether it is applied to both sides.
 
@@ -126,7 +131,7 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     definition, value = model.definition(name), abs(model.value(name))
     known = 0.0 < definition.sigma < np.inf
     scale = definition.sigma if known else max(value, 1.0)
-    curved = name in NONLINEAR or name.startswith(EFFECT_PREFIX)
+    curved = name in NONLINEAR or name.startswith(EFFECT_PREFIX) or (name in LINEAR_RATIO and _curved_in_ratio(model))
     return (PERTURBATION if curved else AFFINE_PERTURBATION) * scale, curved
 
 
@@ -136,7 +141,7 @@ class _PerturbedLane:
 
     columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
     name    : of the parameter, empty for the nominal point and for tables
-    by      : perturbation, in the unit of the parameter
+    by      : perturbation, in the unit of the parameter; of tables in units of the error [-]
     both    : whether it is perturbed to both sides;  at_faces : whether it acts at the faces alone
     """
 
@@ -153,9 +158,13 @@ class _PerturbedLane:
             return nominal.with_parameters({self.name: nominal.value(self.name) + self.by})
         if not self.columns or nominal.ratio is None:
             return nominal
-        # The balance is affine in the ratio, so that a whole unit of the error gives the exact derivative.
         error = track.table_errors[self.columns[0] - len(track.names)]
-        return replace(nominal, ratio=replace(nominal.ratio, ratio=nominal.ratio.ratio + error))
+        return replace(nominal, ratio=replace(nominal.ratio, ratio=nominal.ratio.ratio + self.by * error))
+
+
+def _sides(both: bool) -> tuple[float, ...]:
+    """Signs of the perturbations of a parameter."""
+    return (1.0, -1.0) if both else (1.0,)
 
 
 def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
@@ -165,14 +174,21 @@ def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
     remembered = any(used.effect.lags for used in track.model.effects)
     shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
     if shared:
-        found.append(_PerturbedLane(i, shared, RATIO_ITSELF, perturbation(track.model, RATIO_ITSELF)[0], at_faces=True))
+        by, both = perturbation(track.model, RATIO_ITSELF)
+        found += [_PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
     for column, name in enumerate(track.names):
         if column not in shared:
             (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
-            sides = (1.0, -1.0) if both else (1.0,)
-            found += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in sides]
+            found += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
-    return found + [_PerturbedLane(i, (column,), by=1.0, at_faces=True) for column in tables]
+    # Where the balance is affine in the ratio, a whole unit of the error gives the exact derivative.
+    both = _curved_in_ratio(track.model)
+    by = PERTURBATION if both else 1.0
+    return found + [
+        _PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
+        for column in tables
+        for side in _sides(both)
+    ]
 
 
 class Requested(NamedTuple):

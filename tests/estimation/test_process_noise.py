@@ -21,7 +21,7 @@ from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.fit import fit_bounds
 from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
-from sim_heating.inputs.record import Record, Segments, write_record
+from sim_heating.inputs.record import Segments, write_record
 
 NAMES = (
     "ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor", "clock.skew", "sensor.V09T9527.bias",
@@ -201,8 +201,7 @@ def wandered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray
     }
     declared = record.declared.model_copy(update={"stack": stack.model_copy(update=initial), "segments": Segments()})
     flown = record.conditions.at(part.time_s)
-    whole = Record(declared=declared, conditions=flown, thermocouples=columns, ratio_table=record.ratio_table,
-                   directory=Path("popu"))  # fmt: skip
+    whole = replace(record, declared=declared, conditions=flown, thermocouples=columns, directory=Path("popu"))
     home = tmp_path_factory.mktemp("wandered") / "popu"
     write_record(whole, home)
     return home, part.time_s, added

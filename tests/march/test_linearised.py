@@ -55,6 +55,7 @@ def popu(column: str) -> np.ndarray:
         "h_ref_kg_m2_s": 0.10 + 2e-4 * t,
         "H_r_J_kg": 2.4e7 - 2e4 * t,
         "p_surface_Pa": 2000.0 + 10.0 * t,
+        "dissociation_J_kg": 8e6 - 1e4 * t,
         "jets": 1.0 * (np.abs(doublet) > 0.9),
     }
     return columns[column]
@@ -62,7 +63,7 @@ def popu(column: str) -> np.ndarray:
 
 COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg", "h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa",
-    "jets",
+    "dissociation_J_kg", "jets",
 )  # fmt: skip
 BASE = {
     "stack.moisture.latent_J_kg": 5e4, "stack.moisture.boil_K": 800.0, "stack.moisture.deposit_J_kg": 2e4,
@@ -171,6 +172,16 @@ def test_sensitivities_to_stack_contact_and_back_face_are_exact():
 def test_sensitivities_to_every_effect_and_the_ratio_that_it_acts_on_are_exact(name):
     wanted = [f"{EFFECT_PREFIX}{name}.{p.name}" for p in effects()[name].parameters if p.sigma > 0.0]
     assert_exact(worst(point(name), [*wanted, "ratio.scale", "ratio.d_alpha", "ratio.d_alpha_logre"]))
+
+
+@pytest.mark.parametrize("used", [(), ("recombination",)])
+def test_the_sensitivity_to_an_error_of_the_table_that_is_the_table_is_that_to_the_scale(used):
+    model = point(*used)
+    assert model.ratio is not None
+    mesh = choose_meshes([model])[0][0]
+    track = Track(model, mesh, ("ratio.scale",), SAMPLE_S, table_errors=(model.ratio.ratio,))
+    found = LinearMarch([track], TIME_S, flight(TIME_S, **{c: popu(c) for c in COLUMNS})).march()[0].sensitivity
+    assert errors(found[..., 1], found[..., 0]) < 0.1 * RELATIVE
 
 
 def test_a_gap_that_opens_between_two_marches_takes_heat_in_the_second():

@@ -66,6 +66,7 @@ class Effect:
     parameters    : in the order in which the kernel reads them, EFFECT_WIDTH at most; of mode "model": ModelParameters
     kernel        : compiled f(B, c, p, wall_K); None for an effect of mode "model"
     needs_wall    : whether the kernel's value depends on the wall temperature
+    reads_ratio   : whether it depends on the heating ratio that it multiplies; the film is then not affine in the ratio
     lags          : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
     needs         : columns of the flight conditions (NEEDED_COLUMNS) that must exist and vary for the effect to be
                     identifiable; `close-loop` does not look for it in other flights
@@ -91,6 +92,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     kernel: Callable[..., float] | None = field(default=None, compare=False)
     needs_wall: bool = False
+    reads_ratio: bool = False
     lags: bool = False
     needs: tuple[str, ...] = ()
     neutral: Mapping[str, float] = field(default_factory=dict, compare=False)

@@ -110,6 +110,7 @@ EFFECT = Effect(
     ),
     kernel=recombination_factor,
     needs_wall=True,
+    reads_ratio=True,
     search_starts=search_starts,
     physics="Atoms that do not recombine at the wall carry their heat of dissociation away with the flow.",
     source="Goulard, Jet Propulsion 28 (1958) 737; coefficients of the tiles' coating: Scott, AIAA 80-1477 (1980)",
