@@ -113,7 +113,7 @@ class Linearised:
 
 
 def _curved_in_ratio(model: PointModel) -> bool:
-    """Whether the film is not affine in the heating ratio, for an effect that depends on the ratio which it multiplies."""
+    """Whether the film is not affine in the heating ratio: an effect depends on the ratio which it multiplies."""
     return any(used.effect.reads_ratio for used in model.effects)
 
 
