@@ -178,7 +178,8 @@ def inputs() -> Path:
     """A folder with a vehicle and, for both flights, scenario, study and record."""
     home = Path(tempfile.mkdtemp(prefix="kills-"))
     orbiter = next(p for p in data_folders("aircraft_data") if p.is_dir()) / "orbiter"
-    for name in ("vehicle.toml", f"control_points/{POINT}.toml", f"ratio_tables/{POINT}.csv", "guidance.toml"):
+    tables = (f"ratio_tables/{POINT}.csv", f"ratio_tables/{POINT}_turbulent.csv")
+    for name in ("vehicle.toml", f"control_points/{POINT}.toml", *tables, "guidance.toml"):
         (home / "orbiter" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(orbiter / name, home / "orbiter" / name)
     for name in ("materials", "aero"):

@@ -166,7 +166,7 @@ def estimate(
     >>> import sim_heating as sh
     >>> fit = sh.estimate("scenarios/records/practice/p06", ["ratio.scale", "ratio.d_alpha"])
     >>> fit
-    <FitResult of p06: ratio.scale=0.056346 +- 0.003, ratio.d_alpha=9.35e-05 +- 7e-05; converged>
+    <FitResult of p06: ratio.scale=0.0563... +- 0.003, ratio.d_alpha=9.35...e-05 +- 7e-05; converged>
     >>> value, sigma = fit.parameters["ratio.scale"]
     """
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records

@@ -382,9 +382,11 @@ def test_a_recorded_flight_in_another_unit_is_refused(
 
 def test_predict_reports_a_negative_heating_ratio(workdir: Path) -> None:
     assert main(["synthesize", "short.toml", "--out", "record"]) == 0
-    header, *rows = [x for x in (workdir / "record" / "ratio_table.csv").read_text().splitlines() if x[0] != "#"]
+    lines = (workdir / "record" / "ratio_table.csv").read_text().splitlines()
+    comments = [x for x in lines if x[0] == "#"]
+    header, *rows = [x for x in lines if x[0] != "#"]
     assert header.endswith(",ratio,sigma")
     negative = [",".join([*row.split(",")[:-2], "-0.0001", "0.0001"]) for row in rows]
-    (workdir / "record" / "ratio_table.csv").write_text("\n".join([header, *negative]))
+    (workdir / "record" / "ratio_table.csv").write_text("\n".join([*comments, header, *negative]))
     assert main(["predict", "record", "--out", "out"]) == 0
     assert json.loads((workdir / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0

@@ -88,7 +88,7 @@ def design(
 
     >>> import sim_heating as sh
     >>> sh.design("scenarios/design_flap.toml")
-    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=6e-05, sigma(ratio.d_bodyflap)=4.4e-05; 64 designs>
+    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=3.8e-05, sigma(ratio.d_bodyflap)=7.5e-05; 64 designs>
     """
     scenario = load_scenario(scenario)
     planner = Planner(scenario)

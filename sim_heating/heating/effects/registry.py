@@ -67,10 +67,11 @@ def _remedy(error: BaseException) -> str:
     return ""
 
 
-def _built_in() -> list[Effect]:
+@cache
+def _built_in() -> Mapping[str, Effect]:
     names = sorted(m.name for m in pkgutil.iter_modules([str(Path(__file__).parent)]))
     modules = [importlib.import_module(f"{__package__}.{name}") for name in names if name != "compiled"]
-    return [m.EFFECT for m in modules if hasattr(m, "EFFECT")]
+    return {m.EFFECT.name: m.EFFECT for m in modules if hasattr(m, "EFFECT")}
 
 
 def user_effect_files() -> tuple[Path, ...]:
@@ -88,7 +89,7 @@ def user_effect_files() -> tuple[Path, ...]:
 
 @cache
 def _all(files: tuple[Path, ...]) -> Mapping[str, Effect]:
-    found = {e.name: e for e in _built_in()}
+    found = dict(_built_in())
     defined_by = dict.fromkeys(found, "the package")
     for path in files:
         effect = _from_file(path)
@@ -118,11 +119,12 @@ def effect(name: str) -> Effect:
 
     raises : InputError with the nearest known name where the name is unknown
     """
-    known = effects()
+    # Those of the package first: a vehicle that declares one does not depend on the files of a user.
+    known = own if name in (own := _built_in()) else effects()
     if name not in known:
         folders = os.environ.get(FOLDERS_VARIABLE) or "not set"
-        own = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders})"
-        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{own}")
+        where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders})"
+        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{where}")
     return known[name]
 
 
