@@ -245,12 +245,16 @@ def _check_records(records: Sequence[Record]) -> None:
             f"records: their ratios are over different reference heatings ({', '.join(sorted(models))}) and have no "
             "common derivatives; estimate each record by itself"
         )
-    recoveries = {r.declared.heating.recovery_of_point.kind for r in records}
-    if len(recoveries) > 1:
-        raise InputError(
-            f"records: their ratios are reduced with different recovery enthalpies ({', '.join(sorted(recoveries))}) "
-            "and have no common derivatives; estimate each record by itself"
-        )
+    # Points may differ: their derivatives do not mix.
+    recoveries: dict[str, set[str]] = {}
+    for r in records:
+        recoveries.setdefault(r.declared.control_point, set()).add(r.declared.heating.recovery_of_point.kind)
+    for point, kinds in recoveries.items():
+        if len(kinds) > 1:
+            raise InputError(
+                f"records of {point}: their ratios are reduced with different recovery enthalpies "
+                f"({', '.join(sorted(kinds))}) and have no common derivatives; estimate each record by itself"
+            )
 
 
 def _first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
