@@ -1,7 +1,8 @@
 """Tiles of STS-96 predicted before any fit: errors by phase of the entry.
 
 `scenarios/sts96.toml` is flown with what the vehicle declares and marched at the four tiles. Each phase has the RMSE
-and the mean of measured minus predicted surface temperature. The figures of docs/evidence.md.
+and the mean of measured minus predicted surface temperature, and the radiated heat as a part of the predicted one. The
+figures of docs/evidence.md.
 """
 
 from __future__ import annotations
@@ -33,9 +34,12 @@ def run() -> list[Figure]:
     for found in compare(run_scenario(SCENARIO)):
         t = found.measured.time_s
         for phase, (first, last) in PHASES_S.items():
-            residual = found.residual_K[(t >= first) & (t < last)]
+            within = (t >= first) & (t < last)
+            residual, measured = found.residual_K[within], found.measured.temperature_K[within]
             mean = float(np.mean(residual))
             rmse = float(np.sqrt(np.mean(residual**2)))
-            figures.append(Figure(f"{found.measured.label}, {phase}: RMSE", rmse, "K", note=f"mean {mean:+.0f} K"))
+            radiated = float(np.mean(measured**4) / np.mean((measured - residual) ** 4))
+            note = f"mean {mean:+.0f} K; radiates {radiated:.2f} of the prediction"
+            figures.append(Figure(f"{found.measured.label}, {phase}: RMSE", rmse, "K", note=note))
     save("tile_phases", figures)
     return figures
