@@ -166,9 +166,10 @@ def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
 
 
 def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
-    """A tile under a boundary layer that turns turbulent, which no linear derivative says."""
+    """An onset in angle of attack has a kink at every sample, and the flight holds one angle for long."""
     out = tmp_path / "out"
-    status, text = run_estimate(capsys, PRACTICE.parent / "sts96_480", "--out", out)
+    onset = "effect.impingement-onset.alpha_onset_deg,effect.impingement-onset.slope,ratio.scale"
+    status, text = run_estimate(capsys, PRACTICE.parent / "sts96_480", "--parameters", onset, "--out", out)
     assert status == 1
     assert text.endswith(f"is not smooth here; {out} holds the last iteration, which is not an estimate")
     assert read_json(out / "estimate.json")["converged"] is False
