@@ -66,6 +66,9 @@ just below the last column [-], number of columns."""
 WALL_DIFFERENCE_K = 0.01
 """Half the step [K] of the difference in an effect's dependence on the wall temperature, used in the matrix only. It
 has to be small against the width of any effect for a sensitivity good to 1e-9."""
+COLDEST_K = 1.0
+"""Floor of every iterate [K], and of the wall temperature that effects take. A NaN is set to it as well, and is
+reported as a failure since its update is NaN too."""
 
 
 @inline_always
@@ -275,7 +278,8 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
 @inline_always
 def _balance_with_effects(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Surface balance of a lane with effects on its emittance, or with effects that depend on the wall temperature."""
-    wall = B[(HEAD_ROWS + T) * LANES + lane]
+    # The first guess of a stage is extrapolated and may be below 0 K, where the rates of an effect are no numbers.
+    wall = max(B[(HEAD_ROWS + T) * LANES + lane], COLDEST_K)
     eps, eps_slope = _emittance(B, lane), B[EPS_SLOPE * LANES + lane]
     if J[N_EMITTING + lane] > 0:
         factor, factor_slope = _factor_and_slope(B, J, dispatcher, lane, stage, wall)

@@ -73,7 +73,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 from sim_heating.thermal.assembly import REDUCED, WHOLE_ROWS, assemble, heat_content, select_pressure
-from sim_heating.thermal.faces import evaluate_faces
+from sim_heating.thermal.faces import COLDEST_K, evaluate_faces
 
 GAMMA = 2.0 - math.sqrt(2.0)
 """Fraction of a step at which the middle stage is [-]. This value gives both stages the same matrix."""
@@ -92,8 +92,6 @@ FREE_ITERATIONS = 6
 Newton's method would go to and fro over the peak for ever."""
 BELOW = 1.0 - 1e-12
 """Factor on the lower end of a piece [-] that gives a temperature in the piece below."""
-COLDEST_K = 1.0
-"""Floor of every iterate [K]. A NaN is set to it as well, and is reported as a failure since its update is NaN too."""
 MAX_EXTRAPOLATION = 2.0
 """Multiple of the last step's length over which its curvature is extrapolated [-]: that of a very short step is mostly
 rounding."""

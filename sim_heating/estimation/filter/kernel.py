@@ -58,6 +58,7 @@ from sim_heating.estimation.filter.arrays import (
     Workspace,
 )
 from sim_heating.march.frames import Flights, set_flight_conditions
+from sim_heating.thermal.faces import COLDEST_K
 from sim_heating.thermal.frame import EVALUATE_START, shift_conditions
 from sim_heating.thermal.sensitivity import (
     PerturbedGroups,
@@ -72,7 +73,7 @@ from sim_heating.thermal.sensitivity import (
     solve_columns,
     start_from_copy,
 )
-from sim_heating.thermal.step import COLDEST_K, STAGE_WEIGHT, LaneGroup
+from sim_heating.thermal.step import STAGE_WEIGHT, LaneGroup
 
 (
     PRIOR, PRIOR_VARIANCE, POSTERIOR, POSTERIOR_VARIANCE, PREDICTED, PREDICTED_VARIANCE, INNOVATION, VARIANCE,
