@@ -7,10 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import detrend
 
+from benchmarks.tile_fits import laminar
 from sim_heating.base.errors import InputError
+from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.measured_records import compared_records
+from sim_heating.simulation.predict import predict
 from sim_heating.simulation.run import RunResult, compare, fly_scenario, run, summary
 from sim_heating.simulation.synthesize import synthesize
 from tests.support.gliding import gliding
@@ -77,9 +81,10 @@ def test_a_quick_scenario_runs_and_is_measured(name: str) -> None:
 
 def test_the_sts2_flight_answers_its_manoeuvres_as_the_flight_did(sts2: RunResult) -> None:
     def moves(point: str, manoeuvre: int) -> float:
+        """Range of the surface temperature during a manoeuvre apart from the trend of the flight [K]."""
         window, history = sts2.flight.windows[manoeuvre], sts2.points[point].history
         held = (history.time_s >= window.start_s) & (history.time_s <= window.end_s)
-        return float(np.ptp(history.surface_K[held]))
+        return float(np.ptp(detrend(history.surface_K[held])))
 
     assert moves("V07T9730", 0) > 15.0  # elevon at the Mach 21 flap manoeuvre (fig. 10)
     assert moves("V07T9975", 1) > 30.0  # OMS pod at the POPU (fig. 13)
@@ -113,22 +118,33 @@ def test_the_sts96_entry_covers_the_measured_history_to_landing_speed(sts96: Run
     assert 80.0 < end["velocity_m_s"] < 130.0
 
 
-def test_on_the_plateau_laminar_tables_give_the_radiated_heat_of_the_tiles_within_their_uncertainty(
+def test_on_the_plateau_the_declared_model_gives_the_radiated_heat_of_two_tiles_within_its_uncertainty(
     sts96: RunResult,
 ) -> None:
-    # 600 to 1000 s: before transition, after the low-density phase. Declared sigma of the ratios is 50 to 60 %.
+    """600 to 1000 s: before transition, after the low-density phase.
+
+    Tiles 480 and 730 radiate twice the prediction: the place of one and the running length at the other are in doubt
+    (docs/evidence.md).
+    """
     for compared in compare(sts96):
         t = compared.measured.time_s
         held = (t >= 600.0) & (t <= 1000.0)
         measured = compared.measured.temperature_K[held]
         predicted = measured - compared.residual_K[held]
-        assert np.mean(predicted**4) / np.mean(measured**4) == approx(1.0, abs=0.5)
+        radiated = np.mean(predicted**4) / np.mean(measured**4)
+        if compared.measured.control_point in ("STS96_468", "STS96_597"):
+            assert radiated == approx(1.0, abs=0.25)  # the sigma of their ratios
+        else:
+            assert 0.4 < radiated < 0.6
 
 
-def test_after_transition_the_tiles_are_hotter_than_laminar_tables_predict(sts96: RunResult) -> None:
-    for compared in compare(sts96):
-        after = (compared.measured.time_s >= 1360.0) & (compared.measured.time_s <= 1480.0)
-        assert np.mean(compared.residual_K[after]) > 100.0
+@pytest.mark.parametrize("tile", ["sts96_468", "sts96_480", "sts96_597", "sts96_730"])
+def test_after_transition_the_declared_turbulent_heating_explains_most_of_what_a_laminar_one_lacks(tile: str) -> None:
+    record = load_record(FOLDER / "records" / tile)
+    after = (record.time_s >= 1360.0) & (record.time_s <= 1480.0)
+    lacking, declared = (float(np.mean(predict(r).residual_K[0][after])) for r in (laminar(record), record))
+    assert lacking > 150.0
+    assert abs(declared) < 0.25 * lacking
 
 
 def test_the_recorded_flight_keeps_the_published_altitudes_of_sts107() -> None:
