@@ -441,7 +441,9 @@ def _vehicle(home: Path, name: str, points: Sequence[str], more: Sequence[str]) 
     for folder, suffix in (("control_points", "toml"), ("ratio_tables", "csv")):
         (target / folder).mkdir()
         for point in points:
-            shutil.copy(source / folder / f"{point}.{suffix}", target / folder)
+            for file in (source / folder).glob(f"{point}*.{suffix}"):
+                if file.stem in (point, f"{point}_turbulent"):
+                    shutil.copy(file, target / folder)
     for entry in more:
         (shutil.copytree if (source / entry).is_dir() else shutil.copy)(source / entry, target / entry)
     for path in (target / "ratio_sources").glob("*.toml"):

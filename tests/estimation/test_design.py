@@ -143,11 +143,18 @@ def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experi
         assert bound(planned_experiment.without([channel.sensor.name])) >= bound(planned_experiment)
 
 
-def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(planned_experiment):
-    k = planned_experiment.names.index(PRESSURE.name)
-    outermost, inch_deep = planned_experiment.channels[0].jacobian[:, k], planned_experiment.channels[3].jacobian[:, k]
-    assert np.all(outermost < 0.0)
-    assert np.all(inch_deep > 0.0)
+def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(planner, planned):
+    """On a fully catalytic wall: on another one fewer atoms at a higher pressure warm the coating."""
+    record, start = planner.record(planned, planner.instruments)
+    assert record.declared.heating.catalysis is not None
+    heating = record.declared.heating.model_copy(update={"catalysis": None})
+    catalytic = replace(record, declared=record.declared.model_copy(update={"heating": heating}))
+    for wall, coating_cools in ((catalytic, True), (record, False)):
+        found = experiment(wall, NAMES, start=start)
+        k = found.names.index(PRESSURE.name)
+        outermost, inch_deep = found.channels[0].jacobian[:, k], found.channels[3].jacobian[:, k]
+        assert np.all(outermost < 0.0) == coating_cools
+        assert np.all(inch_deep > 0.0)
 
 
 def test_readings_of_a_record_are_not_used():

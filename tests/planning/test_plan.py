@@ -255,21 +255,25 @@ def with_optimal(study, **given):
 
 
 def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
-    """No entry ends within five minutes."""
+    """No entry ends within five minutes. Which of two reasons the optimiser gives depends on the aerodynamic tables."""
     with_optimal(study, duration_s=[200.0, 300.0])
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert [line for line in lines if line.startswith("optimal:")] == [
-        "optimal: optimal entry `Entry for a test`: no flight was found: no flight meets all bounds at once; relax a "
-        "limit or the final state"
-    ]
+    (line,) = [line for line in lines if line.startswith("optimal:")]
+    reasons = (
+        "no flight meets all bounds at once; relax a limit or the final state",
+        "the optimiser did not converge in 300 iterations; relax a limit",
+    )
+    before, _, reason = line.partition("no flight was found: ")
+    assert before == "optimal: optimal entry `Entry for a test`: "
+    assert reason in reasons
     assert lines[-1] == "failed: optimal: no result; dispersion completed, results kept"
     summary = json.loads((out / "study.json").read_text())
     assert list(summary["failed"]) == ["optimal"]
     assert summary["dispersion"]["flights"] == 48
     assert pq.read_table(out / "dispersion_flights.parquet").num_rows == 48
-    assert "no flight meets all bounds at once" in (out / "report.html").read_text()
+    assert reason in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", ""])
