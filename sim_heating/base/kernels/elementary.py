@@ -47,7 +47,7 @@ def exp(x: float) -> float:
 
 @force_inline
 def log10(x: float) -> float:
-    """Decimal logarithm log10(x) of a finite number [-], within 2 units in the last place; constant below 2^-1022.
+    """Decimal logarithm log10(x) of a finite number [-], within 4 units in the last place; constant below 2^-1022.
 
     x = 2^k m with m from sqrt(1/2) to sqrt(2); log(m) = 2 (s + s^3/3 + s^5/5 + ...), s = (m - 1) / (m + 1), 11 terms.
     The logarithm of 2 is added in two parts (Cody and Waite 1980). No branch and no call: a loop over lanes vectorises.
