@@ -18,6 +18,7 @@ from benchmarks.verification.trajectories import (
     VACUUM,
     allen_eggers_speed,
     ballistic_entry,
+    glide,
     orbit_integrals,
     spec,
     vacuum_orbit,
@@ -34,7 +35,7 @@ from sim_heating.trajectory.entry3dof import Entry
 from sim_heating.trajectory.flight import ROW, Sampler
 from sim_heating.trajectory.guidance import EntryGuidance, Observation, resolve_guidance
 from sim_heating.trajectory.jsbsim import entry as jsbsim
-from sim_heating.trajectory.spec import GuidanceChanges, Initial, TrajectorySpec
+from sim_heating.trajectory.spec import GuidanceChanges, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, trimmed_kernel
 from tests.support.paths import ORBITER, ROOT
 
@@ -103,19 +104,8 @@ def test_peak_deceleration_of_a_ballistic_entry_is_at_the_entry_speed_over_the_r
 
 def test_an_equilibrium_glide_has_the_range_of_saenger():
     """R = r/2 (L/D) ln((1 - V2^2/vc^2) / (1 - V1^2/vc^2)) at full lift over a sphere at rest, height counted in V^2."""
-    glide = {"drag_m_s2": [[10.0, 1.0]], "start_drag_m_s2": 0.001, "bank_limits_deg": [0.0, 0.001]}
-    still = {"altitude_m": 70500.0, "velocity_m_s": 6500.0, "gamma_deg": -0.1, "heading_deg": 90.0, "latitude_deg": 0.0}
-    entry = Entry(spec(initial=still, guidance=glide | {"alpha_deg": [[0.0, 40.0]]}), ORBITER)
-    entry.flight[[pm.J2, pm.ROTATION, pm.FLATTENING]] = 0.0
-    entry.state = entry3dof.first_state(Initial(**still), entry.flight, entry.block, 0)
-    rows = entry.run(8000)[0]
-    longitude = rows[:, ROW.index("longitude_deg")]
-    a, b = (int(np.flatnonzero(rows[:, 2] < v)[0]) for v in (6000.0, 3000.0))
-    r = pm.WGS84_RADIUS_M + 60000.0
-    lift, drag, _ = AERO.coefficients(20.0, 40.0, rows[a, 5], rows[a, 6])
-    u = (rows[[a, b], 2] ** 2 + 2.0 * G0_M_S2 * (rows[[a, b], 1] - 60000.0)) * r / pm.WGS84_MU_M3_S2
-    range_m = 0.5 * r * lift / drag * math.log((1.0 - u[1]) / (1.0 - u[0]))
-    assert math.radians(longitude[b] - longitude[a]) * r == pytest.approx(range_m, rel=0.01)
+    (flown,) = glide()
+    assert flown.got == pytest.approx(flown.expected, rel=0.01)
 
 
 # ---- aerodynamics, atmosphere, winds -------------------------------------------------------------------------------
