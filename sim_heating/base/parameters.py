@@ -77,6 +77,7 @@ RATIO = (
 )
 """Parameters of the linear heating model, in the order of the kernel's parameter vector."""
 
+STACK_PREFIX = "stack."
 STACK = (
     Parameter("stack.coating.thickness_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared thickness"),
     Parameter("stack.coating.conductivity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
@@ -101,12 +102,22 @@ STACK = (
 )
 """Parameters of the thermal model; `back.*` start from what the stack declares."""
 
+LAYER = (
+    Parameter("thickness_factor", "1", 1.0, 0.1, 1e-3, 10.0, "thickness over the declared one"),
+    Parameter("conductivity_factor", "1", 1.0, 0.2, 1e-3, 10.0, "conductivity over the declared table"),
+    Parameter("heat_capacity_factor", "1", 1.0, 0.2, 1e-3, 10.0, "density times specific heat, over the declared ones"),
+)
+"""Parameters of a layer by its own name, `stack.NAME.PARAMETER`; layers of one name have them in common."""
+LAYER_SLOTS = 8
+"""Names of layers that a control point has parameters for, outermost first."""
+
 NONLINEAR = (
     "stack.coating.thickness_factor", "stack.contact_factor", "back.T_K", "stack.moisture.boil_K",
     "stack.moisture.condense_K", "stack.moisture.width_K", "stack.gap.depth_m",
     "stack.rsi.radiation_from_K",
 )  # fmt: skip
-"""Parameters in which the heat balance at given temperatures is not affine; those of effects count as such."""
+"""Parameters in which the heat balance at given temperatures is not affine; those of effects, and the thickness of any
+layer, count as such."""
 
 BOUNDARY = (
     *(p.name for p in RATIO), "stack.emissivity_factor", "back.h_W_m2K", "back.T_K", "back.emissivity",
@@ -130,6 +141,16 @@ SENSOR = {
 """Parameters of a thermocouple: `sensor.NAME.bias`, `sensor.NAME.gain` and `sensor.NAME.tau_s`."""
 
 MODEL = {p.name: p for p in (*RATIO, *STACK)}
-"""All parameters of a control point's model by name, except those of effects."""
+"""All parameters of a control point's model by name, except those of effects, and of layers by their own names."""
+
+
+def layer_parameter(name: str) -> tuple[str, Parameter] | None:
+    """Name of the layer and the parameter in `stack.NAME.PARAMETER`; None where it is no name of that form."""
+    stem, _, own = name.rpartition(".")
+    found = next((p for p in LAYER if p.name == own), None)
+    layer = stem.removeprefix(STACK_PREFIX)
+    return None if found is None or layer == stem or not layer else (layer, found)
+
+
 AT = "@"
 """Separates a parameter from its record or control point, in a fit of several."""

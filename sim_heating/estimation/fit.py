@@ -430,7 +430,8 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
         if bounded:
             lines.append(f"{u.label} is on its bound, {value:g}")
         # a lead of some seconds removes the whole lag of a coating: docs/clocks_and_starts.md, first table
-        if bounded and u.parameter.name == "stack.coating.thickness_factor" and value < 1.0:
+        model = problem.record_fits[u.records[0]].model
+        if bounded and model.same_parameter(u.parameter.name, "stack.coating.thickness_factor") and value < 1.0:
             lines.append(
                 "a coating thickness on its lower bound mostly indicates a clock error, thermocouples that lead the "
                 f"flight conditions; estimate {CLOCK_SKEW.name} as well"

@@ -49,7 +49,7 @@ from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
 from sim_heating.march.mesh_choice import meshes_on_flights
-from sim_heating.march.point import PointModel
+from sim_heating.march.point import PointModel, check_one_name
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
 
@@ -146,6 +146,7 @@ class FitProblem:
         march_names = tuple(n for n in names if n not in sensor_names)
         for name in march_names:
             model.definition(name)
+        check_one_name(model.name, model.places, march_names)
         return RecordFit(record, model, mesh, start, conditions_of_record(record), march_names, sensor_names)
 
     def _index_parameters(self) -> list[FitParameter]:

@@ -40,7 +40,7 @@ from sim_heating.base.files import (
     suggestion,
 )
 from sim_heating.base.limits import HOTTEST_K
-from sim_heating.base.parameters import MODEL
+from sim_heating.base.parameters import MODEL, layer_parameter
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
@@ -140,9 +140,11 @@ class Truth(Declared):
     @classmethod
     def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name in parameters:
-            if name not in MODEL:
+            own = layer_parameter(name)
+            if name not in MODEL and own is None:
                 raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
-            low, high = MODEL[name].lower, MODEL[name].upper
+            p = MODEL[name] if own is None or name in MODEL else own[1]
+            low, high = p.lower, p.upper
             if not low <= parameters[name] <= high:
                 raise ValueError(f"{name}: {parameters[name]:g} is outside its bounds {low:g} to {high:g}")
         return parameters

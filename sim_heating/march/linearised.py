@@ -18,7 +18,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
 from sim_heating.base.kernels.jit import call_step, njit, pointer
-from sim_heating.base.parameters import EFFECT_PREFIX, NONLINEAR, RATIO
+from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.march.point import PointModel, initial_temperatures
@@ -131,7 +131,9 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     definition, value = model.definition(name), abs(model.value(name))
     known = 0.0 < definition.sigma < np.inf
     scale = definition.sigma if known else max(value, 1.0)
-    curved = name in NONLINEAR or name.startswith(EFFECT_PREFIX) or (name in LINEAR_RATIO and _curved_in_ratio(model))
+    curved = (
+        model.is_curved(name) or name.startswith(EFFECT_PREFIX) or (name in LINEAR_RATIO and _curved_in_ratio(model))
+    )
     return (PERTURBATION if curved else AFFINE_PERTURBATION) * scale, curved
 
 

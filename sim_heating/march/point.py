@@ -16,24 +16,51 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, N_PARAMETERS, REFERENCE
-from sim_heating.base.parameters import BOUNDARY, EFFECT_PREFIX, MODEL, RATIO, Parameter
+from sim_heating.base.parameters import (
+    BOUNDARY,
+    EFFECT_PREFIX,
+    LAYER,
+    LAYER_SLOTS,
+    MODEL,
+    NONLINEAR,
+    RATIO,
+    STACK_PREFIX,
+    Parameter,
+    layer_parameter,
+)
 from sim_heating.heating.effects import EffectUse, check_count
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.thermal.elements import BOILS, CONDENSES, DEPOSITED, LATENT_HEAT, WIDTH, Elements
+from sim_heating.thermal.elements import (
+    BOILS,
+    CONDENSES,
+    DEPOSITED,
+    LATENT_HEAT,
+    OWN_WIDTH,
+    STACK_WIDTH,
+    WIDTH,
+    Elements,
+)
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import BackFace, Construction
 from sim_heating.thermal.tables import WallEnthalpy
 
 MODES = ("add", "multiply", "emittance")
 """Effects with a kernel, in the order in which they act."""
-COATING_PREFIX = "stack.coating."
+COATING_PREFIX, RSI_PREFIX = "stack.coating.", "stack.rsi."
 BACK = ("back.h_W_m2K", "back.T_K", "back.emissivity")
 MOISTURE = (LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH)
 MOISTURE_RUNAWAY = "moisture gives off more heat as it condenses than takes to warm what it condenses in"
 CONDENSATION_WIDTHS = 8.0
 """Widths about its condensation temperature outside of which moisture condenses to less than 1e-3."""
 VALUE_INDEX = {name: k for k, name in enumerate(MODEL)}
-"""Index of each parameter in PointModel.values."""
+"""Index in PointModel.values of each parameter that every point has."""
+_PARAMETERS = tuple(MODEL.values())
+_NOMINAL = np.ones(len(RATIO) + STACK_WIDTH)
+_NOMINAL[: len(MODEL)] = [p.value for p in _PARAMETERS]
+LEAST_BEHIND = 1e-3
+"""Least thickness left behind the deepest sensor in a layer, over the declared thickness [-]."""
+AMBIGUOUS = -1
+"""Place of a name that is the role of one layer, and what the file calls another."""
 
 
 def _unknown(point: str, name: str, known: Iterable[str]) -> str:
@@ -50,7 +77,8 @@ class PointModel:
     ratio         : declared ratio table [-], or None for ratio.d0 alone
     wall_enthalpy : constant cp [J/(kg K)] or the name of a gas model
     nodes         : number of nodes, or None to have it chosen
-    parameters    : dotted name -> value, in the unit of the parameter, where not nominal
+    parameters    : dotted name -> value, in the unit of the parameter, where not nominal; a layer by its own name or by
+                    its role (`stack.li900.conductivity_factor` is `stack.rsi.conductivity_factor` of a tile)
     reference     : values of the five ratio variables about which derivatives are defined [deg, deg, -, deg, deg]
     effects       : effects with their parameters
     lags_s        : time constants of the sensors' first-order lags [s], in the order of the depths; empty for none
@@ -73,13 +101,8 @@ class PointModel:
 
     def __post_init__(self) -> None:
         check_count(self.effects, self.name)
-        for key, value in self.parameters.items():
-            if key not in MODEL:
-                raise InputError(_unknown(self.name, key, MODEL))
-            if not MODEL[key].lower <= value <= MODEL[key].upper:
-                lower, upper = MODEL[key].lower, MODEL[key].upper
-                raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {lower:g} to {upper:g}")
         stack = self.construction.stack
+        self._check_parameters()
         for depth in self.depths_m:
             if not stack.holds(depth):
                 thickness = stack.thickness_m
@@ -98,6 +121,35 @@ class PointModel:
         # Last: it reads `values`, which are valid only after the checks above.
         if self.runs_away:
             raise InputError(f"{self.name}: {MOISTURE_RUNAWAY}; lower its deposit_J_kg or raise its width_K")
+
+    def _check_parameters(self) -> None:
+        for key, value in self.parameters.items():
+            if key not in self.places:
+                raise InputError(_unknown(self.name, key, self.places))
+            # A role that the point lacks, such as the coating of a wall of one layer, has no effect and does no harm.
+            p = MODEL[key] if key in MODEL else self.definition(key)
+            if not p.lower <= value <= p.upper:
+                raise InputError(f"{self.name}, {key}: {value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
+        check_one_name(self.name, self.places, self.parameters)
+
+    @cached_property
+    def places(self) -> Mapping[str, int]:
+        """Index in `values` of every parameter by dotted name, that of a layer by its own name and by its role.
+
+        The first layer and the insulation have roles. Layers of one name have their parameters in common; those of one
+        layer that has a role are the role's.
+        """
+        stack, insulation = self.construction.stack, insulation_layer(self.construction)
+        found = dict(VALUE_INDEX)
+        for slot, name in enumerate(_slot_names(self.construction)):
+            layers = [i for i, own in enumerate(stack.layer_names) if own == name]
+            role = RSI_PREFIX if layers == [insulation] else COATING_PREFIX if layers == [0] else None
+            for k, p in enumerate(LAYER):
+                of_role = None if role is None else VALUE_INDEX.get(f"{role}{p.name}")
+                place = len(MODEL) + OWN_WIDTH * slot + k if of_role is None else of_role
+                if found.setdefault(f"{STACK_PREFIX}{name}.{p.name}", place) != place:
+                    found[f"{STACK_PREFIX}{name}.{p.name}"] = AMBIGUOUS
+        return found
 
     @property
     def runs_away(self) -> bool:
@@ -124,13 +176,16 @@ class PointModel:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(parameter,) all parameters of heating ratio and stack, each in its own unit ([-], [1/deg], [K] ...).
+        """(parameter,) all parameters of heating ratio, stack and layers, each in its own unit ([-], [1/deg], [K] ...).
 
-        Nominal, then `back.*` as the stack declares, then those that an effect sets, the first such effect prevailing.
+        Their indices are `places`. Nominal, then `back.*` as the stack declares, then those that an effect sets, the
+        first such effect prevailing.
         Heating ratio: docs/equations.md, section 2; factors and moisture: docs/equations_march.md, equations 9, 10 and
         22.
         """
-        values = np.array([self.parameters.get(name, p.value) for name, p in MODEL.items()], dtype=float)
+        values = _NOMINAL.copy()
+        for name, value in self.parameters.items():
+            values[self.places[name]] = value
         for name in BACK:
             if name not in self.parameters:
                 values[VALUE_INDEX[name]] = self._declared_back(name)
@@ -152,7 +207,26 @@ class PointModel:
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
             return float(self.effects[use].values[k])
-        return float(self.values[VALUE_INDEX[name]])
+        return float(self.values[self._place(name)])
+
+    def _place(self, name: str) -> int:
+        """Index of a parameter in `values`.
+
+        raises : InputError where the point has none of this name, or the file calls another layer by that of a role
+        """
+        if name not in self.places:
+            found = layer_parameter(name)
+            own = self.construction.stack.layer_names
+            if found is not None and found[0] not in own:
+                layers = ", ".join(dict.fromkeys(own))
+                raise InputError(f"{self.name}: `{name}`: there is no layer `{found[0]}`; its layers are {layers}")
+            raise InputError(_unknown(self.name, name, self.places))
+        if self.places[name] == AMBIGUOUS:
+            raise InputError(
+                f"{self.name}: `{name}` is of the layer that the file calls so, and of another one by its role; give "
+                "the first another `name` in [[stack.layer]]"
+            )
+        return self.places[name]
 
     def _declared_back(self, name: str) -> float:
         back = self.construction.stack.back
@@ -165,17 +239,51 @@ class PointModel:
         The scale of its perturbation is the prior's sigma: docs/equations_march.md, equation 9.
 
         name   : dotted name, also `effect.NAME.PARAMETER`
-        raises : InputError with the nearest name where the model has no such parameter, or for a coating in a wall of
-                 one layer
+        raises : InputError with the nearest name where the model has no such parameter or layer, or for a coating in a
+                 wall of one layer
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
             return self.effects[use].definitions[k]
-        if name not in MODEL:
-            raise InputError(_unknown(self.name, name, MODEL))
-        if name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
+        place = self._place(name)
+        if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
             raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
-        return MODEL[name]
+        p = _PARAMETERS[place] if place < len(MODEL) else LAYER[(place - len(MODEL)) % OWN_WIDTH]
+        return replace(p, name=name, lower=max(p.lower, self._least_thickness(name)))
+
+    @property
+    def layer_parameters(self) -> list[tuple[str, Parameter]]:
+        """Name of the layer and definition of each parameter that a layer has by its own name alone, not by a role."""
+        return [
+            (layer, self.definition(name))
+            for layer in _slot_names(self.construction)
+            for name in (f"{STACK_PREFIX}{layer}.{p.name}" for p in LAYER)
+            if self.places[name] >= len(MODEL)
+        ]
+
+    def _least_thickness(self, name: str) -> float:
+        """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; 0 for other names."""
+        found, stack = layer_parameter(name), self.construction.stack
+        if found is None or found[1] is not LAYER[0]:
+            return 0.0
+        own, faces, parts = found[0], stack.interfaces_m, [0.0]
+        for i, of_layer in enumerate(stack.layer_names):
+            if of_layer == own or (i == 0 and f"{STACK_PREFIX}{own}." == COATING_PREFIX):
+                within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1]]
+                parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in within]
+        return max(parts)
+
+    def is_curved(self, name: str) -> bool:
+        """Whether the heat balance at given temperatures is not affine in a parameter of stack or ratio.
+
+        name : dotted name; a layer's by its own name or its role
+        """
+        found = layer_parameter(name)
+        return name in NONLINEAR or (found is not None and found[1] is LAYER[0])
+
+    def same_parameter(self, name: str, other: str) -> bool:
+        """Whether two dotted names are of one parameter, as those of a layer by its own name and by its role."""
+        return name == other or (name in self.places and self.places[name] == self.places.get(other))
 
     def at_faces(self, name: str) -> bool:
         """Whether a parameter changes only the heat that enters at the faces [W/m2], and nothing within the wall.
@@ -217,6 +325,8 @@ class PointModel:
                 effects[use][k] = value
             else:
                 self.definition(name)
+                for other in [n for n in parameters if self.same_parameter(name, n)]:
+                    del parameters[other]
                 parameters[name] = value
         used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         return self._unchecked(parameters=parameters, effects=used)
@@ -237,13 +347,50 @@ class PointModel:
         return other
 
 
+def check_one_name(where: str, places: Mapping[str, int], names: Iterable[str]) -> None:
+    """Refuse two names of one parameter.
+
+    where  : for the message;  places : index of each parameter by name
+    raises : InputError naming the two
+    """
+    seen: dict[int, str] = {}
+    for name in names:
+        first = seen.setdefault(places.get(name, AMBIGUOUS), name)
+        if name in places and first != name:
+            raise InputError(f"{where}: `{first}` and `{name}` are one parameter of the same layer; name it once")
+
+
+def _slot_names(construction: Construction) -> list[str]:
+    """Names of the layers that have parameters by them, outermost first, each once."""
+    return list(dict.fromkeys(construction.stack.layer_names))[:LAYER_SLOTS]
+
+
+def _stretch(mesh: Mesh) -> FloatArray:
+    """(element,) relative change of the length of each element over that of its layer's thickness [-].
+
+    Sensors at a face of the layer stay there; those within it keep their distance from its outer face, so that only the
+    part behind the deepest of them is stretched.
+    """
+    stretch = np.ones(len(mesh.layer))
+    for layer in set(mesh.layer[mesh.layer >= 0]):
+        own = np.flatnonzero(mesh.layer == layer)
+        behind = own[0] + max((node - own[0] for node in mesh.sensors if own[0] < node <= own[-1]), default=0)
+        whole, stretched = np.sum(mesh.length_m[own]), np.sum(mesh.length_m[behind : own[-1] + 1])
+        stretch[own] = np.where(own < behind, 0.0, whole / stretched)
+    return stretch
+
+
 def elements_of(construction: Construction, mesh: Mesh) -> Elements:
     """Elements of a mesh as the lanes of a point take them, lengths [m] and densities [kg/m3] among them.
 
     A contact resistance has no mass: its density is 0. Heat capacity of an element: docs/equations.md, section 3.
     """
     densities = np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
-    return Elements(mesh.layer, mesh.length_m, densities, insulation_layer(construction), mesh.bondline)
+    named, names = _slot_names(construction), construction.stack.layer_names
+    slots = np.array([*(named.index(n) if n in named else -1 for n in names), -1])[mesh.layer]
+    return Elements(
+        mesh.layer, mesh.length_m, densities, slots, _stretch(mesh), insulation_layer(construction), mesh.bondline
+    )
 
 
 def kernel_effects(model: PointModel) -> list[EffectUse]:
@@ -277,7 +424,7 @@ def heating_vector(model: PointModel) -> FloatArray:
 
 
 def stack_values(model: PointModel) -> FloatArray:
-    """(parameter,) values of the parameters of the stack, in the order of `parameters.STACK`.
+    """(STACK_WIDTH,) values of the parameters of the stack as its lane takes them (thermal/elements.py).
 
     model : the point; each parameter in its own unit ([-], [J/kg], [K], [m] ...)
 

@@ -43,6 +43,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.elementary import exp
 from sim_heating.base.kernels.jit import inline_always, njit
+from sim_heating.base.parameters import LAYER_SLOTS
 from sim_heating.heating.ratio.lookup import write_order
 
 (
@@ -51,6 +52,11 @@ from sim_heating.heating.ratio.lookup import write_order
     H_BEHIND, T_BEHIND, EPS_BEHIND,
 ) = range(20)  # fmt: skip
 """Indices of the parameters of parameters.STACK, in their order."""
+OWN = EPS_BEHIND + 1
+"""Index of the first parameter of a layer by its own name; behind those of parameters.STACK, slot by slot."""
+OWN_THICKNESS, OWN_CONDUCTIVITY, OWN_CAPACITY, OWN_WIDTH = range(4)
+"""Indices of the parameters of parameters.LAYER within a slot, and their number."""
+STACK_WIDTH = OWN + OWN_WIDTH * LAYER_SLOTS
 
 
 class Elements(NamedTuple):
@@ -59,6 +65,8 @@ class Elements(NamedTuple):
     layer         : (element,) index of its layer, -1 for a contact
     length_m      : (element,) declared length [m] or, of a contact, resistance [m2 K/W]
     density_kg_m3 : (element,) [kg/m3], 0 for a contact
+    slot          : (element,) slot of the parameters of its layer's own name, -1 where it has none
+    stretch       : (element,) relative change of its length over that of its layer's thickness [-]
     insulation    : index of the layer that `stack.rsi.*` is about
     bondline      : node down to which a gap reaches
     """
@@ -66,6 +74,8 @@ class Elements(NamedTuple):
     layer: IntArray
     length_m: FloatArray
     density_kg_m3: FloatArray
+    slot: IntArray
+    stretch: FloatArray
     insulation: int
     bondline: int
 
@@ -74,25 +84,31 @@ class Elements(NamedTuple):
 def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: FloatArray) -> None:
     """Write the elements and faces of a lane into the block of its group, with its parameters applied.
 
-        g = f_k / (f_x dx) [1/m],    M = rho f_c f_x dx / 2 [kg/m2];    a contact R [m2 K/W]: g = 1 / R, M = 0
+        g = f_k / l [1/m],    M = rho f_c l / 2 [kg/m2],    l = (1 + b (f_x - 1)) dx [m];
+        a contact R [m2 K/W]: g = 1 / R, M = 0
 
     B, J     : block of the lane group and its integers, changed;  lane : number of the lane in it
-    elements : elements of the point
-    p        : values of parameters.STACK, each in its unit
+    elements : elements of the point, b their stretch
+    p        : (STACK_WIDTH,) values of parameters.STACK and of the layers by their own names, each in its unit
 
     Source: docs/equations_thermal_step.md, equations 7, 8, 11 to 13 and 16.
     """
     layer, length_m, insulation = elements.layer, elements.length_m, elements.insulation
     for e in range(len(layer)):
-        length, conductivity, capacity, radiative = length_m[e], 1.0, 1.0, 0.0
+        thickness, conductivity, capacity, radiative = 1.0, 1.0, 1.0, 0.0
         # Asked first: a stack of one layer has no coating, and its layer is the insulation.
         if layer[e] == insulation:
             conductivity, capacity, radiative = p[RSI_CONDUCTIVITY], p[RSI_CAPACITY], p[RADIATIVE]
         elif layer[e] == 0:
-            length = p[COATING_THICKNESS] * length
-            conductivity, capacity = p[COATING_CONDUCTIVITY], p[COATING_CAPACITY]
+            thickness, conductivity, capacity = p[COATING_THICKNESS], p[COATING_CONDUCTIVITY], p[COATING_CAPACITY]
         elif layer[e] < 0:
-            length = p[CONTACT] * length
+            thickness = p[CONTACT]
+        if elements.slot[e] >= 0:
+            own = OWN + OWN_WIDTH * elements.slot[e]
+            thickness *= p[own + OWN_THICKNESS]
+            conductivity *= p[own + OWN_CONDUCTIVITY]
+            capacity *= p[own + OWN_CAPACITY]
+        length = (1.0 + elements.stretch[e] * (thickness - 1.0)) * length_m[e]
         half = 0.5 * elements.density_kg_m3[e] * length * capacity
         # Moisture is declared per mass of insulation, and so takes the heat-capacity factor with it.
         wet = half if layer[e] == insulation else 0.0
@@ -168,7 +184,7 @@ def set_point(
 
     B, J     : block of the lane group and its integers, changed
     elements : elements of the point, lengths [m] and densities [kg/m3] among them
-    stack    : values of parameters.STACK, each in its unit
+    stack    : (STACK_WIDTH,) values of parameters.STACK and of the layers by their own names, each in its unit
     heating  : (N_PARAMETERS,) its vector of heating parameters (base/kernels/block.py)
 
     Heat contents are left as they were: the next frame has to be one of step.EVALUATE_START.

@@ -238,9 +238,13 @@ def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
 
 
 class Layer(Declared):
-    """One layer of a stack: material, thickness [m], and contact resistance [m2 K/W] at its inner face (0: perfect)."""
+    """One layer of a stack: material, thickness [m], and contact resistance [m2 K/W] at its inner face (0: perfect).
+
+    name : in `stack.NAME.conductivity_factor`; that of its material where absent
+    """
 
     material: str = Field(description="name of a material")
+    name: str | None = Field(default=None, min_length=1, description="name in parameters, else its material")
     thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; omit a layer that is absent")
     contact_m2K_W: float = Field(default=0.0, ge=0.0, le=MOST, description="contact resistance in m2 K/W")
 
@@ -342,6 +346,11 @@ class Stack(Declared):
             return []
         last = len(self.layer) - 1
         return [(("layer", last, "contact_m2K_W"), "the last layer touches no other at its inner face; remove it")]
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Name of each layer, outermost first: its own, else that of its material."""
+        return tuple(layer.name or layer.material for layer in self.layer)
 
     @property
     def thickness_m(self) -> float:

@@ -196,3 +196,13 @@ def test_a_fit_of_the_stack_alone_draws_no_ratio(workdir: Path, tmp_path: Path) 
     estimate("first", "--parameters", "stack.coating.thickness_factor", out=tmp_path / "fit")
     assert (tmp_path / "fit" / "fit.png").exists()
     assert not (tmp_path / "fit" / "ratio.png").exists()
+
+
+def test_a_layer_by_its_own_name_is_estimated_as_by_its_role(
+    workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own, role = "stack.li900.conductivity_factor", "stack.rsi.conductivity_factor"
+    a, b = (estimate("first", "--parameters", f"ratio.scale,{n}", out=tmp_path / n)["parameters"] for n in (own, role))
+    assert (a["ratio.scale"], a[own]) == (b["ratio.scale"], b[role])
+    assert main(["estimate", "first", "--parameters", f"{own},{role}", "--out", str(tmp_path / "both")]) == 2
+    assert f"`{own}` and `{role}` are one parameter of the same layer; name it once" in capsys.readouterr().err

@@ -168,6 +168,10 @@ def test_sensitivities_to_stack_contact_and_back_face_are_exact():
     assert_exact(worst(point(), [p.name for p in STACK]))
 
 
+def test_sensitivities_to_layers_by_their_own_names_are_exact():
+    assert_exact(worst(point(), [p.name for _, p in point().layer_parameters]))
+
+
 @pytest.mark.parametrize("name", [e.name for e in effects().values() if e.kernel is not None])
 def test_sensitivities_to_every_effect_and_the_ratio_that_it_acts_on_are_exact(name):
     wanted = [f"{EFFECT_PREFIX}{name}.{p.name}" for p in effects()[name].parameters if p.sigma > 0.0]

@@ -124,6 +124,13 @@ def test_parameters_do_what_they_do_in_the_simulator(fmus, vehicle, flown):
     np.testing.assert_array_equal(found, plugin_temperatures(vehicle, given, parameters=changed))
 
 
+def test_a_deeper_layer_has_the_parameters_of_its_name(fmus, flown):
+    given, name = frames(flown, 1.0, 400.0), "V09T9527.stack.'nomex-sip'.heat_capacity_factor"
+    with Host(fmus[3]) as plain, Host(fmus[3], {name: 3.0}) as changed:
+        difference = fmu_temperatures(changed, given)[:, 0] - fmu_temperatures(plain, given)[:, 0]
+    assert 0.0 < np.max(np.abs(difference)) < 1.0  # far below the surface
+
+
 def test_flux_into_the_wall_is_what_the_flow_brings_less_what_is_radiated(fmus, flown):
     given = frames(flown, 1.0, 400.0)
     with Host(fmus[3]) as host:

@@ -24,6 +24,8 @@ class RecordChange:
     apply     : the changed record at a value; times and number of samples are those of the record given
     describe  : the change in words, with its value: "density of the flight conditions 8 % too low"
     starts    : values that a fit starts from where the neutral one is too far away
+    in_model  : whether the unknown is a parameter of the point's model by its dotted name, such as
+                `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
     """
 
     kind: Literal["flight", "wall", "sensor"]
@@ -32,6 +34,7 @@ class RecordChange:
     apply: Callable[[Record, float], Record]
     describe: Callable[[float], str]
     starts: tuple[float, ...] = ()
+    in_model: bool = False
 
     @property
     def neutral(self) -> float:

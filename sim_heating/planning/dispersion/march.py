@@ -22,7 +22,7 @@ from sim_heating.base.kernels.block import (
     N_CONDITIONS,
     RATIO_TABLE,
 )
-from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, STACK
+from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import VARIABLES
 from sim_heating.inputs.points import point_of_vehicle
@@ -44,7 +44,6 @@ SOAK_BEGINS_S = 60.0
 """Part of the soak that is marched in steps of the flight [s]."""
 STEP_TOLERANCE_K = TOLERANCE_K
 """Largest error of a step [K]: no finer than the meshes, which are the coarsest of the same error."""
-_STACK = {p.name: k for k, p in enumerate(STACK)}
 _RATIO = {p.name: k for k, p in enumerate(RATIO)}
 
 
@@ -135,8 +134,8 @@ class LaneMarch:
         """
         model = self.models[point]
         model.definition(name)
-        if name in _STACK:
-            return ParameterPlace(point, "stack", _STACK[name])
+        if model.places.get(name, -1) >= len(RATIO):
+            return ParameterPlace(point, "stack", model.places[name] - len(RATIO))
         if name in _RATIO:
             return ParameterPlace(point, "heating", _RATIO[name])
         effect, parameter = name.removeprefix(EFFECT_PREFIX).rsplit(".", 1)

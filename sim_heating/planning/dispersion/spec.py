@@ -21,7 +21,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, field_validator, model_validator
 
 from sim_heating.base.files import Declared, suggestion
-from sim_heating.base.parameters import EFFECT_PREFIX, MODEL
+from sim_heating.base.parameters import EFFECT_PREFIX, MODEL, layer_parameter
 
 FLIGHT_INPUTS = {
     "entry.altitude_m": ("altitude at entry", "m"),
@@ -66,7 +66,7 @@ class DispersedInput(Declared):
     @classmethod
     def _is_an_input(cls, name: str) -> str:
         known = [*FLIGHT_INPUTS, *MODEL]
-        if name not in known and not name.startswith(EFFECT_PREFIX):
+        if name not in known and not name.startswith(EFFECT_PREFIX) and layer_parameter(name) is None:
             raise ValueError(f"there is no input `{name}`{suggestion(name, known)}")
         return name
 

@@ -40,7 +40,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function
 from sim_heating.base.limits import LIMITS
-from sim_heating.base.parameters import RATIO, SENSOR, STACK, UNITS, Parameter
+from sim_heating.base.parameters import RATIO, SENSOR, STACK, STACK_PREFIX, UNITS, Parameter
 from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.effects import Effect, EffectUse, effects
 from sim_heating.heating.effects.compiled import (
@@ -355,7 +355,7 @@ class _HeatingPacker(ImagePacker):
             block = e.block(place.group)
             p = parameters_at(place.lane)
             row[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
-            row[k.P_STACK : k.P_STACK + len(STACK)] = stack_values(model)
+            row[k.P_STACK : k.P_STACK + k.STACK_WIDTH] = stack_values(model)
             limits = point.limits
             row[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
             row[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
@@ -369,6 +369,7 @@ class _HeatingPacker(ImagePacker):
                 image.add_integers(elements.layer), image.add_numbers(elements.length_m),
                 image.add_numbers(elements.density_kg_m3),
                 place.temperature(mesh.bondline), elements.insulation, elements.bondline,
+                image.add_integers(elements.slot), image.add_numbers(elements.stretch),
             ])  # fmt: skip
             named = len(image.variables)
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
@@ -407,6 +408,10 @@ class _HeatingPacker(ImagePacker):
             self._name_parameter(f"{name}.{p.name}", p, numbers + i)
         for i, p in enumerate(STACK):
             self._name_parameter(f"{name}.{p.name}", p, numbers + k.P_STACK + i)
+        # A host sets each number under one name: what a role names has no second one.
+        for layer, own in model.layer_parameters:
+            place = numbers + k.P_STACK + model.places[own.name] - len(RATIO)
+            self._name_parameter(f"{name}.{STACK_PREFIX}{quoted(layer)}.{own.name.rpartition('.')[2]}", own, place)
         for i, (variable, unit) in enumerate(zip(RATIO_VARIABLES, UNITS, strict=True)):
             text = "reference condition of the derivatives of the ratio"
             lower, upper, _ = LIMITS[variable]

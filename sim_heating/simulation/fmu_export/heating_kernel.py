@@ -99,7 +99,7 @@ from sim_heating.simulation.plugin_kernel import (
     derive_conditions,
 )
 from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
-from sim_heating.thermal.elements import EPS_BEHIND, Elements, set_point
+from sim_heating.thermal.elements import STACK_WIDTH, Elements, set_point
 from sim_heating.thermal.faces import SIGMA, emittance
 from sim_heating.thermal.frame import STAGE_ROWS
 
@@ -118,12 +118,13 @@ FRAME_WIDTH = len(FRAME) + 3
 HOST_WIDTH = 16
 
 # A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
-# their lengths and densities in R, place of the bondline in the state, layer of insulation, node of the bondline.
+# their lengths and densities in R, place of the bondline in the state, layer of insulation, node of the bondline,
+# places of the slots of the elements in N and of their stretch in R.
 (
-    P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM,
-) = range(10)  # fmt: skip
-POINT_INTS_WIDTH = 10
-STACK_WIDTH = EPS_BEHIND + 1
+    P_GROUP, P_LANE, P_LANES, P_ELEMENTS, P_LAYERS, P_LENGTHS, P_DENSITIES, P_BONDLINE, P_INSULATION, P_BOTTOM, P_SLOTS,
+    P_STRETCH,
+) = range(12)  # fmt: skip
+POINT_INTS_WIDTH = 12
 # A point's numbers: parameters as in a lane of the kernel (base/kernels/block.py), those of its stack, limits, outputs.
 P_STACK = N_PARAMETERS
 P_SURFACE_LIMIT, P_BONDLINE_LIMIT = P_STACK + STACK_WIDTH, P_STACK + STACK_WIDTH + 1
@@ -174,12 +175,13 @@ def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: boo
         if not differs:
             continue
         n = point[P_ELEMENTS]
-        layers = carray(at(N, point[P_LAYERS]), n)
+        layers, slots = carray(at(N, point[P_LAYERS]), n), carray(at(N, point[P_SLOTS]), n)
         lengths, densities = carray(at(R, point[P_LENGTHS]), n), carray(at(R, point[P_DENSITIES]), n)
         stack = carray(at(numbers, P_STACK), STACK_WIDTH)
         first, last = point[P_LANE], point[P_LANE] + point[P_LANES]
         heating = carray(numbers, N_PARAMETERS)
-        elements = Elements(layers, lengths, densities, point[P_INSULATION], point[P_BOTTOM])
+        stretch = carray(at(R, point[P_STRETCH]), n)
+        elements = Elements(layers, lengths, densities, slots, stretch, point[P_INSULATION], point[P_BOTTOM])
         set_point(B, J, first, last, elements, stack, heating)
 
 
