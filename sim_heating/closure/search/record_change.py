@@ -1,17 +1,43 @@
 """Hypotheses that are no aerothermal effect: the record itself is other than declared.
 
 A wrong density, a layer of another thickness or two swapped thermocouples are a change of the record's flight, wall or
-sensors. A change has one continuous unknown or none, such as a swap.
+sensors. A change has one continuous unknown v or none, such as a swap. The model of a trial fit is fitted to the
+changed record together with v: its parameters have the sensitivities of the march, v has that of the difference
+
+    dT/dv = (T(v + h) - T(v)) / h
+
+of two marches side by side, and Newton's iteration is that of every other fit. Likelihoods can be compared with those
+of effects on the same model: samples, noise and mesh correction are the same. Before a fit, one such step predicts what
+it can gain; changes that predict little are not fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
+from sim_heating.closure.search.candidates import Candidate
+from sim_heating.closure.search.screening import GAIN_MARGIN, MIN_GAIN_SHARE
+from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, candidate_problem, sample_count
+from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
+from sim_heating.estimation.inference.likelihood import scores
+from sim_heating.estimation.inference.newton import Evaluation, Fit, iteration
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.record_fit import FittedChannel, RecordFit
+from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.inputs.record import Record
+
+DIFFERENCE = 0.1
+"""Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
+ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
+"""Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
+NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +46,16 @@ class RecordChange:
 
     kind      : of the cause: "flight", "wall" or "sensor"
     what      : the change in words, without a value: "density of the flight conditions"
-    parameter : its unknown: neutral value, standard deviation that is usual, bounds; None for a change without one
-    apply     : the changed record at a value; times and number of samples are those of the record given
+    parameter : its unknown: neutral value, standard deviation that is usual (finite), bounds; None for a change without
+    apply     : the changed record at a value (0 where there is no parameter). The times of conditions and measurements
+                stay as they are; where readings change with the value, their sensor has no recorder word any more
     describe  : the change in words, with its value: "density of the flight conditions 8 % too low"
-    starts    : values that a fit starts from where the neutral one is too far away
+    starts    : further values that a fit may start from, where the neutral one is too far away
+    name      : the effect of a closure report that it is, such as "time-skew"; empty where no name covers it
+    form      : in words, what it has in common with changes of which one alone is fitted, such as layers of density
+                between other altitudes; by default `what`
+    near      : changes of the same form whose ends in time or altitude are moved by a fraction of its span; None where
+                it has no ends. Both ends are searched, and count as unknowns
     in_model  : whether the unknown is a parameter of the point's model by its dotted name, such as
                 `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
     """
@@ -35,8 +67,329 @@ class RecordChange:
     describe: Callable[[float], str]
     starts: tuple[float, ...] = ()
     in_model: bool = False
+    name: str = ""
+    form: str = ""
+    near: Callable[[float], Sequence[RecordChange]] | None = None
 
     @property
     def neutral(self) -> float:
         """Value at which the record is as declared; 0 for a change without a parameter, which has none."""
         return 0.0 if self.parameter is None else self.parameter.value
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns that it adds to a model: its parameter, and its ends."""
+        return (0 if self.parameter is None else 1) + (0 if self.near is None else 2)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ChangeFit:
+    """A model fitted to a changed record.
+
+    change : what was changed
+    value, sigma : of its parameter with its standard deviation, in its unit; 0 where it has none
+    trial  : the model on the changed record, whose `fit` has the model's parameters; effects may be tried on top of it
+    fit    : of all unknowns, the parameter of the change last
+    delta_bic : BIC minus that of the model on the record as declared, residuals taken as noise (c = 1)
+    """
+
+    change: RecordChange
+    value: float
+    sigma: float
+    trial: TrialFit
+    fit: Fit
+    delta_bic: float
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the value from the neutral one over the standard deviation that is usual [-]; 0 without one."""
+        parameter = self.change.parameter
+        return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
+
+    @property
+    def on_bound(self) -> bool:
+        """Whether the value is on a bound of its parameter."""
+        return self.change.parameter is not None and bool(self.fit.on_bound[-1])
+
+    def describe(self) -> str:
+        """The change in words with its value."""
+        return self.change.describe(self.value)
+
+    def __repr__(self) -> str:
+        return f"<ChangeFit: {self.describe()}, BIC {self.delta_bic:+.1f}>"
+
+
+class _ChangedModel:
+    """A trial fit's model on a changed record, as a function of its parameters and, last, the value of the change.
+
+    raises : InputError where the change has a parameter without a finite standard deviation
+    """
+
+    def __init__(self, base: TrialFit, change: RecordChange) -> None:
+        self.base, self.change = base, change
+        self.parameters, self.step = list(base.problem.parameters), 0.0
+        if change.parameter is not None:
+            if not 0.0 < change.parameter.sigma < np.inf:
+                raise InputError(f"{change.what}: its parameter needs a finite sigma above 0")
+            self.parameters.append(replace(change.parameter, sigma=WIDENED * change.parameter.sigma))
+            self.step = DIFFERENCE * change.parameter.sigma
+        self._problems: dict[float, FitProblem] = {}
+        self._moved = base.problem
+
+    def start(self, value: float) -> FloatArray:
+        """Vector of the base's estimates and a value of the change."""
+        return self.base.fit.values if self.change.parameter is None else np.append(self.base.fit.values, value)
+
+    def problem(self, value: float) -> FitProblem:
+        """The base's problem on the record changed by a value."""
+        if self.change.parameter is not None and value == self.change.neutral:
+            return self.base.problem
+        if value not in self._problems:
+            part = self.base.problem.record_fits[0]
+            self._problems[value] = _problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+        return self._problems[value]
+
+    def split(self, vector: FloatArray) -> tuple[FloatArray, float]:
+        """Parameters of the base's model, and value of the change."""
+        return (vector, 0.0) if self.change.parameter is None else (vector[:-1], float(vector[-1]))
+
+    def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
+        """Problems, each with its vector, that an evaluation needs marched."""
+        values, value = self.split(vector)
+        if self.change.parameter is None:
+            return [(self.problem(value), values)]
+        self._problems = {v: p for v, p in self._problems.items() if v == value}
+        whole = self.problem(value)
+        part = whole.record_fits[0]
+        changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
+        # its temperatures alone are needed: the march has no sensitivities
+        self._moved = _problem_over(self.base, part, changed, part.sensor_names)
+        self._moved.record_fits[0].model = part.model_at(values)
+        return [(whole, values), (self._moved, values[len(part.march_names) :])]
+
+    def _stepped(self, value: float) -> float:
+        """A value one step away, within the bounds."""
+        upper = np.inf if self.change.parameter is None else self.change.parameter.upper
+        return value + self.step if value + self.step <= upper else value - self.step
+
+    def evaluate(self, vector: FloatArray) -> Evaluation:
+        """Log likelihood, gradient and information at a vector whose marches are made (FitProblem.evaluate)."""
+        values, value = self.split(vector)
+        samples, m = self.problem(value).samples(values), len(self.parameters)
+        stepped, moved = self._stepped(value), samples
+        if self.change.parameter is not None:
+            moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
+        total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+        for s, t in zip(samples, moved, strict=True):
+            own = np.zeros((len(s.mean_K), m))
+            own[:, s.record_fit.index] = s.sensitivity
+            if self.change.parameter is not None:
+                own[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
+            of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
+            total, gradient = total + of_channel, gradient + score @ own
+            information += (own * weight[:, np.newaxis]).T @ own
+        return Evaluation(total, gradient, information)
+
+    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
+        """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
+        split = [self.split(v) for v in vectors]
+        return np.array([self.problem(value).log_likelihoods(at[np.newaxis])[0] for at, value in split])
+
+    def trial(self, fit: Fit) -> TrialFit:
+        """The base's model on the record as changed by the value found."""
+        values, value = self.split(fit.values)
+        held_out = None
+        if self.base.held_out is not None:
+            part = self.base.held_out.record_fits[0]
+            held_out = _problem_over(self.base, part, self.change.apply(part.record, value), part.names, held_out=True)
+        kept = np.arange(len(values))
+        return replace(self.base, problem=self.problem(value), held_out=held_out, fit=_selected(fit, kept))
+
+
+class _EstimatedModel(_ChangedModel):
+    """A change that is a parameter of the point's model: the march has its sensitivity."""
+
+    def __init__(self, base: TrialFit, change: RecordChange) -> None:
+        super().__init__(base, change)
+        part = base.problem.record_fits[0]
+        # the parameter of the change is the last of the march; those of clock and sensors follow
+        self._names = (*part.names, self.parameters[-1].name)
+        m, at = len(self.parameters), len(part.march_names)
+        self._order = np.insert(np.arange(m - 1), at, m - 1)
+        self._place = np.argsort(self._order)
+        self._problem = _problem_over(base, part, part.record, self._names)
+
+    def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
+        """The one problem, with its vector."""
+        return [(self._problem, vector[self._order])]
+
+    def evaluate(self, vector: FloatArray) -> Evaluation:
+        """As that of the problem, the parameter of the change last."""
+        found = self._problem.evaluate(vector[self._order])
+        information = found.information[np.ix_(self._place, self._place)]
+        return Evaluation(found.log_likelihood, found.gradient[self._place], information)
+
+    def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
+        """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
+        return self._problem.log_likelihoods(vectors[:, self._order])
+
+    def trial(self, fit: Fit) -> TrialFit:
+        """The base's model with the parameter of the change as one of its own."""
+        held_out = None
+        if self.base.held_out is not None:
+            part = self.base.held_out.record_fits[0]
+            held_out = _problem_over(self.base, part, part.record, self._names, held_out=True)
+        return replace(self.base, problem=self._problem, held_out=held_out, fit=_selected(fit, self._order))
+
+
+def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
+    """The model of a trial fit on a changed record."""
+    return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
+
+
+def _problem_over(
+    base: TrialFit, part: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
+) -> FitProblem:
+    """The base's problem over another record.
+
+    part : of the base's, with noise and mesh correction;  names : of the unknowns
+    """
+    more = {"sample_masks": [record.holdout_mask()]} if held_out else {}
+    return candidate_problem(base, replace(part, record=record), NO_EFFECT, names, prior_scale=WIDENED, **more)
+
+
+def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, moved: FittedChannel) -> FloatArray:
+    """(sample,) by how much predictions rise more than readings do, from one channel to another [K]."""
+    with np.errstate(invalid="ignore"):
+        read = [0.5 * (c.intervals.lower_K + c.intervals.upper_K) for c in (channel, moved)]
+        return np.asarray(moved_K - mean_K - np.nan_to_num(read[1] - read[0], nan=0.0))
+
+
+def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[Evaluation]:
+    """Evaluation of each model at its own vector, all marched side by side; NaN likelihood where a march failed."""
+    needed = [model.marches(vector) for model, vector in zip(models, vectors, strict=True)]
+    # several models may need the same march: that of the record as declared
+    flat = {id(p): (p, v) for pairs in needed for p, v in pairs if not p.has_cached(v)}
+    marched = JointMarch([p for p, _ in flat.values()]).march([v for _, v in flat.values()]) if flat else []
+    failed = {key for key, done in zip(flat, marched, strict=True) if not done}
+    return [
+        _failed(len(model.parameters)) if any(id(p) in failed for p, _ in pairs) else model.evaluate(vector)
+        for model, vector, pairs in zip(models, vectors, needed, strict=True)
+    ]
+
+
+def _failed(parameters: int) -> Evaluation:
+    """Evaluation where a march failed."""
+    return Evaluation(np.nan, np.zeros(parameters), np.zeros((parameters, parameters)))
+
+
+def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[float]:
+    """Log likelihood that one Gauss-Newton step from a vector predicts for each model; minus infinity where a march
+    failed."""
+    found = []
+    for model, at, here in zip(models, vectors, _evaluate_together(models, vectors), strict=True):
+        prior = np.array([p.sigma**-2.0 for p in model.parameters])
+        towards = prior * (np.array([p.value for p in model.parameters]) - at)
+        step = predicted_gain(here.gradient + towards, covariance(here.information + np.diag(prior)))
+        found.append(here.log_likelihood + step if np.isfinite(here.log_likelihood) else -np.inf)
+    return found
+
+
+def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, float]]:
+    """Gain in log likelihood that one Gauss-Newton step predicts for each change, and the value it starts from.
+
+    base    : the model that the changes are tried with
+    returns : by change, gain [-] and start: the best of the neutral value and its starts; minus infinity where the
+              changed record cannot be marched
+    """
+    starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
+    models = [_model(base, changes[k]) for k, _ in starts]
+    reached = _predicted(models, [m.start(value) for m, (_, value) in zip(models, starts, strict=True)])
+    best = [(-np.inf, change.neutral) for change in changes]
+    for (k, value), likelihood in zip(starts, reached, strict=True):
+        best[k] = max(best[k], (likelihood - base.fit.log_likelihood, value))
+    return best
+
+
+def fit_changes(base: TrialFit, changes: Sequence[RecordChange], best_gain: float = 0.0) -> list[ChangeFit]:
+    """Fit a model to its record with each change that promises enough, all side by side.
+
+    base      : the model, fitted to the record as declared
+    best_gain : best gain in log likelihood that is known of other explanations [-]; changes that predict less than a
+                quarter of it, or of the best change, or less than their unknowns cost, are not fitted
+    returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
+    raises    : InputError where a change has a parameter without a finite standard deviation
+    """
+    predicted = predicted_change_gains(base, changes)
+    n, least = sample_count(base.problem), MIN_GAIN_SHARE * max([best_gain, *(gain for gain, _ in predicted)])
+    best: dict[str, tuple[float, float, RecordChange]] = {}
+    for change, (gain, start) in zip(changes, predicted, strict=True):
+        form = change.form or change.what
+        if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
+            form not in best or gain > best[form][0]
+        ):
+            best[form] = gain, start, change
+    models = [_model(base, change) for _, _, change in best.values()]
+    fits = _maximise(models, [m.start(start) for m, (_, start, _) in zip(models, best.values(), strict=True)])
+    reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
+    for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
+        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > MIN_GAIN_SHARE * reached:
+            models[k], fits[k] = _with_best_ends(model, fit)
+    found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
+    return sorted(found, key=lambda f: f.delta_bic)
+
+
+def _with_best_ends(model: _ChangedModel, fit: Fit) -> tuple[_ChangedModel, Fit]:
+    """A change with ends, and its fit, with the ends where the likelihood is largest: a pattern search."""
+    best, at, reached = model, fit.values, fit.log_likelihood
+    for fraction in ENDS_MOVED:
+        moved = [] if best.change.near is None else list(best.change.near(fraction))
+        models = [_model(model.base, change) for change in moved]
+        predicted = _predicted(models, [at] * len(models))
+        k = int(np.argmax(predicted))
+        if predicted[k] > reached:
+            best, reached = models[k], predicted[k]
+    found = _maximise([best], [at])[0] if best is not model else fit
+    return (best, found) if found.log_likelihood > fit.log_likelihood else (model, fit)
+
+
+def _maximise(models: Sequence[_ChangedModel], starts: Sequence[FloatArray]) -> list[Fit]:
+    """The fit of each model, all iterated side by side."""
+    searches = [iteration(m.parameters, first, QUICK) for m, first in zip(models, starts, strict=True)]
+    requests, fits = {k: next(search) for k, search in enumerate(searches)}, dict[int, Fit]()
+    while requests:
+        going = tuple(requests)
+        found = _evaluate_together([models[k] for k in going], [requests[k] for k in going])
+        for k, evaluation in zip(going, found, strict=True):
+            try:
+                request = searches[k].send(evaluation)
+                while request.ndim == 2:
+                    request = searches[k].send(models[k].log_likelihoods(request))
+                requests[k] = request
+            except StopIteration as ended:
+                fits[k] = ended.value
+                del requests[k]
+    return [fits[k] for k in range(len(models))]
+
+
+def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit:
+    """The result of a fit, with the model on the changed record as a trial of its own."""
+    change, base, value = model.change, model.base, model.split(fit.values)[1]
+    gained = fit.log_likelihood - base.fit.log_likelihood
+    delta = float(-2.0 * gained + change.unknowns * np.log(sample_count(base.problem)))
+    sigma = 0.0 if change.parameter is None else float(fit.sigma[-1])
+    return ChangeFit(change, value, sigma, replace(model.trial(fit), delta_bic=delta), fit, delta)
+
+
+def _selected(fit: Fit, at: IntArray) -> Fit:
+    """A fit of some of its parameters, in another order, the others held at their values."""
+    return replace(
+        fit,
+        names=tuple(fit.names[k] for k in at),
+        values=fit.values[at],
+        covariance=fit.covariance[np.ix_(at, at)],
+        information=fit.information[np.ix_(at, at)],
+        prior_information=fit.prior_information[at],
+        on_bound=fit.on_bound[at],
+        history=fit.history[:, at],
+    )

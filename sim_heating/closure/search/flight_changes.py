@@ -1,0 +1,227 @@
+"""Changes of a record's flight: its density, velocity, angle of attack or clock is other than its conditions state.
+
+Whatever follows from a changed column changes with it: Reynolds and Mach number, free-stream and surface pressure, and
+the reference heating. Where the record names its reference heating, film coefficient and recovery enthalpy are computed
+from the changed columns by `conditions_of_record`. Where they are columns,
+
+    h_ref ~ rho^1/2 V,    H_r changes as H_0 - (1 - r) u_e^2 / 2 does,
+
+laminar stagnation heating (Sutton & Graves, NASA TR R-376, 1971) and the recovery of the point. The surface pressure
+keeps its part of the pressure rise at the stagnation point, which changes with the angle of attack as that of modified
+Newtonian flow where it has done so along the flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.parameters import Parameter
+from sim_heating.closure.search.record_change import RecordChange
+from sim_heating.heating.reference.models import reference_heating
+from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
+from sim_heating.inputs.record import Record
+
+DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
+VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
+ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack")
+SHIFT = Parameter("skew_s", "s", 0.0, 2.0, -900.0, 900.0, "by how much the flight was later than its conditions")
+"""Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
+velocity are usual, as is half a degree of angle of attack; clocks of two recorders are within seconds."""
+SHIFT_STARTS = (-300.0, -100.0, -30.0, -10.0, 10.0, 30.0, 100.0, 300.0)
+"""Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
+MIN_FLIGHT_M_S = 1000.0
+"""A record whose velocity stays below is a ground test."""
+LAYERS, DRIFTS = 8, 6
+"""Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
+tried."""
+HEATED = 0.15
+"""Part of the largest heating of a cold wall above which a flight counts as heated."""
+
+
+def flight_changes(record: Record, layers_m: Sequence[tuple[float, float]] = (),
+                   drifts_s: Sequence[tuple[float, float]] = ()) -> list[RecordChange]:  # fmt: skip
+    """Changes of the flight that may explain a record; none for a ground test.
+
+    layers_m : altitudes [m] between which the density is suspected, before all others
+    drifts_s : times [s] between which the velocity is suspected to drift
+    """
+    flown = record.conditions
+    if flown["velocity_m_s"].max() < MIN_FLIGHT_M_S:
+        return []
+    heated = _heated(flown)
+    z, t = flown["altitude_m"][heated], flown.time_s[heated]
+    layers = [*layers_m, *_parts(float(z.min()), float(z.max()), LAYERS)]
+    drifts = [*drifts_s, *_parts(float(t.min()), float(t.max()), DRIFTS)]
+    return [
+        time_shift(),
+        density_scale(),
+        velocity_scale(),
+        alpha_bias(),
+        *(density_layer(low, high) for low, high in dict.fromkeys(layers)),
+        *(velocity_drift(begin, end) for begin, end in dict.fromkeys(drifts)),
+    ]
+
+
+def _heated(flown: Conditions) -> BoolArray:
+    """(time,) whether laminar heating, rho^1/2 V^3, is a good part of its largest."""
+    heating = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3
+    return np.asarray(heating >= HEATED * heating.max())
+
+
+def _parts(low: float, high: float, count: int) -> list[tuple[float, float]]:
+    """Spans of one, two and four parts of a range that is divided into `count`, each beginning at every part."""
+    at = np.linspace(low, high, count + 1)
+    return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
+
+
+def time_shift() -> RecordChange:
+    """The flight was earlier or later than the clock of its conditions states."""
+
+    def describe(value: float) -> str:
+        return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
+
+    return RecordChange(
+        "flight", "time of the flight conditions", SHIFT, shift_conditions, describe, SHIFT_STARTS, name="time-skew"
+    )
+
+
+def density_scale() -> RecordChange:
+    """The density was another by a factor, along the whole flight."""
+    what = "density of the flight conditions"
+    return RecordChange("flight", what, DENSITY, lambda r, f: _with_density(r, f), _scaled(what))
+
+
+def density_layer(low_m: float, high_m: float) -> RecordChange:
+    """The density was another by a factor between two altitudes [m]."""
+
+    def apply(record: Record, factor: float) -> Record:
+        z = record.conditions["altitude_m"]
+        return _with_density(record, np.where((z >= low_m) & (z <= high_m), factor, 1.0))
+
+    def near(fraction: float) -> tuple[RecordChange, ...]:
+        return tuple(density_layer(*span) for span in _moved_ends(low_m, high_m, fraction))
+
+    what = f"density between {low_m / 1e3:.1f} and {high_m / 1e3:.1f} km"
+    words = _scaled(what)
+    return RecordChange("flight", what, DENSITY, apply, words, form="layer of density", near=near)
+
+
+def velocity_scale() -> RecordChange:
+    """The velocity was another by a factor, along the whole flight."""
+    what = "velocity of the flight conditions"
+    return RecordChange("flight", what, VELOCITY, lambda r, f: _with_velocity(r, f), _scaled(what))
+
+
+def velocity_drift(begin_s: float, end_s: float) -> RecordChange:
+    """The velocity drifts away between two times [s], and keeps the factor that it has at the second."""
+
+    def apply(record: Record, factor: float) -> Record:
+        drift = np.interp(record.conditions.time_s, [begin_s, end_s], [0.0, 1.0])
+        return _with_velocity(record, 1.0 + (factor - 1.0) * drift)
+
+    def near(fraction: float) -> tuple[RecordChange, ...]:
+        return tuple(velocity_drift(*span) for span in _moved_ends(begin_s, end_s, fraction))
+
+    what = f"drift of the velocity from {begin_s:.0f} to {end_s:.0f} s"
+    words = _scaled(what, ", at its end")
+    return RecordChange("flight", what, VELOCITY, apply, words, form="drift of the velocity", near=near)
+
+
+def alpha_bias() -> RecordChange:
+    """The angle of attack was another by some degrees, along the whole flight."""
+
+    def describe(value: float) -> str:
+        return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
+
+    return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, _with_alpha, describe)
+
+
+def _moved_ends(low: float, high: float, fraction: float) -> list[tuple[float, float]]:
+    """A span with either end moved by a fraction of its length."""
+    by = fraction * (high - low)
+    return [(low - by, high), (low + by, high), (low, high - by), (low, high + by)]
+
+
+def _scaled(what: str, more: str = "") -> Callable[[float], str]:
+    """Words for a factor of true over stated values."""
+
+    def describe(factor: float) -> str:
+        return f"{what} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{more}"
+
+    return describe
+
+
+# The changed conditions ----------------------------------------------------------------------------------------------
+
+
+def shift_conditions(record: Record, later_s: float) -> Record:
+    """The record with the conditions of a flight that was later by some seconds.
+
+    Before its first row and after its last one the shifted flight has the values of that row: samples stay the same,
+    so that likelihoods can be compared.
+    """
+    flown = record.conditions
+    at = np.clip(flown.time_s - later_s, flown.time_s[0], flown.time_s[-1])
+    moved = {name: np.interp(at, flown.time_s, values) for name, values in flown.columns.items() if name != "time_s"}
+    return replace(record, conditions=flown.with_columns(**moved))
+
+
+def _with_density(record: Record, factor: FloatArray | float) -> Record:
+    """The record with its density times a factor, at the temperature of the air."""
+    flown = record.conditions
+    columns = {"rho_kg_m3": flown["rho_kg_m3"] * factor, "p_inf_Pa": flown["p_inf_Pa"] * factor}
+    return _changed(record, columns)
+
+
+def _with_velocity(record: Record, factor: FloatArray | float) -> Record:
+    """The record with its velocity times a factor."""
+    flown = record.conditions
+    return _changed(record, {"velocity_m_s": flown["velocity_m_s"] * factor, "mach": flown["mach"] * factor})
+
+
+def _with_alpha(record: Record, bias_deg: float) -> Record:
+    """The record with its angle of attack larger by some degrees."""
+    return _changed(record, {"alpha_deg": record.conditions["alpha_deg"] + bias_deg})
+
+
+def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
+    """The record with changed columns of density, velocity or angle of attack, and all that follows from them."""
+    before, flown = record.conditions, record.conditions.with_columns(**columns)
+    density, speed = (_over(flown[name], before[name]) for name in ("rho_kg_m3", "velocity_m_s"))
+    more: dict[str, FloatArray] = {"log10_re": flown["log10_re"] + np.log10(density * speed)}
+    if "q_Pa" in flown:
+        more["q_Pa"] = flown["q_Pa"] * density * speed**2
+    if "p_surface_Pa" in flown:
+        more["p_surface_Pa"] = _surface_pressure(before, flown)
+    if record.declared.heating.reference == "columns":
+        recovery = record.declared.heating.recovery_of_point
+        # "none" has no film coefficient, only the recovery enthalpy of the point
+        H_r = [reference_heating("none", c, recovery=recovery)[1] for c in (before, flown)]
+        more["H_r_J_kg"] = flown["H_r_J_kg"] + H_r[1] - H_r[0]
+        more["h_ref_kg_m2_s"] = flown["h_ref_kg_m2_s"] * np.sqrt(density) * speed
+    return replace(record, conditions=flown.with_columns(**more))
+
+
+def _over(values: FloatArray, before: FloatArray) -> FloatArray:
+    """Ratio of two columns, 1 where the second is 0."""
+    return np.divide(values, before, out=np.ones_like(values), where=before != 0.0)
+
+
+def _surface_pressure(before: Conditions, flown: Conditions) -> FloatArray:
+    """Surface pressure [Pa] in changed conditions, its part of the pressure rise at the stagnation point kept."""
+    whole = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+    rise = [surface_pressure(whole, c) - c["p_inf_Pa"] for c in (before, flown)]
+    part = np.clip(np.divide(before["p_surface_Pa"] - before["p_inf_Pa"], rise[0], out=np.zeros_like(rise[0]),
+                             where=rise[0] > 0.0), 0.0, 1.0)  # fmt: skip
+    turned = flown["alpha_deg"] - before["alpha_deg"]
+    if np.any(turned):
+        angle, heated = np.degrees(np.arcsin(np.sqrt(part))), _heated(before)
+        # a windward surface follows the angle of attack; the pressure of a leeward one does not
+        if np.std((angle - before["alpha_deg"])[heated]) < 0.5 * np.std(before["alpha_deg"][heated]):
+            part = np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2
+    return np.asarray(flown["p_inf_Pa"] + part * rise[1])
