@@ -262,10 +262,10 @@ class PointModel:
         ]
 
     def _least_thickness(self, name: str) -> float:
-        """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; 0 for other names."""
+        """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; other names: no limit."""
         found, stack = layer_parameter(name), self.construction.stack
         if found is None or found[1] is not LAYER[0]:
-            return 0.0
+            return -np.inf  # derivatives of the ratio may be negative
         own, faces, parts = found[0], stack.interfaces_m, [0.0]
         for i, of_layer in enumerate(stack.layer_names):
             if of_layer == own or (i == 0 and f"{STACK_PREFIX}{own}." == COATING_PREFIX):

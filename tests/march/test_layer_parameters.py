@@ -102,3 +102,7 @@ def test_a_name_without_a_layer_is_refused(names, name, text):
     with pytest.raises(InputError, match="stack") as refused:
         point_of_record(named(TILE, **names)).definition(name)
     assert text in str(refused.value)
+
+
+def test_a_derivative_of_the_ratio_may_be_negative():
+    assert point_of_record(TILE).definition("ratio.d_beta").lower == -np.inf
