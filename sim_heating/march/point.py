@@ -262,7 +262,7 @@ class PointModel:
         ]
 
     def _least_thickness(self, name: str) -> float:
-        """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; other names: no limit."""
+        """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; else no limit."""
         found, stack = layer_parameter(name), self.construction.stack
         if found is None or found[1] is not LAYER[0]:
             return -np.inf  # derivatives of the ratio may be negative
