@@ -267,6 +267,20 @@ def vehicle_names() -> list[str]:
     return sorted({p.parent.name for folder in vehicle_folders() for p in folder.glob("*/vehicle.toml")})
 
 
+def library_materials() -> dict[str, Material]:
+    """Materials of all vehicles that can be loaded by name; of two of one name that of the first vehicle by name.
+
+    Files that are damaged are left out: they are errors of the vehicle that needs them.
+    """
+    found: dict[str, Material] = {}
+    for name in vehicle_names():
+        with suppress(InputError):
+            directory = vehicle_directory(name)
+            roots_of(directory / "vehicle.toml").check_links(directory)
+            found = {**_read_materials(directory, _Problems())[0], **found}
+    return found
+
+
 def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:
     found = sorted(directory.glob(pattern))
     if not found:

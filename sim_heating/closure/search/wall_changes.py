@@ -1,0 +1,176 @@
+"""Changes of the wall that no effect is: thickness, conductivity and heat capacity of its layers, other materials.
+
+Factors of a layer are parameters of the model by the layer's own name, with exact sensitivities. What an effect's name
+covers is left to the effect: the conductivity and heat capacity of the insulation, thickness and heat capacity of the
+coating. A density that is wrong is a wrong heat capacity, as the model knows only their product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from sim_heating.base.parameters import LAYER, STACK_PREFIX, Parameter
+from sim_heating.closure.search.record_change import RecordChange
+from sim_heating.heating.effects import effects
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.vehicle import library_materials
+from sim_heating.thermal.stack import Layer, Material, PressureTable
+
+THICKNESS, CONDUCTIVITY, HEAT_CAPACITY = (p.name for p in LAYER)
+QUANTITIES = {
+    THICKNESS: ("thickness", "thicker", "thinner"),
+    CONDUCTIVITY: ("conductivity", "above", "below"),
+    HEAT_CAPACITY: ("heat capacity (density times specific heat)", "above", "below"),
+}
+INSULATION, METAL, OTHER = "insulation", "metal", "other"
+INSULATES_W_MK, CONDUCTS_W_MK = 0.3, 5.0
+"""Conductivity below which a material is an insulation, and above which a metal or carbon, in the middle of its table
+[W/(m K)]."""
+
+
+def wall_changes(record: Record) -> list[RecordChange]:
+    """All changes of the wall of a record: factors of its layers, then materials of the library in place of its own."""
+    return [*layer_changes(record), *material_changes(record)]
+
+
+# Factors of a layer ---------------------------------------------------------------------------------------------------
+
+
+def layer_changes(record: Record) -> list[RecordChange]:
+    """Thickness, conductivity and heat capacity of every layer, without those that an effect is named after.
+
+    Priors are those of the model's parameters: the scatter that the stack declares, else the usual one.
+    """
+    model = point_of_record(record)
+    of_effects = {model.places.get(name) for effect in effects().values() for name in effect.model_parameters}
+    return [
+        _layer_change(layer, p.name, model.definition(name))
+        for layer in dict.fromkeys(record.declared.stack.layer_names)
+        for p in LAYER
+        if (name := f"{STACK_PREFIX}{layer}.{p.name}") in model.places and model.places[name] not in of_effects
+    ]
+
+
+def _layer_change(layer: str, own: str, parameter: Parameter) -> RecordChange:
+    quantity, above, below = QUANTITIES[own]
+
+    def describe(factor: float) -> str:
+        percent = 100.0 * abs(factor - 1.0)
+        size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {above if factor > 1.0 else below}"
+        thing = f"layer {layer}" if own == THICKNESS else f"{quantity} of layer {layer}"
+        return f"{thing} {size} {'than declared' if own == THICKNESS else 'the declared one'}"
+
+    return RecordChange(
+        "wall", f"{quantity} of layer {layer}", parameter, partial(with_factor, layer=layer, own=own), describe,
+        in_model=True,
+    )  # fmt: skip
+
+
+def with_factor(record: Record, factor: float, *, layer: str, own: str) -> Record:
+    """The record with a layer of another thickness, conductivity or heat capacity.
+
+    factor : over the declared value [-];  layer : its name;  own : name of the parameter in parameters.LAYER
+
+    Sensors at a face stay there, those within the layer keep their distance from its outer face.
+    """
+    stack = record.declared.stack
+    changed = [i for i, name in enumerate(stack.layer_names) if name == layer]
+    if own == THICKNESS:
+        return _with_thickness(record, changed, factor)
+    materials, layers = dict(record.declared.materials), list(stack.layer)
+    for i in changed:
+        # A material of its own: another layer of the same one stays as it is.
+        name = f"{layers[i].material}, {layer}"
+        materials[name] = _scaled(record.declared.materials[layers[i].material], own, factor)
+        layers[i] = layers[i].model_copy(update={"material": name, "name": layer})
+    return _with_layers(record, layers, materials)
+
+
+def _scaled(material: Material, own: str, factor: float) -> Material:
+    """A material with its conductivity, or its density, multiplied by a factor."""
+    if own == HEAT_CAPACITY:
+        return material.model_copy(update={"density_kg_m3": factor * material.density_kg_m3})
+    table = material.conductivity_W_mK
+    if isinstance(table, PressureTable):
+        k = [[factor * value for value in row] for row in table.k]
+        return material.model_copy(update={"conductivity_W_mK": table.model_copy(update={"k": k})})
+    return material.model_copy(update={"conductivity_W_mK": [[T_K, factor * k] for T_K, k in table]})
+
+
+def _with_thickness(record: Record, changed: Sequence[int], factor: float) -> Record:
+    """The record with layers of another thickness, its sensors and the declared profile moved with them."""
+    stack = record.declared.stack
+    thickness = np.array([layer.thickness_m for layer in stack.layer])
+    thickness[changed] *= factor
+    before, after = stack.interfaces_m, np.concatenate(([0.0], np.cumsum(thickness)))
+
+    def moved(depth_m: float) -> float:
+        # From the outermost face that is not above it: at a face it moves with it.
+        i = int(np.searchsorted(before, depth_m * (1.0 + 1e-9), side="right")) - 1
+        return float(after[i] + depth_m - before[i])
+
+    layers = [
+        layer.model_copy(update={"thickness_m": float(x)}) for layer, x in zip(stack.layer, thickness, strict=True)
+    ]
+    profile = stack.initial_profile and [[moved(x), T_K] for x, T_K in stack.initial_profile]
+    sensors = [s.model_copy(update={"depth_m": moved(s.depth_m)}) for s in record.sensors]
+    changed_stack = stack.model_copy(update={"layer": layers, "initial_profile": profile})
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    declared = record.declared.model_copy(update={"stack": changed_stack, "thermocouples": thermocouples})
+    return replace(record, declared=declared)
+
+
+def _with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str, Material]) -> Record:
+    """The record with other layers and materials."""
+    stack = record.declared.stack.model_copy(update={"layer": list(layers)})
+    return replace(record, declared=record.declared.model_copy(update={"stack": stack, "materials": dict(materials)}))
+
+
+# Materials of the library ---------------------------------------------------------------------------------------------
+
+
+def material_changes(record: Record) -> list[RecordChange]:
+    """Materials of the record and of the library in place of that of each layer, those of its own class alone."""
+    stack, declared = record.declared.stack, record.declared.materials
+    library = {f"{n} of the library" if n in declared else n: m for n, m in library_materials().items()}
+    return [
+        _material_change(layer, name, material)
+        for layer in dict.fromkeys(stack.layer_names)
+        for own in [declared[stack.layer[stack.layer_names.index(layer)].material]]
+        for name, material in {**library, **declared}.items()
+        if material != own and material_class(material) == material_class(own)
+    ]
+
+
+def _material_change(layer: str, name: str, material: Material) -> RecordChange:
+    text = f"layer {layer} behaves as {name}"
+    apply = partial(_with_material, layer=layer, name=name, material=material)
+    return RecordChange("wall", text, None, apply, lambda _: text, form=f"another material of layer {layer}")
+
+
+def material_class(material: Material) -> str:
+    """Insulation, metal, or other, such as a coating or an adhesive, by its conductivity."""
+    k = float(np.median(material.conductivity_grid()[2]))
+    return INSULATION if k < INSULATES_W_MK else METAL if k > CONDUCTS_W_MK else OTHER
+
+
+def _with_material(record: Record, _: float, *, layer: str, name: str, material: Material) -> Record:
+    """The record with another material in a layer; outermost it keeps the declared emittance where it states none."""
+    stack = record.declared.stack
+    layers = []
+    materials = dict(record.declared.materials)
+    for i, (own, called) in enumerate(zip(stack.layer, stack.layer_names, strict=True)):
+        if called != layer:
+            layers.append(own)
+            continue
+        if i == 0 and material.emissivity is None:
+            material = material.model_copy(update={"emissivity": materials[own.material].emissivity})
+        key = name if materials.get(name) in (None, material) else f"{name}, {layer}"
+        materials[key] = material
+        layers.append(own.model_copy(update={"material": key, "name": layer}))
+    return _with_layers(record, layers, materials)

@@ -1,0 +1,91 @@
+"""Walls that are other than declared: the thickness or a property of a layer, another material."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_heating.closure.search.record_change import fit_changes
+from sim_heating.closure.search.trial_fit import TrialFit, base_trial
+from sim_heating.closure.search.wall_changes import layer_changes, material_changes, wall_changes
+from sim_heating.estimation.fit import estimate
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.vehicle import library_materials
+from sim_heating.march.history import march_points
+from tests.support.walls import practice_record
+
+TILE = practice_record("p06")[0]
+"""Layers rcg, li900, rtv, sip, rtv, al2024, flown without an effect; sensors under the coating and on the skin."""
+SKIN = 5
+
+
+def declared_with(record: Record, layer: int | None = None, material: str = "", **changes: Any) -> Record:
+    """A record whose file declares another layer, or another material, than it was flown with."""
+    stack, materials = record.declared.stack, dict(record.declared.materials)
+    layers = list(stack.layer)
+    if layer is not None:
+        layers[layer] = layers[layer].model_copy(update=changes)
+    else:
+        materials[material] = materials[material].model_copy(update=changes)
+    stack = stack.model_copy(update={"layer": layers})
+    return replace(record, declared=record.declared.model_copy(update={"stack": stack, "materials": materials}))
+
+
+def base_of(record: Record) -> TrialFit:
+    return base_trial(estimate([record]))
+
+
+def test_every_layer_may_differ_except_in_what_an_effect_is_named_after():
+    changes = {c.parameter.name for c in layer_changes(TILE) if c.parameter is not None}
+    assert {"stack.al2024.thickness_factor", "stack.sip.conductivity_factor", "stack.li900.thickness_factor"} < changes
+    assert not {"stack.li900.conductivity_factor", "stack.rcg.thickness_factor"} & changes
+
+
+@pytest.mark.parametrize("change", layer_changes(TILE), ids=lambda c: c.what)
+def test_a_changed_record_is_the_model_with_the_parameter(change):
+    model = point_of_record(TILE).with_parameters({change.parameter.name: 1.3})
+    flown = conditions_of_record(TILE)
+    a, b = march_points([model, point_of_record(change.apply(TILE, 1.3))], [flown, flown])
+    np.testing.assert_allclose(a.sensors_K, b.sensors_K, atol=0.1)  # two meshes
+
+
+def test_a_skin_that_is_declared_too_thick_is_recognised():
+    thickness_m = 1.2 * TILE.declared.stack.layer[SKIN].thickness_m
+    found = fit_changes(base_of(declared_with(TILE, SKIN, thickness_m=thickness_m)), wall_changes(TILE))
+    likely = {f.change.what for f in found if f.delta_bic < found[0].delta_bic + 10.0}
+    assert likely == {"thickness of layer al2024", "heat capacity (density times specific heat) of layer al2024"}
+    assert found[0].value == pytest.approx(1.0 / 1.2, abs=4.0 * found[0].sigma)
+
+
+def test_another_material_is_recognised_among_those_of_the_library():
+    flown = TILE.declared.materials["li900"]
+    record = declared_with(TILE, material="li900", **dict(library_materials()["li2200"]))
+    record.declared.materials["tile"] = flown  # of the record's own materials one that no layer is declared of
+    found = fit_changes(base_of(record), material_changes(record))
+    assert found[0].describe() == "layer li900 behaves as tile"
+    assert found[0].trial.excess_chi2 < 0.3  # 0.1 with the mesh correction of this wall in place of the declared one
+    assert found[1].delta_bic > found[0].delta_bic + 1000.0
+
+
+def test_a_clean_record_has_no_other_wall():
+    assert min(f.delta_bic for f in fit_changes(base_of(TILE), wall_changes(TILE))) > -5.0
+
+
+def test_materials_of_the_library_stand_in_for_those_of_their_class():
+    offered = {c.what for c in material_changes(TILE)}
+    assert {"layer li900 behaves as li2200", "layer al2024 behaves as ti-6al-4v"} < offered
+    assert not {"layer al2024 behaves as li2200", "layer li900 behaves as li900"} & offered
+    change = next(c for c in material_changes(TILE) if c.what == "layer li900 behaves as li2200")
+    changed = change.apply(TILE, 0.0)
+    assert changed.construction.layer_materials()[1] == library_materials()["li2200"]
+    assert changed.construction.layer_materials()[2:] == TILE.construction.layer_materials()[2:]
+
+
+def test_changes_of_the_wall_describe_themselves():
+    texts = [c.describe(1.2) for c in wall_changes(TILE)]
+    assert "layer al2024 20 % thicker than declared" in texts
+    assert "conductivity of layer sip 20 % above the declared one" in texts
