@@ -1,14 +1,9 @@
 """Evidence of a flight on the nodes of a control point's ratio table, from an estimate and the records behind it.
 
-By the estimate, the ratio along the flown path is
-
-    r(x_t) = r_declared(x_t) + sum_k b_k(x_t) theta_k,   theta = theta_hat +- C
-    b = r_declared for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for the derivatives
-
-and the table's own ratio along it is W n (multilinear weights). Both are compared as functions of the same few
-parameters: W n - r_declared projected on b by least squares, weights O = (h_ref H_r)^2 as heat flux, gives the table's
-own value of theta, P (W n - r_declared) with P = (B' O B)^-1 B' O. So H = P W, y = theta_hat + P r_declared, and the
-rank of the evidence is the number of parameters, however many samples the path has: nothing is counted twice.
+By the estimate, the parameters of the linear model along the flown path are theta_hat +- C; by the table, with nodes n,
+they are P (W n - r_declared), the projection of closure/table_prior/flown_path.py. So H = P W,
+y = theta_hat + P r_declared, and the rank of the evidence is the number of parameters, however many samples the path
+has: nothing is counted twice.
 
 A parameter that the table cannot represent (the derivative against a variable with one node, the curvature within one
 cell) and one that is not of the ratio are marginalised: their rows and columns of C are left out. An estimate of
@@ -26,35 +21,16 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
+from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import Evidence, basis, node_weights
-from sim_heating.inputs.points import check_reference, conditions_of_record
-from sim_heating.inputs.record import Record, in_segments
+from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
+from sim_heating.inputs.points import check_reference
+from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 
 OUTSIDE_SHARE = 0.1
 """Share of the fitted samples outside a table's axes above which it is not updated."""
-MIN_SINGULAR_VALUE = 1e-6
-"""Singular value of the scaled basis below which two parameters cannot be distinguished along the path."""
-
-
-@dataclass(frozen=True)
-class FlownPath:
-    """The fitted samples.
-
-    x        : (sample, 5) ratio variables
-    weight   : (sample,) weight in the projection [(W/m2)^2]
-    declared : (sample,) ratio of the record's own table [-], 0 without one
-    """
-
-    x: FloatArray
-    weight: FloatArray
-    declared: FloatArray
-
-    def subset(self, chosen: BoolArray) -> FlownPath:
-        """The chosen samples."""
-        return FlownPath(self.x[chosen], self.weight[chosen], self.declared[chosen])
 
 
 @dataclass(frozen=True)
@@ -121,7 +97,10 @@ def flight_evidence(
     H, at_zero, representable = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
     if names:
         path, outside = _inside(path, point)
-        H, at_zero = _projection(names, path, estimate.reference_condition.values(), point.ratio)
+        P = projection(names, path, estimate.reference_condition.values())
+        # H = P W, with the multilinear weights W
+        H = np.asarray((node_weights(point.ratio.axes, path.x).T @ P.T).T)
+        at_zero = P @ path.declared
         representable = _representable(names, path, point.ratio)
     written = tuple(n for n, h in zip(names, representable, strict=True) if h)
     if not written and not effects:
@@ -138,25 +117,8 @@ def flight_evidence(
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The fitted samples of all records."""
     segments = estimate.segments
-    parts = [_record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
+    parts = [record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
     return FlownPath(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
-
-
-def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> FlownPath:
-    """The fitted samples of one record; `segments` as the estimate states them, None for those of the record."""
-    t = record.time_s
-    fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
-    fitted &= record.read_mask
-    span = record.conditions.time_s[[0, -1]]
-    t = t[fitted & (t >= span[0]) & (t <= span[1])]
-    if len(t) == 0:
-        raise InputError(f"{record.name}: no sample lies in the segments of the estimate; is it the record of the fit?")
-    flown = conditions_of_record(record).at(t)
-    x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
-    table = record.ratio_table
-    declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
-    # Weighted by the square of the heat flux, on which the temperatures depend.
-    return FlownPath(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
 
 
 def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
@@ -171,25 +133,6 @@ def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
             )
         out |= beyond
     return path.subset(~out), int(np.count_nonzero(out))
-
-
-def _projection(
-    names: Sequence[str], path: FlownPath, reference: FloatArray, table: RatioTable
-) -> tuple[FloatArray, FloatArray]:
-    """(k, node) H = P W, and (k,) P r_declared."""
-    B = basis(names, path.x, reference, path.declared)
-    root = np.sqrt(path.weight / np.sum(path.weight))
-    scale = np.sqrt(np.sum((B * root[:, None]) ** 2, axis=0))
-    # Projected, not sampled: the rank is the number of parameters at any sampling rate. Pseudo-measurements along the
-    # path were rejected, since their spacing and noise would be invented (decision 0006).
-    U, s, V = np.linalg.svd(B * root[:, None] / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    if len(B) < len(names) or s[-1] < MIN_SINGULAR_VALUE:
-        least = V[-1] if len(s) else np.ones(len(names))
-        alike = " and ".join(n for n, v in zip(names, least, strict=True) if abs(v) > 0.3)
-        raise InputError(f"the fitted samples cannot distinguish {alike}; are the records those of the estimate?")
-    P = (V.T / s) @ U.T * root / scale[:, None]
-    W = node_weights(table.axes, path.x)
-    return np.asarray((W.T @ P.T).T), P @ path.declared
 
 
 def _representable(names: Sequence[str], path: FlownPath, table: RatioTable) -> BoolArray:
