@@ -1,0 +1,137 @@
+"""Estimates that leave the prior of the declared table, and estimates that a record cannot tell apart, in words.
+
+Where table and bounds are right, estimates with flat priors are theta_hat ~ N(0, S), S = T + C, with the table's T
+(prior.py) and the bounds C of the fit, corrected for colour. theta_hat' S^-1 theta_hat is then chi-square distributed
+(docs/equations.md, equation 17). A parameter is named where it is off by more than three of its sigma, S_kk^(1/2).
+Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones on its
+diagonal, that contributes most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parameters import MODEL
+from sim_heating.closure.table_prior.prior import TablePrior
+from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.observability import variables_of
+
+MOST_SIGMA = 3.0
+"""Sigmas of table and bounds together by which an estimate may be off."""
+COLLINEAR = 0.95
+"""Correlation of two estimates above which a record does not tell them apart."""
+NAMED_COMPONENT = 0.3
+"""Component of a combination of unit length above which a parameter is named."""
+VARIABLE_WORDS = ("alpha", "beta", "Reynolds-number", "elevon", "body-flap")
+"""The ratio variables in words."""
+UNIT_WORDS = {"1": "", "1/deg": "/deg", "1/deg2": "/deg2"}
+
+
+@dataclass(frozen=True)
+class TableFinding:
+    """A parameter of the linear model, or a combination of some, that leaves the prior of the declared table.
+
+    what       : in words, with value and sigmas
+    parameters : name -> estimate, sigma of its bound, each in the unit of the parameter
+    sigmas     : by which it is off, of table and bounds together
+    p_value    : probability of at least this if table and bounds are right
+    """
+
+    what: str
+    parameters: Mapping[str, tuple[float, float]]
+    sigmas: float
+    p_value: float
+
+
+def table_findings(fit: FitResult, prior: TablePrior | None) -> list[TableFinding]:
+    """What of a fit leaves the prior of the declared table by more than three sigmas, the farthest first.
+
+    fit   : of one record, with flat priors on the parameters of the linear model
+    prior : of its table for these parameters; None where the record has no table
+    """
+    names = [n for n in (prior.names if prior else ()) if n in fit.labels]
+    if prior is None or not names:
+        return []
+    of_fit, of_prior = [fit.labels.index(n) for n in names], [prior.names.index(n) for n in names]
+    value, C = fit.fit.values[of_fit], fit.bounds.covariance[np.ix_(of_fit, of_fit)]
+    S = prior.covariance[np.ix_(of_prior, of_prior)] + C
+    # a parameter without a bound is not off anything
+    known = np.isfinite(np.diag(S))
+    names = [n for n, k in zip(names, known, strict=True) if k]
+    value, C, S = value[known], C[np.ix_(known, known)], S[np.ix_(known, known)]
+    estimates = {n: (float(v), float(s)) for n, v, s in zip(names, value, np.sqrt(np.diag(C)), strict=True)}
+    z = value / np.sqrt(np.diag(S))
+    found = [
+        TableFinding(table_error(n, v[0], abs(float(u))), {n: v}, abs(float(u)), math.erfc(abs(u) / math.sqrt(2.0)))
+        for (n, v), u in zip(estimates.items(), z, strict=True)
+        if abs(u) > MOST_SIGMA
+    ]
+    return sorted(found, key=lambda f: -f.sigmas) or _combination(estimates, z, S)
+
+
+def _combination(estimates: Mapping[str, tuple[float, float]], z: FloatArray, S: FloatArray) -> list[TableFinding]:
+    """The combination that is farthest off where no parameter alone is, and all together are; else nothing.
+
+    z : (k,) estimates over their sigmas;  S : (k, k) covariance of table and bounds
+    """
+    sigma = np.sqrt(np.diag(S))
+    eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
+    off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, np.finfo(float).eps))
+    p_value = float(chi2.sf(float(off @ off), len(off)))
+    if p_value > math.erfc(MOST_SIGMA / math.sqrt(2.0)):
+        return []
+    k = int(np.argmax(np.abs(off)))
+    order = np.argsort(-np.abs(vectors[:, k]))
+    listed = list(estimates)
+    members = [listed[i] for i in order if abs(vectors[i, k]) > NAMED_COMPONENT]
+    text = (
+        f"the table's {_listed([table_word(n) for n in members])} are off together "
+        f"({abs(off[k]):.1f} sigma along their combination, each less by itself)"
+    )
+    return [TableFinding(text, {n: estimates[n] for n in members}, abs(float(off[k])), p_value)]
+
+
+def table_error(name: str, value: float, sigmas: float | None = None) -> str:
+    """An error of the declared table in words: "the table's alpha derivative is too low by 0.012/deg".
+
+    name   : of a parameter of the linear model;  value : in its unit, what the table lacks
+    sigmas : by which it is off, where they are known
+    """
+    number = f"{abs(value):.2g}"
+    size = f"{100.0 * abs(value):.2g} %" if name == "ratio.scale" else number + UNIT_WORDS[MODEL[name].unit]
+    off = "" if sigmas is None else f" ({sigmas:.1f} of its sigma)"
+    return f"the table's {table_word(name)} is too {'low' if value > 0.0 else 'high'} by {size}{off}"
+
+
+def table_word(name: str) -> str:
+    """A parameter of the linear model in words: `magnitude`, `alpha derivative`, `alpha-elevon derivative`."""
+    variables = [VARIABLE_WORDS[i] for i in variables_of(name)]
+    if not variables:
+        return "magnitude"
+    second = "second " if name.endswith("2") else ""
+    return f"{second}{'-'.join(variables)} derivative"
+
+
+def collinear_directions(fit: FitResult) -> list[str]:
+    """One line for each pair of estimates that the records cannot tell apart, the closest first."""
+    R = fit.correlation
+    pairs = [(a, b) for a, b in combinations(range(len(fit.labels)), 2) if abs(R[a, b]) > COLLINEAR]
+    return [
+        f"{fit.labels[a]} and {fit.labels[b]} cannot be told apart in {_records(fit)}: correlation {R[a, b]:.3f}"
+        for a, b in sorted(pairs, key=lambda p: -abs(R[p]))
+    ]
+
+
+def _records(fit: FitResult) -> str:
+    return "this record" if len(fit.problem.record_fits) == 1 else "these records"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join((", ".join(words[:-1]), words[-1])) if len(words) > 1 else words[0]
