@@ -7,13 +7,13 @@ their parameters are those of the record.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX
+from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
@@ -50,6 +50,7 @@ class Candidate:
     start      : their values to start from
     active     : those that change the prediction at the start
     with_prior : those whose prior counts in the score; a parameter that is started from several values has none
+    priors     : parameters that have another prior than the model's or their own, such as a flat one
     """
 
     name: str
@@ -58,6 +59,7 @@ class Candidate:
     start: Mapping[str, float]
     active: tuple[str, ...]
     with_prior: tuple[str, ...]
+    priors: Mapping[str, Parameter] = field(default_factory=dict)
 
     @property
     def form(self) -> Form:
@@ -106,7 +108,13 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
             continue
         free = tuple(p.name for p in used.definitions if p.sigma > 0.0)
         declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
-        onsets = {start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values}
+        bounds = {p.name: (p.lower, p.upper) for p in used.definitions}.get(ONSET_NAME, (-np.inf, np.inf))
+        # a criterion such as Re_theta over M_e may lie below any onset in a part of the flight
+        onsets = {
+            onset
+            for start in starts
+            if (onset := start.values.get(ONSET_NAME, np.nan)) > bounds[0] and onset < bounds[1]
+        }
         for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)

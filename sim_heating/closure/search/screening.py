@@ -8,13 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import QUICK, TrialFit, candidate_problem, fitted_values, start_values
+from sim_heating.closure.search.trial_fit import (
+    QUICK,
+    TrialFit,
+    candidate_problem,
+    fitted_values,
+    sample_count,
+    start_values,
+)
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Fit, Status
@@ -50,7 +58,8 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
 
     returns : minus infinity where the model cannot be marched at the start
 
-    The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start.
+    The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start, and
+    its priors: what a candidate gains is gained of likelihood and prior density together.
     """
     part, start = base.problem.record_fits[0], fitted_values(base)
     fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
@@ -60,12 +69,34 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
     known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
-    inner = known[:, [k for k, n in enumerate(part.names) if n not in part.sensor_names]]
+    mean = np.array([p.value for p in base.problem.parameters])
     marched, scored = JointMarch(problems).march(firsts), _ScoreCache()
-    return [
-        _predicted_likelihood(problem, first, inner, scored) - base.fit.log_likelihood if done else -np.inf
-        for problem, first, done in zip(problems, firsts, marched, strict=True)
-    ]
+    limit, gains = _largest_gain(base), []
+    for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
+        # a parameter of the base that a candidate frees of its prior is the candidate's own
+        inner = [k for k, n in enumerate(part.names) if n not in part.sensor_names and n not in candidate.active]
+        prior = _KnownPart(known[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
+        reached = _predicted_likelihood(problem, first, prior, scored) if done else -np.inf
+        gains.append(min(reached - base.fit.log_likelihood, limit))
+    return gains
+
+
+def _largest_gain(base: TrialFit) -> float:
+    """Gain in log likelihood of a model that leaves noise alone: more is predicted only beyond the linear range.
+
+    A declared transition is started from onsets all over the flight, where it may change temperatures by hundreds of
+    kelvin; the prediction of such a start knows no bounds.
+    """
+    return max(0.5 * sample_count(base.problem) * base.excess_chi2, 0.0) + GAIN_MARGIN
+
+
+class _KnownPart(NamedTuple):
+    """What a prediction takes from the base: of its parameters (sample, k) sensitivities, prior information, and the
+    distance of its values from the means of the priors."""
+
+    sensitivity: FloatArray
+    prior_information: FloatArray
+    to_mean: FloatArray
 
 
 class _ScoreCache(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
@@ -79,8 +110,8 @@ class _ScoreCache(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]])
         return self[key]
 
 
-def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: FloatArray, scored: _ScoreCache) -> float:
-    """Log likelihood after a Gauss-Newton step; known : (sample, parameter) sensitivities of the base."""
+def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: _KnownPart, scored: _ScoreCache) -> float:
+    """Log likelihood after a Gauss-Newton step, and what the base gains of its prior density by that step."""
     channels = problem.samples(first)
     channel_scores = [scored.score(s) for s in channels]
     score, weight = np.concatenate([f[1] for f in channel_scores]), np.concatenate([f[2] for f in channel_scores])
@@ -90,9 +121,12 @@ def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: FloatAr
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
-    J = np.column_stack([known, own[:, ~on_bound & (information > 0.0)]])
-    M = J.T @ (J * weight[:, np.newaxis])
-    return sum(f[0] for f in channel_scores) + predicted_gain(J.T @ score, covariance(M))
+    J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
+    M, g = J.T @ (J * weight[:, np.newaxis]), J.T @ score
+    count = len(known.prior_information)
+    M[range(count), range(count)] += known.prior_information
+    g[:count] += known.prior_information * known.to_mean
+    return sum(f[0] for f in channel_scores) + predicted_gain(g, covariance(M))
 
 
 def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:
