@@ -1,10 +1,11 @@
 """Candidates ranked by the Bayesian information criterion.
 
-    BIC = -2 log L / c + k log n,
+    BIC = -2 log L / c - 2 log p + k log n,
 
-k parameters estimated from n samples. c is the reduced chi-square of the best model, at least 1: what even the best
-model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model Selection and
-Multimodel Inference, 2nd ed., sec. 2.5). The score adds
+k parameters estimated from n samples. p is the prior density of the declared table at its magnitude and derivatives: a
+candidate with which they return to the table gains that. c is the reduced chi-square of the best model, at least 1:
+what even the best model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model
+Selection and Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 
 - two for the logarithm of the number of forms of an effect, and the squares of the sigmas by which magnitudes are off
   their priors: many forms, and values that nobody would expect, have their price;
@@ -21,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, sample_count
+from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, is_of_table, sample_count, table_log_prior
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
 
@@ -80,15 +81,18 @@ def score_round(
 
 def model_bic(trial: TrialFit, best: TrialFit) -> float:
     """BIC of a whole model with the segments held out, residuals on the scale of those of the best model."""
-    c, parameters = max(1.0, 1.0 + best.excess_chi2), len(trial.problem.unknowns)
+    c = max(1.0, 1.0 + best.excess_chi2)
     held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
-    return -2.0 * (trial.fit.log_likelihood / c + held_out) + parameters * float(np.log(sample_count(trial.problem)))
+    # Those with the prior of the table are common to all models; a model that frees one of them has one more.
+    parameters = np.count_nonzero([not is_of_table(u.parameter) for u in trial.problem.unknowns])
+    log_posterior = trial.fit.log_likelihood / c + held_out + table_log_prior(trial.fit)
+    return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
 
 
 def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
     """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
-    gained = fit.log_likelihood - base.fit.log_likelihood
-    return float(-2.0 * gained / c + len(candidate.names) * np.log(sample_count(base.problem)))
+    gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
+    return float(-2.0 * gained + len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:

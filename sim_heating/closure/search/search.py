@@ -22,13 +22,14 @@ from sim_heating.closure.search.trial_fit import (
     QUICK,
     TrialFit,
     base_trial,
+    declared_fit,
     fitted_values,
     held_out_problem_with,
     problem_with,
     sample_count,
     start_values,
 )
-from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
@@ -78,7 +79,7 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     raises : InputError, RunError where not even the declared model can be fitted
     """
     progress(0.02, "declared model")
-    before = estimate([record])
+    before = declared_fit(record)
     base = base_trial(before)
     rounds: list[SearchRound] = []
     added: list[TrialFit] = []

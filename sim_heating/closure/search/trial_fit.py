@@ -7,6 +7,7 @@ out are marched in the same way and never fitted; how well a candidate predicts 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,10 +18,12 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import CLOCK_SKEW, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
 from sim_heating.closure.search.candidates import Candidate
-from sim_heating.estimation.fit import FitResult, lag1_autocorrelation, predict_fit, rms_normalised_residual
+from sim_heating.closure.table_prior.prior import table_prior, undeclared_derivatives
+from sim_heating.estimation.fit import FitResult, estimate, lag1_autocorrelation, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
+from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.estimation.side_by_side import maximise_together
@@ -33,7 +36,10 @@ from sim_heating.thermal.frame import NOT_CONTROLLED_K
 AGREEMENT = 0.25
 """Part of the sample interval within which two recorders' clocks are taken to agree."""
 WIDENED = 3.0
-"""Factor on the sigma of effects' priors in the search, which only keep a first step within reason."""
+"""Factor on the sigma of effects' priors in the search, which only keep a first step within reason; not on the priors
+of the declared table, which are part of the model."""
+OF_TABLE = tuple(p.name for p in RATIO)
+"""Magnitude and derivatives: parameters that a declared table has a prior for."""
 NODE_FRACTION, MIN_NODES = 1.0 / 3.0, 14
 """Nodes of the search over those of a fit, and their least number."""
 QUICK = NewtonSettings(
@@ -42,6 +48,7 @@ QUICK = NewtonSettings(
     iterations=25,
     step_fractions=(0.5, 0.25, 0.1, 0.03, 0.01, 1e-3),
     trust_radius=0.4,
+    unlimited=OF_TABLE,
 )
 
 
@@ -99,19 +106,35 @@ class TrialFit:
         return f"<TrialFit of {self.name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
 
 
+def declared_fit(record: Record) -> FitResult:
+    """The declared model's magnitude and derivatives fitted with flat priors, without those that its table excludes.
+
+    raises : InputError, RunError where not even the declared model can be fitted
+    """
+    wanted = default_names([record])
+    excluded = undeclared_derivatives(record, wanted)
+    fit = estimate([record], [n for n in wanted if n not in excluded])
+    return replace(fit, not_estimated=fit.not_estimated | excluded)
+
+
 def base_trial(before: FitResult) -> TrialFit:
-    """The declared model with its magnitude and derivatives, and a clock that may be slightly off."""
+    """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
+
+    Magnitude and derivatives have the prior of the declared table, as wide as it is.
+    """
     whole = before.problem.record_fits[0]
+    prior = table_prior(whole.record, whole.names, before.problem.reference)
+    priors = {} if prior is None else prior.parameters()
     start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
     fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
-    full = _declared_problem(before, whole.record, fitted | held_out)
-    thinned = _declared_problem(before, thin, fitted | held_out, **THINNED_STEPS)
+    full = _declared_problem(before, whole.record, priors, fitted | held_out)
+    thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = _thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_]) -> FitProblem:
-        problem = _declared_problem(before, thin, chosen, **THINNED_STEPS)
+        problem = _declared_problem(before, thin, priors, chosen, **THINNED_STEPS)
         part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
         return problem
@@ -125,8 +148,10 @@ def base_trial(before: FitResult) -> TrialFit:
     return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
 
 
-def _declared_problem(before: FitResult, record: Record, chosen: NDArray[np.bool_], **more: Any) -> FitProblem:
-    """The declared model over chosen samples of a record, whole or thinned."""
+def _declared_problem(
+    before: FitResult, record: Record, priors: Mapping[str, Parameter], chosen: NDArray[np.bool_], **more: Any
+) -> FitProblem:
+    """The declared model over chosen samples of a record, whole or thinned; priors are those of its table."""
     whole = before.problem.record_fits[0]
     interval = float(np.median(np.diff(whole.record.time_s)))
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
@@ -138,7 +163,7 @@ def _declared_problem(before: FitResult, record: Record, chosen: NDArray[np.bool
         [record],
         names,
         before.problem.reference,
-        FitOptions(priors=clock, prior_scale=WIDENED, sample_masks=[chosen], **more),
+        FitOptions(priors={**priors, **clock}, prior_scale=WIDENED, sample_masks=[chosen], **more),
     )
     problem.record_fits[0].sigma_K.update(whole.sigma_K)
     return problem
@@ -183,13 +208,15 @@ def candidate_problem(
 ) -> FitProblem:
     """A part of the base with the effects found so far and those of a candidate.
 
-    Its noise and mesh correction are the base's; its clock has the base's bounds, unless the candidate estimates it.
+    Its noise and mesh correction are the base's, as are the bounds of the clock and the priors of the table, unless the
+    candidate has others.
     part : the base's part over the fitted or held-out samples;  names : of all estimated parameters
     """
     uses = (*fitted_effects(base), *candidate.uses)
     priors: dict[str, Parameter] = dict(base.problem.priors)
     if CLOCK_SKEW.name in candidate.names:
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
+    priors |= candidate.priors
     more |= {"effects": uses, "priors": priors, **THINNED_STEPS}
     problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
@@ -212,6 +239,20 @@ def fitted_values(trial: TrialFit) -> dict[str, float]:
 def fitted_effects(trial: TrialFit) -> tuple[EffectUse, ...]:
     """The effects of a trial's model at the estimates."""
     return trial.problem.record_fits[0].model_at(trial.fit.values).effects
+
+
+def is_of_table(parameter: Parameter) -> bool:
+    """Whether a parameter has the prior of the declared table."""
+    return parameter.name in OF_TABLE and math.isfinite(parameter.sigma)
+
+
+def table_log_prior(fit: Fit) -> float:
+    """Log prior density of magnitude and derivatives by the declared table, without its constant [-].
+
+    The means are 0, the table as it is; parameters with a flat prior add nothing.
+    """
+    of_table = np.array([n in OF_TABLE for n in fit.names])
+    return -0.5 * float(np.sum(fit.prior_information[of_table] * fit.values[of_table] ** 2))
 
 
 def sample_count(problem: FitProblem) -> int:

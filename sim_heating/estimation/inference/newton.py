@@ -89,6 +89,7 @@ class NewtonSettings:
     step_fractions  : fractions of the full step [-], the best of which is taken
     trust_radius    : limit on the change of a parameter in one step, over the sigma of its prior [-], for a strongly
                       nonlinear model
+    unlimited       : labels of parameters with a prior that `trust_radius` does not limit: the model is linear in them
     first_values    : label of a parameter -> value that the search begins with; the prior's value for all others
 
     Source: docs/estimation_statistics.md, equation 17 and the line search above it.
@@ -99,6 +100,7 @@ class NewtonSettings:
     iterations: int = 50
     step_fractions: tuple[float, ...] = tuple(0.5**k for k in range(8))
     trust_radius: float = math.inf
+    unlimited: tuple[str, ...] = ()
     first_values: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -291,16 +293,25 @@ def iteration(
     settings = settings or NewtonSettings()
     first = [settings.first_values.get(p.name, p.value) for p in parameters] if start is None else start
     at = np.clip(np.asarray(first, dtype=float), posterior.lower, posterior.upper)
-    search = _NewtonSearch(posterior, settings, at, on_step)
+    names = tuple(p.name for p in parameters)
+    limited = np.array([name not in settings.unlimited for name in names])
+    search = _NewtonSearch(posterior, settings, at, limited, on_step)
     status = yield from search.run()
-    return search.fit(tuple(p.name for p in parameters), status)
+    return search.fit(names, status)
 
 
 class _NewtonSearch:
     """State of a search: current point, evaluation there, damping and trust."""
 
-    def __init__(self, posterior: _Posterior, settings: NewtonSettings, at: FloatArray, on_step: StepCallback) -> None:
-        self.posterior, self.settings, self.on_step = posterior, settings, on_step
+    def __init__(
+        self,
+        posterior: _Posterior,
+        settings: NewtonSettings,
+        at: FloatArray,
+        limited: BoolArray,
+        on_step: StepCallback,
+    ) -> None:
+        self.posterior, self.settings, self.limited, self.on_step = posterior, settings, limited, on_step
         self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
         self.history = [at]
 
@@ -371,7 +382,7 @@ class _NewtonSearch:
             unlimited = np.full_like(self.at, np.inf)
             return -unlimited, unlimited
         # the prior's sigma is the scale of the radius; a flat prior gives a parameter no limit
-        prior = self.posterior.information
+        prior = np.where(self.limited, self.posterior.information, 0.0)
         radius = trust * self.settings.trust_radius / np.sqrt(np.where(prior > 0.0, prior, np.finfo(float).tiny))
         begin = self.history[-1] - self.at
         return (
