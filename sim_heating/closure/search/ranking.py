@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,6 +35,8 @@ class SearchRound:
     trials            : the best trial fit of each effect, best first
     posterior         : the probability of each with equal prior ones, `none` included
     screened_out      : effects that were not fitted, with the BIC difference that their best start predicts
+    tried, predicted  : all candidates, and the gain in log likelihood of each that its start predicts
+    forms             : number of forms of each effect that were tried
     """
 
     base: TrialFit
@@ -42,6 +44,9 @@ class SearchRound:
     trials: tuple[TrialFit, ...]
     posterior: Mapping[str, float]
     screened_out: Mapping[str, float]
+    tried: tuple[Candidate, ...] = ()
+    predicted: tuple[float, ...] = ()
+    forms: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         best = ", ".join(f"{t.name} {t.score:+.1f}" for t in self.trials[:3])
@@ -71,7 +76,7 @@ def score_round(
         t.name: delta_bic(base, t.fit, t.candidate, c)
         - 2.0 * (t.held_out_log_likelihood - held_out) / c_held_out
         + 2.0 * float(np.log(forms[t.name]))
-        + prior_penalty(t)
+        + prior_penalty(t, t.candidate)
         for t in trials
     }
     posterior = posteriors({"none": 0.0, **scores})
@@ -103,10 +108,10 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
     return {name: w / total for name, w in weight.items()}
 
 
-def prior_penalty(trial: TrialFit) -> float:
-    """Sum of the squares of the sigmas by which the estimates are off their priors."""
+def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
+    """Sum of the squares of the sigmas by which the estimates of an effect of a trial's model are off their priors."""
     part, found = trial.problem.record_fits[0], fitted_values(trial)
-    priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in trial.candidate.with_prior}
+    priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.with_prior}
     return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in priors.items()))
 
 

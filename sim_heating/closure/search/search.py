@@ -1,10 +1,11 @@
 """Search for the effects that the declared model of a record lacks.
 
 The declared model's magnitude and derivatives are fitted first. Then every candidate is screened (screening.py), the
-promising ones are fitted together with these (trial_fit.py), and all are ranked (ranking.py). The best is added where
-its score is below that of none by more than MIN_BIC_GAIN and it explains a good part of the excess chi-square. This is
-repeated until no candidate is added. Where a further effect was added, each earlier one is reconsidered with it in the
-model.
+promising ones are fitted together with these (trial_fit.py), and the leading ones are fitted to convergence in their
+simplest and richest forms (refine.py). Where the best single effect explains the record to its noise the search ends.
+Otherwise a further effect is sought on top of each of several first ones, jointly with it. A further effect has to
+explain a good part of the remaining excess, and to improve the prediction of the segments held out; at the end each is
+left out in turn, and stays out where the score does not suffer. All models are then compared (hypothesis.py).
 """
 
 from __future__ import annotations
@@ -16,10 +17,18 @@ import numpy as np
 
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.search.candidates import candidates
-from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, model_bic, score_round
+from sim_heating.closure.search.hypothesis import (
+    MIN_BIC_GAIN,
+    Conclusion,
+    Hypothesis,
+    conclude,
+    hypothesis,
+    scored,
+)
+from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
+from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
 from sim_heating.closure.search.trial_fit import (
-    QUICK,
     TrialFit,
     base_trial,
     declared_fit,
@@ -34,17 +43,12 @@ from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
-MIN_BIC_GAIN = 10.0
-"""How much lower the score of an effect has to be than that of none."""
-MIN_SHARE, MIN_FIRST_SHARE = 0.5, 0.3
-"""Part of the excess chi-square that an effect has to explain; the first of several may leave more to the others."""
+FIRST_PICKS, SECOND_PICKS = 3, 2
+"""Effects that a second one is sought on top of, and second ones that are kept of each."""
+MIN_SHARE = 0.5
+"""Part of the remaining excess chi-square that a further effect has to explain."""
 MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first: a first one of another form leaves less."""
-MIN_EXPLAINED = 0.8
-"""Part of the excess that all effects together have to explain to be named: any form fits anything a little."""
-MAX_LAG1 = 0.5
-"""Lag-1 autocorrelation above which something is missing although no candidate explains it; the coloured noise of a
-recorder has a fifth of its variance in common between neighbours."""
 MAX_EFFECTS = 3
 
 
@@ -52,22 +56,29 @@ MAX_EFFECTS = 3
 class SearchResult:
     """The result of the search for missing effects in one record.
 
-    before  : the declared model's fit, its magnitude and derivatives
-    rounds  : passes over the candidates
-    added   : trial fits whose effects were added, in order
-    unknown : whether a significant residual remains that no candidate explains
+    before     : the declared model's fit, its magnitude and derivatives
+    rounds     : passes over the candidates, the first one on top of the declared model
+    hypotheses : all models that were fitted to convergence, best first; those that may not be named come last
+    conclusion : what follows from them
     """
 
     record: Record
     before: FitResult
     rounds: tuple[SearchRound, ...]
-    added: tuple[TrialFit, ...]
-    unknown: bool
+    none: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    conclusion: Conclusion
+
+    @property
+    def added(self) -> tuple[TrialFit, ...]:
+        """Trial fits whose effects are added to the model, in order; none where nothing is named."""
+        named = self.conclusion.finding in ("found", "one of")
+        return self.conclusion.best.trials if named else ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the added effects; else `unknown` or `none`."""
-        return tuple(t.name for t in self.added) or (("unknown",) if self.unknown else ("none",))
+        return tuple(t.name for t in self.added) or (("none",) if self.conclusion.finding == "none" else ("unknown",))
 
     def __repr__(self) -> str:
         return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
@@ -81,60 +92,85 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     progress(0.02, "declared model")
     before = declared_fit(record)
     base = base_trial(before)
-    rounds: list[SearchRound] = []
-    added: list[TrialFit] = []
-    while len(added) < MAX_EFFECTS:
-        begin = 0.1 + 0.9 * len(added) / MAX_EFFECTS
-
-        def report(fraction: float, text: str, begin: float = begin, number: int = len(added) + 1) -> None:
-            progress(begin + 0.9 * fraction / MAX_EFFECTS, f"effect {number}: {text}")
-
-        rounds.append(search_round(added[-1] if added else base, [t.name for t in added], report))
-        best = _worth_adding(rounds, added)
-        if best is None:
-            break
-        # With two effects in a record the best single one may be a third that resembles both.
-        added = _reconsider(base, [*added, best], report)
-        if added[-1].excess_chi2 < MIN_OVER_FIRST * _explained_by_first(rounds, added):
-            break  # a further effect would have to explain more than remains
-    return SearchResult(record, before, tuple(rounds), *_conclusion(rounds, added))
-
-
-def _worth_adding(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> TrialFit | None:
-    """The best trial of the last round where it explains enough to be added."""
-    last = rounds[-1]
-    best = last.trials[0] if last.trials else None
-    if best is None or best.score > -MIN_BIC_GAIN:
-        return None
-    if added:
-        # More than for the first: an effect whose form in nature differs from that of the library leaves some per cent,
-        # which is not a second effect.
-        least = max(MIN_SHARE * last.excess_chi2, MIN_OVER_FIRST * _explained_by_first(rounds, added))
-    else:
-        least = MIN_FIRST_SHARE * last.excess_chi2
-    return best if last.excess_chi2 - best.excess_chi2 >= least else None
+    first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
+    singles = _refined(base, first, _part(progress, 0.35, 0.5, "one effect"))
+    none = hypothesis([base], {})
+    rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
+    rated = scored(none, found)
+    if _more_is_missing(none, rated):
+        picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
+        for n, pick in enumerate(picks):
+            at = 0.5 + 0.3 * n / len(picks)
+            more, pairs = _with_one_more([pick.trial], first.forms, _part(progress, at, at + 0.1, "two effects"))
+            rounds.append(more)
+            found += pairs
+        rated = _accepted(none, found)
+        if _more_is_missing(none, rated) and len(rated[0].names) == 2:
+            more, triples = _with_one_more(rated[0].trials, first.forms, _part(progress, 0.8, 0.9, "three effects"))
+            rounds.append(more)
+            found += triples
+        found += _pruned(base, _accepted(none, found), first.forms)
+        rated = _accepted(none, found)
+    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclude(none, rated))
 
 
-def _explained_by_first(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> float:
-    """Part of the excess chi-square that the first effect explained."""
-    return rounds[0].excess_chi2 - added[0].excess_chi2
+def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
+    """Progress of a part of the search."""
+    return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{what}: {text}")
 
 
-def _reconsider(base: TrialFit, added: list[TrialFit], progress: Progress) -> list[TrialFit]:
-    """The effects, one of the earlier ones replaced where another is better now that the last is in the model.
+def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
+    """Whether something is missing that no admissible hypothesis explains to the noise."""
+    if not rated or min(h.last.delta_bic for h in rated) > -MIN_BIC_GAIN:
+        return False
+    return not (rated[0].admissible and rated[0].adequate)
 
-    Where two effects act, the first one found may be a third that resembles both together.
-    """
-    for earlier in added[:-1]:
-        others = [t for t in added if t is not earlier]
-        without = _stack_effects(base, others, fitted_values(added[-1]))
-        trials = search_round(without[-1], [t.name for t in others], progress).trials
-        best = next(iter(trials), None)
-        if best is None or best.name == earlier.name:
-            continue
-        if model_bic(best, best) < model_bic(added[-1], best) - MIN_BIC_GAIN:
-            return [*without, best]
-    return added
+
+def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Contender]:
+    """The leading candidates of a round, fitted to convergence."""
+    progress(0.0, f"fitting the leading of {len(found.trials)} candidates to convergence")
+    return refine(base, found.trials, found.tried, found.predicted)
+
+
+def _with_one_more(
+    below: Sequence[TrialFit], forms: Mapping[str, int], progress: Progress
+) -> tuple[SearchRound, list[Hypothesis]]:
+    """The round on top of some effects, and the hypotheses with one effect more."""
+    more = search_round(below[-1], [t.name for t in below], progress)
+    refined = _refined(below[-1], more, progress)
+    leading = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[:SECOND_PICKS]
+    return more, [hypothesis([*below, k.trial], {**forms, **more.forms}) for k in leading]
+
+
+def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses best first, without those whose further effects explain too little."""
+    singles = [h for h in found if len(h.names) == 1]
+    kept = list(singles)
+    for count in range(2, MAX_EFFECTS + 1):
+        # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
+        # a further effect adds.
+        simpler = min((h for h in kept), key=lambda h: h.excess_chi2, default=none)
+        least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
+        for h in found:
+            if len(h.names) != count:
+                continue
+            gained = simpler.excess_chi2 - h.excess_chi2
+            least = max(MIN_SHARE * simpler.excess_chi2, MIN_OVER_FIRST * least_explained)
+            predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
+            if gained >= least and predicts:
+                kept.append(h)
+    return scored(none, kept)
+
+
+def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int]) -> list[Hypothesis]:
+    """The best hypothesis without each of its effects in turn, where it has several."""
+    if not rated or len(rated[0].names) < 2:
+        return []
+    best = rated[0]
+    return [
+        hypothesis(_stack_effects(base, [t for t in best.trials if t is not left_out], fitted_values(best.last)), forms)
+        for left_out in best.trials
+    ]
 
 
 def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:
@@ -143,22 +179,10 @@ def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[
     for trial in effects:
         below, own = stack[-1], {n: values[n] for n in trial.candidate.names}
         problem, held_out = problem_with(below, trial.candidate), held_out_problem_with(below, trial.candidate)
-        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **own})], QUICK)[0]
-        stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit))
+        fit = maximise_together([problem], [start_values(problem, {**fitted_values(below), **own})], CONVERGE)[0]
+        delta = delta_bic(base, fit, trial.candidate, 1.0)
+        stack.append(replace(trial, problem=problem, held_out=held_out, fit=fit, delta_bic=delta))
     return stack[1:]
-
-
-def _conclusion(rounds: Sequence[SearchRound], added: Sequence[TrialFit]) -> tuple[tuple[TrialFit, ...], bool]:
-    """The trials whose effects are named, and whether the residual is unknown: significant, and not explained."""
-    first = rounds[0]
-    explicable = bool(first.trials) and first.trials[0].score <= -MIN_BIC_GAIN
-    # A residual correlated from sample to sample is not noise even where no candidate explains it. Of 210 records
-    # without an effect none exceeds 0.22.
-    significant = explicable or first.base.lag1_autocorrelation > MAX_LAG1
-    remaining = added[-1].excess_chi2 if added else first.excess_chi2
-    if added and first.excess_chi2 - remaining >= MIN_EXPLAINED * first.excess_chi2:
-        return tuple(added), False
-    return (), significant
 
 
 def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
@@ -187,4 +211,5 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
         if candidate.name not in best:
             predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
-    return score_round(base, trials, screened_out, count_forms(tried))
+    scored_round = score_round(base, trials, screened_out, count_forms(tried))
+    return replace(scored_round, tried=tuple(tried), predicted=tuple(gains), forms=count_forms(tried))

@@ -1,0 +1,172 @@
+"""Whether a model explains a record to its noise: residuals normalised by what noise and rounding give, and a p-value.
+
+For the true model the reduced chi-square is 1 over any part of the record, and neighbouring residuals are uncorrelated
+but for the colour of the recorder's noise. Each part's excess is compared with its own scatter,
+
+    t = (chi2 - 1) / (a + sqrt(2 (1 + rho^2) / ((1 - rho^2) n))),
+
+n samples with lag-1 autocorrelation rho (variance of a sum of squares of a first-order autoregressive process), a the
+error that meshes and steps leave. So are the autocorrelation itself and the number of sign changes, which for white
+noise is half the number of pairs (Wald and Wolfowitz 1940). The largest t over the whole fit, the segments held out,
+the sensors and eight consecutive parts of the record is compared with its distribution over records of known truth,
+fitted with the true effect (closure_calibration.json): the share of those with a larger one is the p-value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import read_json
+from sim_heating.estimation.inference.likelihood import likelihood
+from sim_heating.estimation.record_fit import PredictedSamples
+
+CALIBRATION = Path(__file__).parents[1] / "closure_calibration.json"
+PARTS, FEWEST = 8, 12
+"""Consecutive parts of a record that are judged by themselves, and the least number of samples of one."""
+MODEL_ERROR = 0.03
+"""Excess chi-square that meshes and steps may leave [-]."""
+MAX_LAG1, COLOUR = 0.4, 0.1
+"""Largest autocorrelation that counts as the colour of noise [-], and that by which recorders' colours differ."""
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """How well a model explains a record.
+
+    p_value      : share of records of known truth that look worse when fitted with the true effect
+    chi2_fit     : reduced chi-square of the fitted samples [-];  chi2_holdout : of those held out, None where none are
+    lag1         : lag-1 autocorrelation of the normalised residuals [-]
+    sign_changes : share of neighbouring residuals with different signs [-], half for white noise
+    by_sensor, by_phase : reduced chi-square of each sensor, and of consecutive parts by their times
+    statistic    : the largest excess over its scatter
+    """
+
+    p_value: float
+    chi2_fit: float
+    chi2_holdout: float | None
+    lag1: float
+    sign_changes: float
+    by_sensor: Mapping[str, float]
+    by_phase: Mapping[str, float]
+    statistic: float
+
+    @property
+    def beyond_all(self) -> bool:
+        """Whether it is larger than on every record of known truth."""
+        return self.statistic > float(_true_statistics()[-1])
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        return {
+            "p_value": self.p_value, "chi2_fit": self.chi2_fit, "chi2_holdout": self.chi2_holdout, "lag1": self.lag1,
+            "sign_changes": self.sign_changes, "by_sensor": dict(self.by_sensor), "by_phase": dict(self.by_phase),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Scores:
+    """Squared scores and information of samples, in the order of time."""
+
+    time_s: FloatArray
+    square: FloatArray
+    information: FloatArray
+
+    def chi2(self) -> float:
+        """Reduced chi-square [-]; 1 where no sample has any information."""
+        total = float(np.sum(self.information))
+        return float(np.sum(self.square)) / total if total > 0.0 else 1.0
+
+    def select(self, chosen: Any) -> _Scores:
+        """The chosen samples."""
+        return _Scores(self.time_s[chosen], self.square[chosen], self.information[chosen])
+
+
+def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSamples] = ()) -> Adequacy:
+    """Adequacy of a model.
+
+    fitted   : channels at the values found;  held_out : channels of the segments held out, at the same values
+    """
+    own = {s.channel.sensor.name: _scores(s) for s in fitted}
+    everything = _joined(list(own.values()))
+    lag1, sign_changes = _neighbours(fitted)
+    rho = min(max(lag1, 0.0), MAX_LAG1)
+    parts = _parts(everything)
+    chi2 = {"": everything, **{f"sensor {n}": s for n, s in own.items()}, **parts}
+    if held_out:
+        chi2["held out"] = _joined([_scores(s) for s in held_out])
+    scatter = 1.0 / math.sqrt(max(len(everything.time_s), 1))
+    judged = [_excess(s, rho) for s in chi2.values() if len(s.time_s) >= FEWEST]
+    statistic = max([*judged, lag1 / (COLOUR + scatter), (0.5 - sign_changes) / (0.5 * COLOUR + 0.5 * scatter)])
+    return Adequacy(
+        p_value=p_value(statistic),
+        chi2_fit=everything.chi2(),
+        chi2_holdout=chi2["held out"].chi2() if held_out else None,
+        lag1=lag1,
+        sign_changes=sign_changes,
+        by_sensor={n: s.chi2() for n, s in own.items()},
+        by_phase={n: s.chi2() for n, s in parts.items()},
+        statistic=statistic,
+    )
+
+
+def p_value(statistic: float) -> float:
+    """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n; linear between them."""
+    known = _true_statistics()
+    at = np.interp(statistic, known, np.arange(len(known), 0.0, -1.0), right=0.0)
+    return float((at + 1.0) / (len(known) + 1.0))
+
+
+@cache
+def _true_statistics() -> FloatArray:
+    """(record,) statistics of records fitted with the true effect, ascending."""
+    return np.sort(np.asarray(read_json(CALIBRATION)["true_statistics"], dtype=float))
+
+
+def _scores(samples: PredictedSamples) -> _Scores:
+    found = likelihood(samples.channel.intervals, samples.mean_K, samples.spread_K)
+    return _Scores(np.asarray(samples.time_s), found.score**2, found.information)
+
+
+def _joined(several: Sequence[_Scores]) -> _Scores:
+    time_s = np.concatenate([s.time_s for s in several])
+    order = np.argsort(time_s, kind="stable")
+    square, information = (np.concatenate([getattr(s, f) for s in several]) for f in ("square", "information"))
+    return _Scores(time_s[order], square[order], information[order])
+
+
+def _parts(everything: _Scores) -> dict[str, _Scores]:
+    """Consecutive parts with as many samples each, by their times."""
+    found = {}
+    for index in np.array_split(np.arange(len(everything.time_s)), PARTS):
+        if len(index) >= FEWEST:
+            part = everything.select(index)
+            found[f"{part.time_s[0]:.0f} to {part.time_s[-1]:.0f} s"] = part
+    return found
+
+
+def _excess(scores: _Scores, rho: float) -> float:
+    """Excess chi-square over its scatter."""
+    n = max(len(scores.time_s), 1)
+    scatter = math.sqrt(2.0 * (1.0 + rho**2) / ((1.0 - rho**2) * n))
+    return (scores.chi2() - 1.0) / (MODEL_ERROR + scatter)
+
+
+def _neighbours(everything: Sequence[PredictedSamples]) -> tuple[float, float]:
+    """Autocorrelation of neighbouring normalised residuals within each channel, and the share that changes sign [-]."""
+    products, squares, changes, pairs = 0.0, 0.0, 0, 0
+    for s in everything:
+        score = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
+        z = score.score / np.sqrt(np.where(score.information > 0.0, score.information, np.inf))
+        products, squares = products + float(z[1:] @ z[:-1]), squares + float(z @ z)
+        if s.channel.sensor.lsb_K > s.sigma_K:
+            continue  # the sign of a coarse word's residual is that of the place within the word, for many samples
+        changes, pairs = changes + int(np.count_nonzero(z[1:] * z[:-1] < 0.0)), pairs + len(z) - 1
+    return products / squares if squares > 0.0 else 0.0, changes / pairs if pairs > 0 else 0.5

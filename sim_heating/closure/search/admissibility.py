@@ -1,0 +1,85 @@
+"""Whether a fitted effect may be named: converged, within its bounds and its declared scatter, and significant.
+
+A form that fails here is no candidate, however much better it fits: a wrong model of the wall or of the flight is
+often explained best by an effect with a value that no vehicle has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.closure.search.candidates import Candidate
+from sim_heating.closure.search.trial_fit import TrialFit, fitted_values
+from sim_heating.estimation.inference.newton import Status
+from sim_heating.estimation.record_fit import sensor_definition
+from sim_heating.heating.effects import effects
+
+MIN_SIGMAS = 3.0
+"""Least distance of an effect's magnitude from none at all, in standard deviations."""
+MAX_SCATTER = 4.0
+"""Largest distance of a parameter from its nominal value, in standard deviations of its declared scatter."""
+NEAR = 2.0
+"""A bound within this many standard deviations of the nominal value is a value as good as any, such as a sharp onset."""
+SETTLED = 0.5
+"""Gain in log posterior that a further step may predict where an iteration ended without converging."""
+
+
+def objections(trial: TrialFit, effects_of: Sequence[Candidate] = ()) -> tuple[str, ...]:
+    """Why the effects of a trial may not be named, a line each; none where they may.
+
+    effects_of : the candidates of its model; by default the last one alone
+    """
+    lines = _convergence(trial)
+    for candidate in effects_of or (trial.candidate,):
+        lines += [f"{candidate.name}: {line}" for line in (*_values(trial, candidate), *_magnitude(trial, candidate))]
+    return tuple(lines)
+
+
+def _convergence(trial: TrialFit) -> list[str]:
+    fit = trial.fit
+    if fit.status is Status.CONVERGED or (fit.status is not Status.NO_START and fit.predicted_gain < SETTLED):
+        return []
+    return ["its fit did not converge"]
+
+
+def _definitions(trial: TrialFit, candidate: Candidate) -> dict[str, Parameter]:
+    """Definitions of the parameters of an effect by dotted name, with their declared scatter."""
+    part = trial.problem.record_fits[0]
+    return {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.names}
+
+
+def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
+    """Objections to values: on a bound, or further from nominal than the declared scatter allows."""
+    found, lines = fitted_values(trial), []
+    names = [u.parameter.name for u in trial.problem.unknowns]
+    for name, p in _definitions(trial, candidate).items():
+        value, own = found[name], name.rpartition(".")[2]
+        if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
+            lines.append(f"{own} is on its bound, {value:g}")
+        elif name in candidate.with_prior and abs(value - p.value) > MAX_SCATTER * p.sigma:
+            lines.append(f"{own} = {value:.3g} is {abs(value - p.value) / p.sigma:.1f} standard deviations off {p.value:g}")
+    return lines
+
+
+def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
+    """Objection to a magnitude that the record does not tell from none."""
+    names = [u.parameter.name for u in trial.problem.unknowns]
+    declared = {used.effect.name for used in trial.problem.record_fits[0].record.declared.heating.effects}
+    effect = None if candidate.name in declared else effects().get(candidate.name)  # a declared one differs from its declaration
+    neutral = {f"{EFFECT_PREFIX}{candidate.name}.{n}": v for n, v in (effect.neutral if effect else {}).items()}
+    none = {n: neutral.get(n, p.value) for n, p in _definitions(trial, candidate).items() if not neutral or n in neutral}
+    if not none:
+        return []
+    index = [names.index(n) for n in none]
+    off = trial.fit.values[index] - np.array(list(none.values()))
+    free = ~trial.fit.on_bound[index]
+    if not np.any(free):
+        return []  # on its bound, an objection of its own
+    covariance = trial.fit.covariance[np.ix_(index, index)][np.ix_(free, free)] * max(1.0, 1.0 + trial.excess_chi2)
+    if not np.all(np.isfinite(covariance)):
+        return ["the record does not determine its magnitude"]
+    distance = float(np.sqrt(max(off[free] @ np.linalg.pinv(covariance) @ off[free], 0.0)))
+    return [] if distance >= MIN_SIGMAS else [f"its magnitude is {distance:.1f} standard deviations from none"]

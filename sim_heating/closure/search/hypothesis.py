@@ -1,0 +1,170 @@
+"""Hypotheses on a record, and what the search concludes from them.
+
+A hypothesis is a model of the record that was fitted: the declared one, or the declared one with one or more effects.
+All are compared by one score, BIC with the segments held out (ranking.py), relative to the declared model; those that
+may not be named (admissibility.py) are left out of the comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sim_heating.closure.search.adequacy import Adequacy, assess
+from sim_heating.closure.search.admissibility import objections
+from sim_heating.closure.search.ranking import model_bic, prior_penalty
+from sim_heating.closure.search.trial_fit import TrialFit
+
+MIN_BIC_GAIN = 10.0
+"""How much lower the score of an effect has to be than that of none, or of the model without it."""
+SET_MARGIN = 2.0 * float(np.log(20.0))
+"""Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
+ADEQUATE = 0.01
+"""p-value from which on a model explains the record to its noise."""
+MIN_SHARE = 0.5
+"""Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
+NEARLY_ALL, NEAR_NOISE = 0.97, 1.3
+"""Part of the excess chi-square from which on an effect of a slightly different form is found, and the largest residual
+over noise that it may leave."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hypothesis:
+    """A fitted model of a record.
+
+    trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
+                 model alone is the trial named `none`
+    objections : why it may not be named, empty where it may
+    price      : of the number of forms tried of each of its effects, in units of BIC
+    score      : BIC with held-out segments, relative to the declared model, with the noise scale of the best
+    """
+
+    trials: tuple[TrialFit, ...]
+    objections: tuple[str, ...] = ()
+    price: float = 0.0
+    score: float = 0.0
+
+    @property
+    def last(self) -> TrialFit:
+        """The trial with the values of all parameters."""
+        return self.trials[-1]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects; none for the declared model."""
+        return tuple(t.name for t in self.trials if t.name != "none")
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it may be named."""
+        return not self.objections
+
+    @cached_property
+    def adequacy(self) -> Adequacy:
+        """Whether it explains the record to its noise."""
+        trial = self.last
+        held_out = [] if trial.held_out is None or trial.held_out_chi2 == 0.0 else trial.held_out.samples(trial.fit.values)
+        return assess(trial.problem.samples(trial.fit.values), held_out)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether its p-value is at least ADEQUATE."""
+        return self.adequacy.p_value >= ADEQUATE
+
+    @cached_property
+    def excess_chi2(self) -> float:
+        """Reduced chi-square of the fitted samples less one."""
+        return self.last.excess_chi2
+
+    def __repr__(self) -> str:
+        names, why = " + ".join(self.names) or "none", "; ".join(self.objections) or "admissible"
+        return f"<Hypothesis {names}: score {self.score:+.1f}, p {self.adequacy.p_value:.3f}, {why}>"
+
+
+def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothesis:
+    """A hypothesis with the objections to it.
+
+    trials : effects, each on top of those before;  forms : number of forms of each effect that were tried
+    """
+    price = sum(2.0 * float(np.log(max(forms.get(t.name, 1), 1))) for t in trials if t.name != "none")
+    against = () if trials[-1].name == "none" else objections(trials[-1], [t.candidate for t in trials])
+    return Hypothesis(tuple(trials), against, price)
+
+
+def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses with their scores relative to the declared model, best first; those that may not be named come last.
+
+    The scale of residuals is that of the best admissible one.
+    """
+    admissible = [h for h in others if h.admissible]
+    best = min(admissible, key=lambda h: model_bic(h.last, h.last), default=none).last
+
+    def score(h: Hypothesis) -> float:
+        penalties = sum(prior_penalty(h.last, t.candidate) for t in h.trials if t.name != "none")
+        return model_bic(h.last, best) + penalties + h.price
+
+    zero = score(none)
+    rated = [replace(h, score=score(h) - zero) for h in others]
+    return sorted(rated, key=lambda h: (not h.admissible, h.score))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Conclusion:
+    """What the search concludes.
+
+    finding      : "found", "one of", "partly", "unknown" or "none"
+    best         : the hypothesis that is named first; the declared model for "none" and where nothing resembles it
+    alternatives : for each thing found, the names that the record cannot tell apart, the likeliest first
+    rival        : score of the best hypothesis outside the set, relative to the best
+    """
+
+    finding: str
+    best: Hypothesis
+    alternatives: tuple[tuple[str, ...], ...]
+    rival: float
+
+    def __repr__(self) -> str:
+        named = " + ".join(" or ".join(slot) for slot in self.alternatives)
+        return f"<Conclusion: {self.finding} {named}, rival {self.rival:+.1f}>"
+
+
+def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
+    """The conclusion from all hypotheses.
+
+    rated : by `scored`, best first
+    """
+    admissible = [h for h in rated if h.admissible]
+    best = admissible[0] if admissible else None
+    if best is None or best.score > -MIN_BIC_GAIN:
+        # A residual that looks worse than that of every record of known truth is no noise, even where nothing explains it.
+        unexplained = none.adequacy.p_value < ADEQUATE and none.adequacy.beyond_all
+        margin = min((h.score for h in admissible), default=np.inf)
+        return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
+    explained = none.excess_chi2 - best.excess_chi2
+    share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
+    near = share >= NEARLY_ALL and best.excess_chi2 <= NEAR_NOISE**2 - 1.0
+    inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
+    outside = [h.score for h in admissible if h not in inside] + [0.0]
+    alternatives = _alternatives(best, inside)
+    rival = float(min(outside) - best.score)
+    if best.adequate or near:
+        several = any(len(slot) > 1 for slot in alternatives)
+        return Conclusion("one of" if several else "found", best, alternatives, rival)
+    if share >= MIN_SHARE:
+        return Conclusion("partly", best, alternatives, rival)
+    return Conclusion("unknown", best, (), rival)
+
+
+def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:
+    """Names for each effect of the best hypothesis: hypotheses that differ from it in that one alone."""
+    slots = [[name] for name in best.names]
+    for h in inside:
+        for k, name in enumerate(best.names):
+            others = [n for n in best.names if n != name]
+            if len(h.names) == len(best.names) and all(n in h.names for n in others):
+                new = [n for n in h.names if n not in best.names]
+                slots[k] += [n for n in new if n not in slots[k]]
+    return tuple(tuple(slot) for slot in slots)

@@ -1,0 +1,102 @@
+"""The leading candidates of a round fitted to convergence, in their simplest and in their richest form.
+
+Screening stops most candidates early, and starts many in a form with few parameters. Before any is named, or a further
+effect is sought on top of it, the leading ones are fitted on: the form that led, and those in which all optional
+parameters are free, from where the leading one is and from the most promising start of the richer form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim_heating.closure.search.admissibility import objections
+from sim_heating.closure.search.candidates import Candidate
+from sim_heating.closure.search.ranking import delta_bic
+from sim_heating.closure.search.trial_fit import (
+    QUICK,
+    TrialFit,
+    fitted_values,
+    held_out_problem_with,
+    problem_with,
+    start_values,
+)
+from sim_heating.estimation.side_by_side import maximise_together
+
+CONTENDERS = 6
+"""Effects of a round that are fitted to convergence, at most."""
+CONTENDER_SHARE, CONTENDER_MARGIN = 0.5, 30.0
+"""Part of the best gain in log likelihood, or distance from it, within which an effect is a contender."""
+RICHER_FORMS, STARTS_OF_RICHER = 3, 2
+"""Richer forms of an effect that are fitted, and starts of each by predicted gain besides the values of the simpler."""
+CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Contender:
+    """A candidate fitted to convergence.
+
+    trial      : its best form;  objections : why it may not be named, empty where it may
+    """
+
+    trial: TrialFit
+    objections: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.trial.name
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it may be named."""
+        return not self.objections
+
+    def __repr__(self) -> str:
+        return f"<Contender {self.name}: {self.trial.delta_bic:+.1f}, {'; '.join(self.objections) or 'admissible'}>"
+
+
+def refine(
+    base: TrialFit, trials: Sequence[TrialFit], tried: Sequence[Candidate], predicted: Sequence[float]
+) -> list[Contender]:
+    """Fit the leading candidates of a round to convergence, the likeliest first.
+
+    base      : the model below;  trials : the best trial of each effect as the round left it
+    tried     : all candidates of the round;  predicted : gain in log likelihood of each, predicted at its start
+    """
+    gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
+    best = max(gains.values(), default=0.0)
+    led = sorted((t for t in trials if gains[t.name] >= min(CONTENDER_SHARE * best, best - CONTENDER_MARGIN)),
+                 key=lambda t: t.delta_bic)[:CONTENDERS]  # fmt: skip
+    wanted = [(c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
+    problems = [problem_with(base, c) for c, _ in wanted]
+    firsts = [start_values(p, start) for p, (_, start) in zip(problems, wanted, strict=True)]
+    fits = maximise_together(problems, firsts, CONVERGE)
+    found: dict[str, list[Contender]] = {}
+    for (c, _), problem, fit in zip(wanted, problems, fits, strict=True):
+        if np.isfinite(fit.log_likelihood):
+            trial = TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
+            found.setdefault(c.name, []).append(Contender(trial, objections(trial)))
+    chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
+    complete = [replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen]
+    return sorted(complete, key=lambda k: k.trial.delta_bic)
+
+
+def _forms(
+    base: TrialFit, trial: TrialFit, tried: Sequence[Candidate], predicted: Sequence[float]
+) -> list[tuple[Candidate, dict[str, float]]]:
+    """Forms of an effect to be fitted, each with the values to start from."""
+    below, at = fitted_values(base), fitted_values(trial)
+    forms = [(trial.candidate, at)]
+    own = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
+    known = [k for k in own if np.isfinite(predicted[k])]
+    richest = [tried[k].form for k in known if not any(tried[k].form.is_special_case_of(tried[j].form) for j in own)]
+    for form in list(dict.fromkeys(richest))[:RICHER_FORMS]:
+        starts = [tried[k] for k in known if tried[k].form == form]
+        if trial.candidate.form.is_special_case_of(form):
+            forms.append((starts[0], {**below, **starts[0].start, **at}))
+        if form != trial.candidate.form:
+            forms += [(c, {**below, **c.start}) for c in starts[:STARTS_OF_RICHER]]
+    return forms
