@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,6 +93,11 @@ class ControlPoint:
         """Pressure at the surface of the point along a flight [Pa], one value a sample."""
         return surface_pressure(self.pressure, conditions)
 
+    def without_effects(self, names: Collection[str]) -> ControlPoint:
+        """The point without those of its declared effects that bear one of these names; what the flow at its edge is
+        asked for remains, so that another effect may read it."""
+        return replace(self, effects=tuple(used for used in self.effects if used.effect.name not in names))
+
 
 @dataclass(frozen=True)
 class Vehicle:
@@ -118,6 +123,13 @@ class Vehicle:
 
     def __repr__(self) -> str:
         return f"<Vehicle {self.name!r}, revision {self.revision}: {len(self.control_points)} control points>"
+
+    def without_effects(self, names: Collection[str]) -> Vehicle:
+        """The vehicle without those of its declared effects that bear one of these names."""
+        if not names:
+            return self
+        points = {name: point.without_effects(names) for name, point in self.control_points.items()}
+        return replace(self, control_points=points)
 
     def control_point(self, name: str) -> ControlPoint:
         """The control point of a name.

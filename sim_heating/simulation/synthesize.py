@@ -235,8 +235,9 @@ def _declared_effects(point: ControlPoint) -> dict[str, Any]:
 
 
 def turbulent_table_of(point: ControlPoint) -> RatioTable | None:
-    """Turbulent ratio table of a control point as its record holds it; None where its transition is by no table."""
-    table = point.flow.turbulent
+    """Turbulent ratio table of a control point as its record holds it; None where it has no transition, or by no
+    table."""
+    table = point.flow.turbulent if any(used.effect.name == TRANSITION for used in point.effects) else None
     kind = turbulent_recovery(point.recovery.kind)
     if table is None or kind == "total":
         return table
@@ -269,7 +270,7 @@ def files_of(scenario: Scenario) -> list[str]:
     files = []
     for name in measured:
         folder = "" if len(measured) == 1 else f"{name}/"
-        turbulent = scenario.vehicle.control_point(name).flow.turbulent is not None
+        turbulent = turbulent_table_of(scenario.vehicle.control_point(name)) is not None
         own = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
         files += [f"{folder}{n}" for n in own]
     return [TRUTH, *files]

@@ -16,6 +16,7 @@ from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.predict import predict
+from sim_heating.simulation.run import run
 from sim_heating.simulation.synthesize import synthesize, write_records
 
 POINT = "STS96_480"
@@ -152,3 +153,49 @@ def test_a_wrong_declaration_gets_a_line(record: Record, tmp_path: Path, old: st
     (tmp_path / "record.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError, match=message):
         load_record(tmp_path)
+
+
+def test_a_scenario_can_leave_declared_transition_out(record: Record, tmp_path: Path) -> None:
+    laminar = made(tmp_path, "[heating]\ntransition = false\n")
+    assert [u.effect.name for u in laminar.declared.heating.effects] == ["recombination"]
+    assert laminar.turbulent is None
+    cooler = record.temperatures_K()[0, -1] - laminar.temperatures_K()[0, -1]
+    assert cooler > 100.0
+    assert predict(laminar).segment_errors()["fit"]["rmse_K"] < 1.1 * laminar.noise_floor_K()
+
+
+def test_a_flight_may_turn_turbulent_by_the_table_where_its_record_declares_it_laminar(tmp_path: Path) -> None:
+    found = made(tmp_path, "[heating]\ntransition = false\n" + EARLY)
+    assert [u.effect.name for u in found.declared.heating.effects] == ["recombination"]
+    assert predict(found).segment_errors()["fit"]["rmse_K"] > 50.0
+
+
+def test_walls_without_declared_recombination_are_fully_catalytic_and_hotter(tmp_path: Path) -> None:
+    (tmp_path / "glide.toml").write_text(SCENARIO)
+    (tmp_path / "fully.toml").write_text(SCENARIO + "[heating]\ncatalysis = false\n")
+    with_atoms, fully = (run(tmp_path / f"{name}.toml").points[POINT] for name in ("glide", "fully"))
+    assert [u.effect.name for u in fully.model.effects] == ["transition"]
+    assert np.max(fully.history.surface_K - with_atoms.history.surface_K) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            '[heating]\ntransition = false\n[[effect]]\nname = "transition"\n',
+            r"`transition` = false leaves out what \[\[effect\]\] 1 declares",
+        ),
+        ('[heating]\ntransition = "no"\n', r"\[heating\]: `transition`"),
+        (
+            '[[truth.effect]]\nname = "transition"\nparameters = { by_table = 1.0 }\n',
+            "does nothing at V07T9975, which declares no .transition. with `ratio_table_turbulent`",
+        ),
+        ('[[effect]]\nname = "recombination"\n', "does nothing at V07T9975, which declares no .catalysis."),
+    ],
+)
+def test_a_contradiction_and_an_effect_without_its_declaration_get_a_line(
+    tmp_path: Path, more: str, message: str
+) -> None:
+    (tmp_path / "glide.toml").write_text(SCENARIO.replace(f'["{POINT}"]', '["V07T9975"]') + more)
+    with pytest.raises(InputError, match=message):
+        load_scenario(tmp_path / "glide.toml")
