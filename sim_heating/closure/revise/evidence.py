@@ -18,7 +18,7 @@ effects alone is evidence of rank 0: the table stays.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -27,9 +27,11 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
 from sim_heating.estimation.report.estimate_file import Estimate
+from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, basis, node_weights
-from sim_heating.inputs.points import check_reference, conditions_of_record
+from sim_heating.inputs.points import check_reference, conditions_of_record, intermittency_along
 from sim_heating.inputs.record import Record, in_segments
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 
@@ -43,18 +45,20 @@ MIN_SINGULAR_VALUE = 1e-6
 class FlownPath:
     """The fitted samples.
 
-    x        : (sample, 5) ratio variables
-    weight   : (sample,) weight in the projection [(W/m2)^2]
-    declared : (sample,) ratio of the record's own table [-], 0 without one
+    x         : (sample, 5) ratio variables
+    weight    : (sample,) weight in the projection [(W/m2)^2]
+    declared  : (sample,) ratio of the record's own table [-], 0 without one
+    turbulent : (sample,) intermittency of the transition in the fit [-], 0 without one
     """
 
     x: FloatArray
     weight: FloatArray
     declared: FloatArray
+    turbulent: FloatArray
 
     def subset(self, chosen: BoolArray) -> FlownPath:
         """The chosen samples."""
-        return FlownPath(self.x[chosen], self.weight[chosen], self.declared[chosen])
+        return FlownPath(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -137,12 +141,20 @@ def flight_evidence(
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The fitted samples of all records."""
-    segments = estimate.segments
-    parts = [_record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
-    return FlownPath(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
+    segments, transition = estimate.segments, fitted_use(estimate, TRANSITION)
+    parts = [_record_path(r, None if segments is None else segments[i], transition) for i, r in enumerate(records)]
+    return FlownPath(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlownPath)))
 
 
-def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> FlownPath:
+def fitted_use(estimate: Estimate, name: str) -> EffectUse | None:
+    """An effect as it was in a fit, with the values that were estimated; None where the fit did not have it."""
+    in_force = {e.name: e.parameters for e in estimate.effects}
+    head = f"{EFFECT_PREFIX}{name}."
+    estimated = {n.removeprefix(head): p.value for n, p in estimate.parameters.items() if n.startswith(head)}
+    return use(name, in_force.get(name, {}) | estimated) if name in in_force or estimated else None
+
+
+def _record_path(record: Record, segments: Sequence[Sequence[float]] | None, transition: EffectUse | None) -> FlownPath:
     """The fitted samples of one record; `segments` as the estimate states them, None for those of the record."""
     t = record.time_s
     fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
@@ -156,7 +168,8 @@ def _record_path(record: Record, segments: Sequence[Sequence[float]] | None) -> 
     table = record.ratio_table
     declared = np.zeros(len(t)) if table is None else node_weights(table.axes, x) @ table.ratio.ravel()
     # Weighted by the square of the heat flux, on which the temperatures depend.
-    return FlownPath(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared)
+    turbulent = np.zeros(len(t)) if transition is None else intermittency_along(transition, flown)
+    return FlownPath(x, (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2, declared, turbulent)
 
 
 def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
