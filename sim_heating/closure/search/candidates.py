@@ -108,7 +108,8 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
         declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
         limits = {p.name: (p.lower, p.upper) for p in used.definitions}
         # a flight begins at Reynolds numbers far below any onset
-        onsets = {_within(start.values[ONSET_NAME], limits[ONSET_NAME]) for start in starts if ONSET_NAME in start.values}
+        given = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
+        onsets = {_within(onset, limits[ONSET_NAME]) for onset in given}
         for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)
