@@ -215,7 +215,7 @@ def _scenario_folder() -> Path:
 def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Path | None) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.points import point_with_vehicle_table
+    from sim_heating.inputs.points import point_with_vehicle_table, undeclared_effects
     from sim_heating.inputs.record import load_record, require_distinct_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, summary, write_prediction
@@ -231,12 +231,13 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Pat
     require_writable(out, "predict", inputs=inputs)
     for folder in folders:
         require_writable(folder, "predict", expected=FILES, inputs=inputs)
-    models = [None if revised is None else point_with_vehicle_table(record, revised) for record in loaded]
+    models = [(None, None) if revised is None else point_with_vehicle_table(record, revised) for record in loaded]
     predictions = []
     with progress_line("predict") as progress:
         for i, record in enumerate(loaded):
             progress(i / len(loaded), f"marching {record.name}")
-            predictions.append(predict_record(record, models[i]))
+            model, flow = models[i]
+            predictions.append(predict_record(record, model, flow=flow))
         for prediction, folder in zip(predictions, folders, strict=True):
             write_prediction(prediction, folder)
     summaries = {p.record.name: summary(p) for p in predictions}
@@ -245,4 +246,6 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Pat
     for name, found in summaries.items():
         if found["beyond_reference"]:
             CONSOLE.print(f"{name}: {found['beyond_reference']}")
+    for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None)):
+        CONSOLE.print(line)
     CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record")

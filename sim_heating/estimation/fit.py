@@ -41,6 +41,7 @@ from sim_heating.estimation.inference.observability import (
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
+from sim_heating.inputs.points import undeclared_effects
 from sim_heating.inputs.record import Record, load_record, require_distinct_records
 from sim_heating.march.history import table_excursions
 from sim_heating.simulation.predict import Prediction
@@ -336,7 +337,13 @@ def _fit_result(
     # compared with
     after = tuple(predict_fit(record_fit, fit.values) for record_fit in problem.record_fits)
     before = tuple(predict_record(record_fit.record) for record_fit in problem.record_fits)
-    notes = (*notes, *table_warnings(problem.record_fits), *fit_warnings(problem, fit, samples))
+    undeclared = (undeclared_effects(r.record) for r in problem.record_fits)
+    notes = (
+        *notes,
+        *filter(None, undeclared),
+        *table_warnings(problem.record_fits),
+        *fit_warnings(problem, fit, samples),
+    )
     return FitResult(problem, fit, fit_bounds(samples, fit), omitted, before, after, notes, innovations)
 
 

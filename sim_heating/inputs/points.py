@@ -7,13 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.heating.edge_flow import edge_flow, edge_flow_columns
+from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
+from sim_heating.heating.effects.recombination import RECOMBINATION
+from sim_heating.heating.effects.transition import TRANSITION, intermittency
 from sim_heating.heating.reference.models import point_heating
 from sim_heating.inputs.record import ConstantHeat, Record
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
+from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.tables import WallEnthalpy
 
@@ -98,8 +102,11 @@ def point_of_record(
     )
 
 
-def conditions_of_record(record: Record) -> Conditions:
-    """Conditions of a record with reference heating and recovery enthalpy of its control point as columns."""
+def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Conditions:
+    """Conditions of a record with reference heating and recovery enthalpy of its control point as columns.
+
+    flow : what effects ask of the flow at the point's edge; by default those that the record declares
+    """
     heating = record.declared.heating
     columns = point_heating(
         heating.reference,
@@ -109,15 +116,31 @@ def conditions_of_record(record: Record) -> Conditions:
         recovery=heating.recovery_of_point,
         sweep_deg=heating.sweep_deg or 0.0,
     )
-    catalysis = heating.catalysis
-    flow = edge_flow(
+    return record.conditions.with_columns(
+        **columns, **edge_flow_columns(flow or _flow_of_record(record), record.conditions)
+    )
+
+
+def _flow_of_record(record: Record) -> EdgeFlow:
+    """What the declared effects of a record ask of the flow at the edge of its point."""
+    heating = record.declared.heating
+    return edge_flow(
         heating.effects,
         heating.recovery_of_point,
         heating.running_length_m,
-        "none" if catalysis is None else catalysis.atoms_of,
+        "none" if heating.catalysis is None else heating.catalysis.atoms_of,
         (record.ratio_table, record.turbulent),
     )
-    return record.conditions.with_columns(**columns, **edge_flow_columns(flow, record.conditions))
+
+
+def intermittency_along(transition: EffectUse, conditions: Conditions) -> FloatArray:
+    """(time,) intermittency [-] of a transition along a flight, 0 laminar, 1 turbulent (docs/effects.md, equation 24).
+
+    conditions : with the columns that its criterion reads, log10_re or log10_re_theta_m
+    """
+    history = condition_history(conditions)
+    block = np.column_stack([history, np.tile(transition.values, (len(history), 1))])
+    return np.array([intermittency(row, 0, history.shape[1]) for row in block])
 
 
 def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:
@@ -162,11 +185,34 @@ def _enthalpy(declared: ConstantHeat | str) -> str:
     return value if isinstance(value, str) else f"cp = {value:g} J/(kg K)"
 
 
-def point_with_vehicle_table(record: Record, vehicle: Vehicle) -> PointModel:
-    """The declared model of a record with the ratio table and effects of the vehicle's control point.
+def point_with_vehicle_table(record: Record, vehicle: Vehicle) -> tuple[PointModel, EdgeFlow]:
+    """The declared model of a record with the ratio table and effects of the vehicle's control point, and what these
+    ask of the flow at its edge.
 
     raises : InputError where the vehicle has no such point or its table is over another reference heating
     """
     point = vehicle.control_point(record.declared.control_point)
     check_reference(record, vehicle, point)
-    return replace(point_of_record(record, effects=point.effects), ratio=point.ratio)
+    return replace(point_of_record(record, effects=point.effects), ratio=point.ratio), point.flow
+
+
+def undeclared_effects(record: Record) -> str | None:
+    """One line where a record declares no transition or no recombination although its vehicle does at its point.
+
+    returns : None where it declares all of them, or its vehicle or control point is not one that `load_vehicle` finds
+              by name: a record is complete without its vehicle
+    """
+    declared, heating = record.declared, record.declared.heating
+    absent = {TRANSITION: "transition"} if heating.transition is None else {}
+    absent |= {RECOMBINATION: "catalysis"} if heating.catalysis is None else {}
+    if not absent or heating.reference == "none":
+        return None
+    point = known_control_point(declared.vehicle, declared.control_point)
+    tables = [f"[heating.{absent[u.effect.name]}]" for u in (point.effects if point else ()) if u.effect.name in absent]
+    if not tables:
+        return None
+    return (
+        f"{record.name}: declares no {' and no '.join(tables)}, which {declared.vehicle} has at "
+        f"{declared.control_point}; its model is without, unless its record.toml declares them or `predict` is given "
+        f"--vehicle {declared.vehicle}"
+    )

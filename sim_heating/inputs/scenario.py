@@ -5,7 +5,7 @@ title = "..."
 vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
 control_points = ["V09T9527"]       # all where absent
 [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
-[heating]                           # longest_step_s, alongside
+[heating]                           # longest_step_s, alongside; transition, catalysis: whether those declared act
 [[effect]]                          # declared in addition to the vehicle's: name, control_points, parameters
 [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
 [truth]                             # altered by `synthesize`, not declared: parameters, [[truth.effect]]
@@ -16,7 +16,7 @@ control_points = ["V09T9527"]       # all where absent
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -41,7 +41,10 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.base.parameters import MODEL, layer_parameter
+from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.recombination import RECOMBINATION
+from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -54,6 +57,8 @@ class HeatingOptions(Declared):
     alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")
     T_surroundings_K: list[list[float]] | None = Field(default=None, min_length=1, description="[[time_s, K], ...]")
     T_back_K: list[list[float]] | None = Field(default=None, min_length=1, description="[[time_s, K], ...]")
+    transition: bool = Field(default=True, description="false: without the transition that the vehicle declares")
+    catalysis: bool = Field(default=True, description="false: fully catalytic walls, without declared recombination")
 
     @field_validator("T_surroundings_K", "T_back_K")
     @classmethod
@@ -82,6 +87,12 @@ class HeatingOptions(Declared):
         """Columns of flight conditions that are declared: name -> (row, 2) time [s] and value."""
         declared = {name: getattr(self, name) for name in ("T_surroundings_K", "T_back_K")}
         return {name: np.array(rows, dtype=float) for name, rows in declared.items() if rows is not None}
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Effects of the vehicle that the scenario leaves out, each with the key that says so."""
+        given = {"transition": (TRANSITION, self.transition), "catalysis": (RECOMBINATION, self.catalysis)}
+        return {effect: key for key, (effect, kept) in given.items() if not kept}
 
 
 class ScenarioEffect(Declared):
@@ -277,7 +288,7 @@ class MeasuredHistory:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A checked scenario with its vehicle.
+    """A checked scenario with its vehicle, which is without the effects that the scenario leaves out.
 
     names    : selected control points, in order
     compare  : measured histories
@@ -363,7 +374,7 @@ def make_scenario(
     for i, c in enumerate(declared.compare, start=1):
         history = roots.named(c.file, f"[compare] {i}: `file`", vehicle.directory)
         compare += [_measured_history(c, history)] if c.control_point in names else []
-    return Scenario(place, declared, vehicle, names, tuple(compare))
+    return Scenario(place, declared, vehicle.without_effects(declared.heating.left_out), names, tuple(compare))
 
 
 def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -386,6 +397,8 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
     return [
         *_collect_problems(lambda name: vehicle.control_point(name), points),
         *_collect_problems(_checked_use, uses),
+        *_left_out_problems(declared),
+        *_inert_problems(declared, vehicle),
         *(
             f"[measurements], fault: unknown sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
             for f in declared.measurements.fault
@@ -408,6 +421,40 @@ def _checked_use(declared: ScenarioEffect) -> EffectUse:
             "[[measurements.fault]]"
         )
     return used
+
+
+def _left_out_problems(declared: ScenarioFile) -> list[str]:
+    """Effects that a scenario both leaves out and declares."""
+    return [
+        f"[heating]: `{key}` = false leaves out what [[effect]] {i} declares; remove one of the two"
+        for i, e in enumerate(declared.effect, start=1)
+        for key in [declared.heating.left_out.get(e.name)]
+        if key is not None
+    ]
+
+
+def _inert_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """Effects of a scenario that would do nothing at a point, because the point does not declare what they read."""
+    return [
+        f"effect `{e.name}`: does nothing at {point.name}, which declares no {lacking}; declare it there, or name "
+        "other `control_points` of the effect"
+        for e in (*declared.effect, *declared.truth.effect)
+        for name in e.control_points or declared.control_points or vehicle.control_points
+        for point in [vehicle.control_points.get(name)]
+        if point is not None
+        for lacking in _lacking(e, point.flow)
+    ]
+
+
+def _lacking(effect: ScenarioEffect, flow: EdgeFlow) -> Iterator[str]:
+    """Declarations that an effect reads the flow at a point by, and that the point does not have."""
+    asked = {name for name, value in effect.parameters.items() if value > 0.0}
+    if effect.name == TRANSITION and "by_table" in asked and flow.turbulent is None:
+        yield "[transition] with `ratio_table_turbulent` (by_table = 1)"
+    if effect.name == TRANSITION and "by_re_theta" in asked and not flow.re_theta:
+        yield "[transition] with `re_theta_over_m_e` (by_re_theta = 1)"
+    if effect.name == RECOMBINATION and flow.atoms == "none":
+        yield "[catalysis]"
 
 
 def _repeated_labels(compare: Sequence[Compare]) -> list[str]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,6 +93,11 @@ class ControlPoint:
         """Pressure at the surface of the point along a flight [Pa], one value a sample."""
         return surface_pressure(self.pressure, conditions)
 
+    def without_effects(self, names: Collection[str]) -> ControlPoint:
+        """The point without those of its declared effects that bear one of these names; what the flow at its edge is
+        asked for remains, so that another effect may read it."""
+        return replace(self, effects=tuple(used for used in self.effects if used.effect.name not in names))
+
 
 @dataclass(frozen=True)
 class Vehicle:
@@ -118,6 +123,13 @@ class Vehicle:
 
     def __repr__(self) -> str:
         return f"<Vehicle {self.name!r}, revision {self.revision}: {len(self.control_points)} control points>"
+
+    def without_effects(self, names: Collection[str]) -> Vehicle:
+        """The vehicle without those of its declared effects that bear one of these names."""
+        if not names:
+            return self
+        points = {name: point.without_effects(names) for name, point in self.control_points.items()}
+        return replace(self, control_points=points)
 
     def control_point(self, name: str) -> ControlPoint:
         """The control point of a name.
@@ -279,6 +291,21 @@ def library_materials() -> dict[str, Material]:
             roots_of(directory / "vehicle.toml").check_links(directory)
             found = {**_read_materials(directory, _Problems())[0], **found}
     return found
+
+
+def known_control_point(vehicle: str, point: str) -> ControlPoint | None:
+    """A control point of a vehicle that is found by name; None where there is none of these names, or no readable one.
+
+    A name is no path here: that a record names a vehicle opens no file of its author's choice.
+    """
+    if vehicle not in vehicle_names():
+        return None
+    # Reading a vehicle takes 0.2 s, which a record of another point need not wait for.
+    if f"{point}.toml" not in os.listdir(vehicle_directory(vehicle) / "control_points"):
+        return None
+    with suppress(InputError):
+        return load_vehicle(vehicle).control_points.get(point)
+    return None
 
 
 def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:

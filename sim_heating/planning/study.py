@@ -169,7 +169,9 @@ def _base(place: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.Pat
                 f"{display_path(source)}, [heating]: a study has no {' and '.join(flown.heating.schedules)} in time; "
                 "fly a scenario without, and declare them in the stacks"
             )
-        copied = {"trajectory": flown.trajectory, "effect": [e.model_dump() for e in flown.effect]}
+        given["heating"] = dict.fromkeys(flown.heating.left_out.values(), False)
+        effect = [e.model_dump() for e in flown.effect]
+        copied = {"trajectory": flown.trajectory, "effect": effect, "heating": given["heating"]}
         own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
         make_scenario(source, check(own | copied, ScenarioFile, display_path(source)), vehicle, root=root)

@@ -15,18 +15,17 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects import use
 from sim_heating.heating.effects.recombination import RECOMBINATION
-from sim_heating.heating.effects.transition import TRANSITION, intermittency
+from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
 from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
-from sim_heating.inputs.points import conditions_at_point, mean_condition
+from sim_heating.inputs.points import conditions_at_point, intermittency_along, mean_condition
 from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
-from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import PointHistory, march_points, values_at
 from sim_heating.simulation.run import fly_scenario, models_of
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
@@ -107,7 +106,7 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     """
     vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
     share = [
-        _intermittency(use(e.name, e.parameters), conditions)
+        intermittency_along(use(e.name, e.parameters), conditions)
         for name, conditions in zip(scenario.names, flights, strict=True)
         for e in truth
         if e.name == TRANSITION and (e.control_points is None or name in e.control_points)
@@ -119,13 +118,6 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     rise, mass = friction_rise(flights[0], vehicle.reference_length_m), flown_aero(spec, vehicle.directory).mass_kg
     added = np.mean(share, axis=0) * rise * vehicle.reference_area_m2 / (mass * G0_M_S2)
     return [conditions.with_columns(**{AXIAL: conditions[AXIAL] + added}) for conditions in flights]
-
-
-def _intermittency(used: EffectUse, conditions: Conditions) -> FloatArray:
-    """(time,) intermittency [-] of a transition along a flight."""
-    history = condition_history(conditions)
-    block = np.column_stack([history, np.tile(used.values, (len(history), 1))])
-    return np.array([intermittency(row, 0, history.shape[1]) for row in block])
 
 
 def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions) -> Conditions:
@@ -235,8 +227,9 @@ def _declared_effects(point: ControlPoint) -> dict[str, Any]:
 
 
 def turbulent_table_of(point: ControlPoint) -> RatioTable | None:
-    """Turbulent ratio table of a control point as its record holds it; None where its transition is by no table."""
-    table = point.flow.turbulent
+    """Turbulent ratio table of a control point as its record holds it; None where it has no transition, or by no
+    table."""
+    table = point.flow.turbulent if any(used.effect.name == TRANSITION for used in point.effects) else None
     kind = turbulent_recovery(point.recovery.kind)
     if table is None or kind == "total":
         return table
@@ -269,7 +262,7 @@ def files_of(scenario: Scenario) -> list[str]:
     files = []
     for name in measured:
         folder = "" if len(measured) == 1 else f"{name}/"
-        turbulent = scenario.vehicle.control_point(name).flow.turbulent is not None
+        turbulent = turbulent_table_of(scenario.vehicle.control_point(name)) is not None
         own = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
         files += [f"{folder}{n}" for n in own]
     return [TRUTH, *files]

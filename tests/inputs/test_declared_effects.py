@@ -2,56 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
+from sim_heating.cli import main
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse
-from sim_heating.inputs.points import conditions_at_point, conditions_of_record
-from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.points import (
+    conditions_at_point,
+    conditions_of_record,
+    point_with_vehicle_table,
+    undeclared_effects,
+)
+from sim_heating.inputs.record import Record, load_record, write_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.predict import predict
-from sim_heating.simulation.synthesize import synthesize, write_records
-
-POINT = "STS96_480"
-SCENARIO = f"""
-format = "scenario/1"
-title = "a glide through transition"
-vehicle = "orbiter"
-control_points = ["{POINT}"]
-[trajectory]
-source = "entry-3dof"
-sample_s = 1.0
-[trajectory.initial]
-altitude_m = 53000.0
-velocity_m_s = 3300.0
-gamma_deg = -0.5
-heading_deg = 90.0
-latitude_deg = 30.0
-longitude_deg = -100.0
-[trajectory.stop]
-altitude_m = 40000.0
-velocity_m_s = 2100.0
-time_s = 140.0
-"""
-EARLY = """
-[[truth.effect]]
-name = "transition"
-parameters = { log10_re_onset = 2.42, factor = 1.0, by_table = 1.0, by_re_theta = 1.0 }
-"""
-
-
-def made(folder: Path, truth: str = "") -> Record:
-    """A record of the point, written and read back."""
-    (folder / "glide.toml").write_text(SCENARIO + truth)
-    scenario = load_scenario(folder / "glide.toml")
-    write_records(scenario, synthesize(scenario), folder / "record")
-    return load_record(folder / "record")
+from sim_heating.simulation.run import run
+from tests.support.paths import PRACTICE
+from tests.support.transition_glide import EARLY, POINT, SCENARIO, made
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +126,82 @@ def test_a_wrong_declaration_gets_a_line(record: Record, tmp_path: Path, old: st
     (tmp_path / "record.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError, match=message):
         load_record(tmp_path)
+
+
+def test_a_scenario_can_leave_declared_transition_out(record: Record, tmp_path: Path) -> None:
+    laminar = made(tmp_path, "[heating]\ntransition = false\n")
+    assert [u.effect.name for u in laminar.declared.heating.effects] == ["recombination"]
+    assert laminar.turbulent is None
+    cooler = record.temperatures_K()[0, -1] - laminar.temperatures_K()[0, -1]
+    assert cooler > 100.0
+    assert predict(laminar).segment_errors()["fit"]["rmse_K"] < 1.1 * laminar.noise_floor_K()
+
+
+def test_a_flight_may_turn_turbulent_by_the_table_where_its_record_declares_it_laminar(tmp_path: Path) -> None:
+    found = made(tmp_path, "[heating]\ntransition = false\n" + EARLY)
+    assert [u.effect.name for u in found.declared.heating.effects] == ["recombination"]
+    assert predict(found).segment_errors()["fit"]["rmse_K"] > 50.0
+
+
+def test_walls_without_declared_recombination_are_fully_catalytic_and_hotter(tmp_path: Path) -> None:
+    (tmp_path / "glide.toml").write_text(SCENARIO)
+    (tmp_path / "fully.toml").write_text(SCENARIO + "[heating]\ncatalysis = false\n")
+    with_atoms, fully = (run(tmp_path / f"{name}.toml").points[POINT] for name in ("glide", "fully"))
+    assert [u.effect.name for u in fully.model.effects] == ["transition"]
+    assert np.max(fully.history.surface_K - with_atoms.history.surface_K) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            '[heating]\ntransition = false\n[[effect]]\nname = "transition"\n',
+            r"`transition` = false leaves out what \[\[effect\]\] 1 declares",
+        ),
+        ('[heating]\ntransition = "no"\n', r"\[heating\]: `transition`"),
+        (
+            '[[truth.effect]]\nname = "transition"\nparameters = { by_table = 1.0 }\n',
+            "does nothing at V07T9975, which declares no .transition. with `ratio_table_turbulent`",
+        ),
+        ('[[effect]]\nname = "recombination"\n', "does nothing at V07T9975, which declares no .catalysis."),
+    ],
+)
+def test_a_contradiction_and_an_effect_without_its_declaration_get_a_line(
+    tmp_path: Path, more: str, message: str
+) -> None:
+    (tmp_path / "glide.toml").write_text(SCENARIO.replace(f'["{POINT}"]', '["V07T9975"]') + more)
+    with pytest.raises(InputError, match=message):
+        load_scenario(tmp_path / "glide.toml")
+
+
+@pytest.fixture(scope="module")
+def silent(record: Record) -> Record:
+    """The record without the transition and the recombination that its vehicle declares at its point."""
+    heating = record.declared.heating.model_copy(update={"transition": None, "catalysis": None})
+    return replace(record, declared=record.declared.model_copy(update={"heating": heating}), turbulent=None)
+
+
+def test_the_vehicles_table_and_effects_predict_a_record_that_declares_none(silent: Record, orbiter: Vehicle) -> None:
+    assert predict(silent).segment_errors()["fit"]["rmse_K"] > 50.0
+    model, flow = point_with_vehicle_table(silent, orbiter)
+    assert predict(silent, model, flow=flow).segment_errors()["fit"]["rmse_K"] < 1.1 * silent.noise_floor_K()
+
+
+def test_a_record_that_declares_less_than_its_vehicle_gets_one_line(
+    record: Record, silent: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert undeclared_effects(record) is None
+    line = undeclared_effects(silent)
+    assert line is not None
+    assert r"declares no [heating.transition] and no [heating.catalysis], which orbiter has at STS96_480" in line
+    write_record(silent, tmp_path / "record")
+    assert main(["predict", str(tmp_path / "record"), "--out", str(tmp_path / "out")]) == 0
+    assert "declares no [heating.transition]" in " ".join(capsys.readouterr().out.split())
+    assert line in estimate(silent, ["ratio.scale"]).warnings
+
+
+def test_only_a_control_point_that_the_program_knows_is_compared(record: Record, silent: Record) -> None:
+    for change in ({"control_point": "LS"}, {"vehicle": "X-15"}, {"vehicle": "../orbiter"}, {"vehicle": ""}):
+        assert undeclared_effects(replace(silent, declared=silent.declared.model_copy(update=change))) is None
+    for folder in sorted(PRACTICE.glob("p*")):
+        assert undeclared_effects(load_record(folder)) is None

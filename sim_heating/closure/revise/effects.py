@@ -25,16 +25,20 @@ from tomlkit.exceptions import TOMLKitError
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, display_path, raw_text
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
-from sim_heating.closure.revise.evidence import FlightEvidence, is_effect
+from sim_heating.closure.revise.evidence import FlightEvidence, FlownPath, is_effect
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.effects import EffectUse, check_count, effect, use
-from sim_heating.heating.ratio.uncertainty import Posterior
+from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.ratio.uncertainty import Posterior, node_weights
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.inputs.vehicle_files import ControlPointFile
 
 DIGITS = 6
 """Significant digits of a written value, far below any sigma."""
 OF_RECORD = "belongs to the record, not to the vehicle"
+NOT_ESTIMATED = "was in the fit, but nothing of it was estimated"
+NOTICED = 0.005
+"""Change of the turbulent heating [-] from which a line says that it is not in the vehicle."""
 BOM = "\ufeff"
 
 
@@ -96,10 +100,11 @@ def effects_from_fit(
         if used.effect.acts_on_readings:
             not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
         elif name not in estimated:
-            not_written[f"{EFFECT_PREFIX}{name}"] = "was in the fit, but nothing of it was estimated"
+            not_written[f"{EFFECT_PREFIX}{name}"] = NOT_ESTIMATED + _turbulent_left(used, flight.path, point, table)
         else:
             # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
-            fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in parameter_values(used).items()}))
+            values = _on_revised_table(used, flight.path, point, table)
+            fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in values.items()}))
     after = _merged(point.effects, fitted)
     check_count(after, point.name)
     raw = raw_text(path)
@@ -118,6 +123,45 @@ def effects_from_fit(
         },
         not_written=not_written,
         not_fitted=tuple(u.effect.name for u in point.effects if u.effect.name not in {*in_force, *estimated}),
+    )
+
+
+def _on_revised_table(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> dict[str, float]:
+    """Parameters of an effect for the updated table.
+
+    The factor of a transition by table is on turbulent over laminar, and in the fit on both with the fitted laminar
+    ratio. The turbulent table of the vehicle is not revised, so that the factor takes the change of the laminar one.
+    """
+    values = parameter_values(used)
+    change = _laminar_change(used, path, point, table)
+    if change == 1.0:
+        return values
+    label = f"{EFFECT_PREFIX}{TRANSITION}.factor"
+    return values | {"factor": _within_bounds(label, values["factor"], values["factor"] * change)}
+
+
+def _laminar_change(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> float:
+    """Updated over declared laminar ratio [-] where a transition by table is turbulent; 1 for any other effect.
+
+    sum(w Gamma r_table / r_declared) / sum(w Gamma),    w the square of the heat flux
+    """
+    weight = path.weight * path.turbulent * (path.declared > 0.0)
+    if used.effect.name != TRANSITION or parameter_values(used)["by_table"] == 0.0 or not np.any(weight > 0.0):
+        return 1.0
+    updated = node_weights(point.ratio.axes, path.x) @ table.ratio.ravel()
+    return float(np.average(updated / np.where(weight > 0.0, path.declared, 1.0), weights=weight))
+
+
+def _turbulent_left(used: EffectUse, path: FlownPath, point: ControlPoint, table: Posterior) -> str:
+    """What the turbulent table lacks where the fit changed laminar and turbulent heating together, as the end of a
+    line."""
+    change = _laminar_change(used, path, point, table) - 1.0
+    if abs(change) < NOTICED:
+        return ""
+    side = "above" if change > 0.0 else "below"
+    return (
+        f"; the fit's turbulent heating is {abs(change):.1%} {side} that of the turbulent table, which is not revised: "
+        f"estimate {EFFECT_PREFIX}{TRANSITION}.factor as well"
     )
 
 

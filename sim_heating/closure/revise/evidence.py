@@ -13,7 +13,7 @@ effects alone is evidence of rank 0: the table stays.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
 from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
 from sim_heating.estimation.report.estimate_file import Estimate
+from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
 from sim_heating.inputs.points import check_reference
@@ -116,9 +118,17 @@ def flight_evidence(
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
     """The fitted samples of all records."""
-    segments = estimate.segments
-    parts = [record_path(r, None if segments is None else segments[i]) for i, r in enumerate(records)]
-    return FlownPath(*(np.concatenate([getattr(p, key) for p in parts]) for key in ("x", "weight", "declared")))
+    segments, transition = estimate.segments, fitted_use(estimate, TRANSITION)
+    parts = [record_path(r, None if segments is None else segments[i], transition) for i, r in enumerate(records)]
+    return FlownPath(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlownPath)))
+
+
+def fitted_use(estimate: Estimate, name: str) -> EffectUse | None:
+    """An effect as it was in a fit, with the values that were estimated; None where the fit did not have it."""
+    in_force = {e.name: e.parameters for e in estimate.effects}
+    head = f"{EFFECT_PREFIX}{name}."
+    estimated = {n.removeprefix(head): p.value for n, p in estimate.parameters.items() if n.startswith(head)}
+    return use(name, in_force.get(name, {}) | estimated) if name in in_force or estimated else None
 
 
 def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:

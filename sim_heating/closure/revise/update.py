@@ -53,6 +53,7 @@ from sim_heating.estimation.report.estimate_file import (
     inputs_hash,
     read_estimate,
 )
+from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, posterior
 from sim_heating.inputs.points import point_with_vehicle_table
@@ -106,6 +107,15 @@ class TableUpdate:
         """Estimates of the ratio and of the effects that are written."""
         written = tuple(f"{EFFECT_PREFIX}{name}." for name in self.effects.written)
         return {n: p for n, p in self.estimate.parameters.items() if n.startswith(("ratio.", *written))}
+
+    @property
+    def flow_after(self) -> EdgeFlow:
+        """What the revised effects ask of the flow at the edge of the point, with the revised table."""
+        # Without a declaration of its own an added recombination has the oxygen of the edge, as where a file adds it.
+        old = self.point.flow
+        atoms: Atoms = "edge-oxygen" if old.atoms == "none" else old.atoms
+        tables = (self.table, old.turbulent)
+        return edge_flow(self.effects.after, self.point.recovery, self.point.running_length_m, atoms, tables)
 
     @property
     def not_written(self) -> dict[str, str]:
@@ -373,12 +383,11 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
         _check_comparable(update, record)
         if record.name in found:
             raise InputError(f"two records are named {record.name}; rename one")
-        model, used = (
-            point_with_vehicle_table(record, update.vehicle),
-            [i for i, s in enumerate(record.sensors) if s.used],
-        )
+        model, flow = point_with_vehicle_table(record, update.vehicle)
+        used = [i for i, s in enumerate(record.sensors) if s.used]
         revised = replace(model, ratio=update.table, effects=update.effects.after)
-        residuals = {when: predict(record, m).residual_K[used] for when, m in (("before", model), ("after", revised))}
+        pairs = (("before", model, flow), ("after", revised, update.flow_after))
+        residuals = {when: predict(record, m, flow=f).residual_K[used] for when, m, f in pairs}
         masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
         found[record.name] = {
             part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()

@@ -58,11 +58,6 @@ class Adequacy:
     by_phase: Mapping[str, float]
     statistic: float
 
-    @property
-    def beyond_all(self) -> bool:
-        """Whether it is larger than on every record of known truth."""
-        return self.statistic > float(_true_statistics()[-1])
-
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
         return {
@@ -118,10 +113,17 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
 
 
 def p_value(statistic: float) -> float:
-    """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n; linear between them."""
+    """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n, linear between them.
+
+    Beyond the largest it falls exponentially, at the mean rate of the largest tenth of them.
+    """
     known = _true_statistics()
-    at = np.interp(statistic, known, np.arange(len(known), 0.0, -1.0), right=0.0)
-    return float((at + 1.0) / (len(known) + 1.0))
+    largest = known[-1]
+    if statistic <= largest:
+        larger = float(np.interp(statistic, known, np.arange(len(known) - 1.0, -1.0, -1.0)))
+        return (larger + 1.0) / (len(known) + 1.0)
+    tail = known[-max(len(known) // 10, 2) :]
+    return math.exp(-(statistic - largest) / float(np.mean(tail - tail[0]))) / (len(known) + 1.0)
 
 
 @cache

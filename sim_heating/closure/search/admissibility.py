@@ -22,7 +22,7 @@ MIN_SIGMAS = 3.0
 MAX_SCATTER = 4.0
 """Largest distance of a parameter from its nominal value, in standard deviations of its declared scatter."""
 NEAR = 2.0
-"""A bound within this many standard deviations of the nominal value is a value as good as any, such as a sharp onset."""
+"""A bound within this many standard deviations of the nominal value is as good as any other, as for a sharp onset."""
 SETTLED = 0.5
 """Gain in log posterior that a further step may predict where an iteration ended without converging."""
 
@@ -60,7 +60,9 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
             lines.append(f"{own} is on its bound, {value:g}")
         elif name in candidate.with_prior and abs(value - p.value) > MAX_SCATTER * p.sigma:
-            lines.append(f"{own} = {value:.3g} is {abs(value - p.value) / p.sigma:.1f} standard deviations off {p.value:g}")
+            lines.append(
+                f"{own} = {value:.3g} is {abs(value - p.value) / p.sigma:.1f} standard deviations off {p.value:g}"
+            )
     return lines
 
 
@@ -68,9 +70,13 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     """Objection to a magnitude that the record does not tell from none."""
     names = [u.parameter.name for u in trial.problem.unknowns]
     declared = {used.effect.name for used in trial.problem.record_fits[0].record.declared.heating.effects}
-    effect = None if candidate.name in declared else effects().get(candidate.name)  # a declared one differs from its declaration
+    effect = (
+        None if candidate.name in declared else effects().get(candidate.name)
+    )  # a declared one differs from its declaration
     neutral = {f"{EFFECT_PREFIX}{candidate.name}.{n}": v for n, v in (effect.neutral if effect else {}).items()}
-    none = {n: neutral.get(n, p.value) for n, p in _definitions(trial, candidate).items() if not neutral or n in neutral}
+    none = {
+        n: neutral.get(n, p.value) for n, p in _definitions(trial, candidate).items() if not neutral or n in neutral
+    }
     if not none:
         return []
     index = [names.index(n) for n in none]

@@ -108,13 +108,10 @@ def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]
             continue
         free = tuple(p.name for p in used.definitions if p.sigma > 0.0)
         declared = dict(zip((p.name for p in used.definitions), used.values, strict=True))
-        bounds = {p.name: (p.lower, p.upper) for p in used.definitions}.get(ONSET_NAME, (-np.inf, np.inf))
-        # a criterion such as Re_theta over M_e may lie below any onset in a part of the flight
-        onsets = {
-            onset
-            for start in starts
-            if (onset := start.values.get(ONSET_NAME, np.nan)) > bounds[0] and onset < bounds[1]
-        }
+        limits = {p.name: (p.lower, p.upper) for p in used.definitions}
+        # a flight begins at Reynolds numbers far below any onset
+        given = [start.values[ONSET_NAME] for start in starts if ONSET_NAME in start.values]
+        onsets = {_within(onset, limits[ONSET_NAME]) for onset in given}
         for changed in ({}, *({ONSET_NAME: onset} for onset in sorted(onsets))):
             values = declared | changed
             names = tuple(f"{prefix}{name}" for name in free)
@@ -171,9 +168,7 @@ def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str])
     """The candidate of an effect at one start, its values within their bounds."""
     definitions = effect.search_definitions()
     limits = {p.name: (p.lower, p.upper) for p in definitions}
-    used = use(
-        effect.name, {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in start.values.items()}
-    )
+    used = use(effect.name, {name: _within(value, limits[name]) for name, value in start.values.items()})
     used = replace(used, declared=definitions)
     values = dict(zip((p.name for p in effect.parameters), used.values, strict=True))
     prefix = f"{EFFECT_PREFIX}{effect.name}."
@@ -181,6 +176,11 @@ def _candidate_at(effect: Effect, start: SearchStart, searched: Collection[str])
     with_prior = tuple(f"{prefix}{p}" for p in start.names if p not in searched)
     active = tuple(f"{prefix}{p}" for p in effect.active_parameters(start.names, values))
     return Candidate(effect.name, (used,), tuple(first), first, active, with_prior)
+
+
+def _within(value: float, limits: tuple[float, float]) -> float:
+    """A value, or the limit that it exceeds."""
+    return min(max(value, limits[0]), limits[1])
 
 
 def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, ...]]) -> list[Candidate]:

@@ -1,6 +1,8 @@
 """Hypotheses on a record, and what the search concludes from them.
 
-A hypothesis is a model of the record that was fitted: the declared one, or the declared one with one or more effects.
+A hypothesis is a model of the record that was fitted: the declared one, the declared one with one or more effects, or
+the declared one on a record that is changed (record_change.py), since its flight, its wall or a sensor is other than
+stated.
 All are compared by one score, BIC with the segments held out (ranking.py), relative to the declared model; those that
 may not be named (admissibility.py) are left out of the comparison.
 """
@@ -14,16 +16,20 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.closure.search.adequacy import Adequacy, assess
-from sim_heating.closure.search.admissibility import objections
+from sim_heating.closure.search.admissibility import MIN_SIGMAS, SETTLED, objections
 from sim_heating.closure.search.ranking import model_bic, prior_penalty
-from sim_heating.closure.search.trial_fit import TrialFit
+from sim_heating.closure.search.record_change import ChangeFit
+from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trial_fit import TrialFit, sample_count
+from sim_heating.estimation.inference.newton import Status
 
 MIN_BIC_GAIN = 10.0
 """How much lower the score of an effect has to be than that of none, or of the model without it."""
 SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
-ADEQUATE = 0.01
-"""p-value from which on a model explains the record to its noise."""
+ADEQUATE, UNEXPLAINED = 0.01, 1e-3
+"""p-value from which on a model explains the record to its noise, and below which something is missing although no
+candidate explains any of it."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 NEARLY_ALL, NEAR_NOISE = 0.97, 1.3
@@ -36,13 +42,15 @@ class Hypothesis:
     """A fitted model of a record.
 
     trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
-                 model alone is the trial named `none`
+                 model alone, or on a changed record, is the trial named `none`
+    change     : of the record; None where it is as declared
     objections : why it may not be named, empty where it may
     price      : of the number of forms tried of each of its effects, in units of BIC
     score      : BIC with held-out segments, relative to the declared model, with the noise scale of the best
     """
 
     trials: tuple[TrialFit, ...]
+    change: ChangeFit | None = None
     objections: tuple[str, ...] = ()
     price: float = 0.0
     score: float = 0.0
@@ -54,8 +62,18 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its effects; none for the declared model."""
-        return tuple(t.name for t in self.trials if t.name != "none")
+        """Names of its effects, or the change in words without its value; none for the declared model."""
+        change = () if self.change is None else (self.change.change.name or self.change.change.what,)
+        return (*change, *(t.name for t in self.trials if t.name != "none"))
+
+    @property
+    def kind(self) -> str:
+        """Kind of its cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
+        if self.change is not None:
+            return "effect" if self.change.change.name else self.change.change.kind
+        if not self.names:
+            return ""
+        return "table" if self.names == (TABLE,) else "effect"
 
     @property
     def admissible(self) -> bool:
@@ -66,7 +84,9 @@ class Hypothesis:
     def adequacy(self) -> Adequacy:
         """Whether it explains the record to its noise."""
         trial = self.last
-        held_out = [] if trial.held_out is None or trial.held_out_chi2 == 0.0 else trial.held_out.samples(trial.fit.values)
+        held_out = (
+            [] if trial.held_out is None or trial.held_out_chi2 == 0.0 else trial.held_out.samples(trial.fit.values)
+        )
         return assess(trial.problem.samples(trial.fit.values), held_out)
 
     @property
@@ -91,7 +111,25 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
     """
     price = sum(2.0 * float(np.log(max(forms.get(t.name, 1), 1))) for t in trials if t.name != "none")
     against = () if trials[-1].name == "none" else objections(trials[-1], [t.candidate for t in trials])
-    return Hypothesis(tuple(trials), against, price)
+    return Hypothesis(tuple(trials), None, against, price)
+
+
+def change_hypothesis(fit: ChangeFit, tried: int) -> Hypothesis:
+    """The hypothesis that the record is changed.
+
+    tried : number of changes that were tried
+    """
+    against = []
+    if fit.fit.status is not Status.CONVERGED and not fit.fit.predicted_gain < SETTLED:
+        against.append("its fit did not converge")
+    if fit.on_bound:
+        against.append(f"{fit.change.what} is on its bound")
+    parameter = fit.change.parameter
+    if parameter is not None and abs(fit.value - parameter.value) < MIN_SIGMAS * fit.sigma:
+        against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
+    counted = 1 if fit.change.in_model else 0  # by the trial's own problem
+    more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
+    return Hypothesis((fit.trial,), fit, tuple(against), 2.0 * float(np.log(max(tried, 1))) + more + fit.deviation**2)
 
 
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -100,7 +138,7 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     The scale of residuals is that of the best admissible one.
     """
     admissible = [h for h in others if h.admissible]
-    best = min(admissible, key=lambda h: model_bic(h.last, h.last), default=none).last
+    best = max(admissible, key=lambda h: h.last.fit.log_likelihood, default=none).last
 
     def score(h: Hypothesis) -> float:
         penalties = sum(prior_penalty(h.last, t.candidate) for t in h.trials if t.name != "none")
@@ -126,6 +164,12 @@ class Conclusion:
     alternatives: tuple[tuple[str, ...], ...]
     rival: float
 
+    @property
+    def effect_name(self) -> str:
+        """Name in a closure report where no effect is added: "none" where nothing is, or no effect is the cause."""
+        explained = self.finding in ("found", "one of") and self.best.kind != "effect"
+        return "none" if self.finding == "none" or explained else "unknown"
+
     def __repr__(self) -> str:
         named = " + ".join(" or ".join(slot) for slot in self.alternatives)
         return f"<Conclusion: {self.finding} {named}, rival {self.rival:+.1f}>"
@@ -139,8 +183,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
     if best is None or best.score > -MIN_BIC_GAIN:
-        # A residual that looks worse than that of every record of known truth is no noise, even where nothing explains it.
-        unexplained = none.adequacy.p_value < ADEQUATE and none.adequacy.beyond_all
+        unexplained = none.adequacy.p_value < UNEXPLAINED
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2

@@ -80,7 +80,9 @@ def refine(
             trial = TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
             found.setdefault(c.name, []).append(Contender(trial, objections(trial)))
     chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
-    complete = [replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen]
+    complete = [
+        replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
+    ]
     return sorted(complete, key=lambda k: k.trial.delta_bic)
 
 

@@ -2,7 +2,8 @@
 
 The declared model's magnitude and derivatives are fitted first. Then every candidate is screened (screening.py), the
 promising ones are fitted together with these (trial_fit.py), and the leading ones are fitted to convergence in their
-simplest and richest forms (refine.py). Where the best single effect explains the record to its noise the search ends.
+simplest and richest forms (refine.py). Changes of the record's flight, wall and sensors are screened and fitted in the
+same way (record_change.py), and wrong derivatives of its table (table_candidates.py). Where the best single effect explains the record to its noise the search ends.
 Otherwise a further effect is sought on top of each of several first ones, jointly with it. A further effect has to
 explain a good part of the remaining excess, and to improve the prediction of the segments held out; at the end each is
 left out in turn, and stays out where the score does not suffer. All models are then compared (hypothesis.py).
@@ -17,17 +18,21 @@ import numpy as np
 
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.flight_changes import flight_changes
 from sim_heating.closure.search.hypothesis import (
     MIN_BIC_GAIN,
     Conclusion,
     Hypothesis,
+    change_hypothesis,
     conclude,
     hypothesis,
     scored,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
+from sim_heating.closure.search.record_change import fit_changes, predicted_change_gains
 from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
+from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trial_fit import (
     TrialFit,
     base_trial,
@@ -38,6 +43,7 @@ from sim_heating.closure.search.trial_fit import (
     sample_count,
     start_values,
 )
+from sim_heating.closure.search.wall_changes import wall_changes
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
@@ -50,6 +56,8 @@ MIN_SHARE = 0.5
 MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first: a first one of another form leaves less."""
 MAX_EFFECTS = 3
+CHANGE_SHARE, MOST_CHANGES = 0.5, 8
+"""Part of the best gain in log likelihood that a change of the record has to predict to be fitted; how many are."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,12 +81,12 @@ class SearchResult:
     def added(self) -> tuple[TrialFit, ...]:
         """Trial fits whose effects are added to the model, in order; none where nothing is named."""
         named = self.conclusion.finding in ("found", "one of")
-        return self.conclusion.best.trials if named else ()
+        return self.conclusion.best.trials if named and self.conclusion.best.kind == "effect" else ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the added effects; else `unknown` or `none`."""
-        return tuple(t.name for t in self.added) or (("none",) if self.conclusion.finding == "none" else ("unknown",))
+        return tuple(t.name for t in self.added) or (self.conclusion.effect_name,)
 
     def __repr__(self) -> str:
         return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
@@ -93,9 +101,10 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     before = declared_fit(record)
     base = base_trial(before)
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
-    singles = _refined(base, first, _part(progress, 0.35, 0.5, "one effect"))
+    singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
+    found += _changes(base, singles, progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
         picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
@@ -117,6 +126,19 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
 def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
     """Progress of a part of the search."""
     return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{what}: {text}")
+
+
+def _changes(base: TrialFit, singles: Sequence[Contender], progress: Progress) -> list[Hypothesis]:
+    """Hypotheses that the record's flight, wall or sensors are other than declared."""
+    progress(0.45, "changes of the flight, the wall and the sensors")
+    record = base.problem.record_fits[0].record
+    changes = [*flight_changes(record), *wall_changes(record)]
+    best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
+    predicted = [gain for gain, _ in predicted_change_gains(base, changes)]
+    least = CHANGE_SHARE * max([best, *predicted])
+    leading = sorted((k for k, gain in enumerate(predicted) if gain > least), key=lambda k: -predicted[k])
+    fits = fit_changes(base, [changes[k] for k in leading[:MOST_CHANGES]], best)
+    return [change_hypothesis(f, len(changes)) for f in fits]
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
@@ -194,6 +216,7 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
     tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
+    tried += table_candidates(base) if not taken else []
     gains = predicted_gains(base, tried)
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
     problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)

@@ -13,15 +13,16 @@ what a table says of a flight's parameters (prior.py) are both this projection.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
+from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
-from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.points import conditions_of_record, intermittency_along
 from sim_heating.inputs.record import Record, in_segments
 
 MIN_SINGULAR_VALUE = 1e-6
@@ -32,25 +33,30 @@ MIN_SINGULAR_VALUE = 1e-6
 class FlownPath:
     """The fitted samples.
 
-    x        : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
-    weight   : (sample,) weight in the projection [(W/m2)^2]
-    declared : (sample,) ratio of the record's own table [-], 0 without one
+    x         : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
+    weight    : (sample,) weight in the projection [(W/m2)^2]
+    declared  : (sample,) ratio of the record's own table [-], 0 without one
+    turbulent : (sample,) intermittency of the transition in the fit [-], 0 without one
     """
 
     x: FloatArray
     weight: FloatArray
     declared: FloatArray
+    turbulent: FloatArray
 
     def subset(self, chosen: BoolArray) -> FlownPath:
         """The chosen samples."""
-        return FlownPath(self.x[chosen], self.weight[chosen], self.declared[chosen])
+        return FlownPath(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
-def record_path(record: Record, segments: Sequence[Sequence[float]] | None = None) -> FlownPath:
+def record_path(
+    record: Record, segments: Sequence[Sequence[float]] | None = None, transition: EffectUse | None = None
+) -> FlownPath:
     """The fitted samples of one record.
 
-    segments : [start_s, end_s] of each, None for those of the record
-    raises   : InputError where no reading lies in them
+    segments   : [start_s, end_s] of each, None for those of the record
+    transition : the transition of the fit, None without one
+    raises     : InputError where no reading lies in them
     """
     t = record.time_s
     fitted = record.fit_mask() if segments is None else in_segments(t, segments) & ~record.holdout_mask()
@@ -63,7 +69,8 @@ def record_path(record: Record, segments: Sequence[Sequence[float]] | None = Non
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     # Weighted by the square of the heat flux, on which the temperatures depend.
     weight = (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2
-    return FlownPath(x, weight, declared_ratio(record.ratio_table, x))
+    turbulent = np.zeros(len(t)) if transition is None else intermittency_along(transition, flown)
+    return FlownPath(x, weight, declared_ratio(record.ratio_table, x), turbulent)
 
 
 def projection(names: Sequence[str], path: FlownPath, reference: FloatArray) -> FloatArray:

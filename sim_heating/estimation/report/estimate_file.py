@@ -299,8 +299,9 @@ def inputs_hash(record: Record) -> str:
 
     raises : InputError where one cannot be read
     """
-    declared = record.declared
-    names = (DECLARATION, declared.conditions.file, declared.thermocouples.file, declared.heating.ratio_table)
+    declared, heating = record.declared, record.declared.heating
+    tables = (heating.ratio_table, heating.turbulent_file)
+    names = (DECLARATION, declared.conditions.file, declared.thermocouples.file, *tables)
     digest = hashlib.sha256()
     for name in (n for n in names if n is not None):
         try:

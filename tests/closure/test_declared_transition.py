@@ -1,0 +1,86 @@
+"""Closing the loop on flights whose record declares the transition of its boundary layer, and what goes to the
+vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sim_heating.cli import main
+from sim_heating.closure.close import close_loop
+from sim_heating.closure.revise.update import errors_before_and_after, prepare_update
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.report.estimate_file import write_estimate
+from sim_heating.estimation.report.report import estimate_contents
+from sim_heating.inputs.points import point_with_vehicle_table
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.vehicle import load_vehicle
+from sim_heating.simulation.predict import predict
+from tests.support.transition_glide import EARLY, POINT, made
+
+SCALE = 0.08
+HOTTER = f'[truth.parameters]\n"ratio.scale" = {SCALE}\n'
+ONSET = "effect.transition.log10_re_onset"
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Records of a glide: `right`, as declared; `early`, whose layer turns earlier than declared; `hot`, with 8 % more
+    heating, laminar and turbulent, in addition."""
+    home = tmp_path_factory.mktemp("flights")
+    for name, truth in (("right", ""), ("early", EARLY), ("hot", HOTTER + EARLY)):
+        (home / name).mkdir()
+        made(home / name, truth)
+    return home
+
+
+def flown(flights: Path, name: str) -> Record:
+    return load_record(flights / name / "record")
+
+
+def test_a_transition_that_is_as_declared_is_no_finding(flights: Path) -> None:
+    assert close_loop(flown(flights, "right")).effects == ("none",)
+
+
+def test_a_transition_earlier_than_declared_is_found_by_freeing_the_declared_one(flights: Path) -> None:
+    record = flown(flights, "early")
+    closed = close_loop(record)
+    assert closed.effects == ("transition",)
+    found = closed.report.effects[0].parameters["log10_re_onset"]
+    assert abs(found.value - 2.42) < 3.0 * found.sigma
+    assert closed.fitted.after[0].segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
+
+
+def test_a_vehicle_takes_the_fitted_transition_at_this_point_and_keeps_its_own_elsewhere(
+    flights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(flights)
+    record = load_record("hot/record")
+    write_estimate("fit.json", estimate_contents(estimate(record, ["ratio.scale", ONSET])))
+    assert main(["update-tables", "fit.json", "--vehicle", "orbiter", "--out", "revised"]) == 0
+    old, new = load_vehicle("orbiter"), load_vehicle("./revised/orbiter")
+    values = {u.effect.name: dict(zip((p.name for p in u.definitions), u.values, strict=True))
+              for u in new.control_point(POINT).effects}  # fmt: skip
+    assert values["transition"]["log10_re_onset"] == pytest.approx(2.42, abs=2e-3)
+    # The turbulent table is not revised: the factor has the 8 % that the laminar table now has.
+    assert values["transition"]["factor"] == pytest.approx(1.0 + SCALE, abs=0.01)
+    assert (new.directory / "vehicle.toml").read_bytes() == (old.directory / "vehicle.toml").read_bytes()
+    assert new.control_point("STS96_597").effects == old.control_point("STS96_597").effects
+    model, flow = point_with_vehicle_table(record, new)
+    assert predict(record, model, flow=flow).segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
+
+
+def test_a_fit_without_the_transition_says_what_the_turbulent_table_lacks(
+    flights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(flights)
+    record = load_record("hot/record")
+    write_estimate("scale.json", estimate_contents(estimate(record, ["ratio.scale"])))
+    update = prepare_update("scale.json", "orbiter")
+    assert "turbulent heating is" in update.not_written["effect.transition"]
+    errors = errors_before_and_after(update, [record])["record"]["fit"]
+    model, _ = point_with_vehicle_table(record, update.vehicle)
+    revised = predict(record, replace(model, ratio=update.table), flow=update.flow_after)
+    assert errors["after"] == revised.segment_errors()["fit"]
