@@ -21,6 +21,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import Parameter
+from sim_heating.closure.clues.flight_consistency import Discrepancy
 from sim_heating.closure.search.record_change import RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
@@ -39,31 +40,34 @@ MIN_FLIGHT_M_S = 1000.0
 LAYERS, DRIFTS = 8, 6
 """Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
 tried."""
+SUSPECTED = 4
+"""Contradictions within the conditions, the clearest ones, whose spans are tried."""
 HEATED = 0.15
 """Part of the largest heating of a cold wall above which a flight counts as heated."""
 
 
-def flight_changes(record: Record, layers_m: Sequence[tuple[float, float]] = (),
-                   drifts_s: Sequence[tuple[float, float]] = ()) -> list[RecordChange]:  # fmt: skip
+def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
     """Changes of the flight that may explain a record; none for a ground test.
 
-    layers_m : altitudes [m] between which the density is suspected, before all others
-    drifts_s : times [s] between which the velocity is suspected to drift
+    suspected : parts of the flight whose conditions contradict each other; layers of density and drifts of velocity are
+                tried there as well as along the whole heated descent
     """
     flown = record.conditions
     if flown["velocity_m_s"].max() < MIN_FLIGHT_M_S:
         return []
     heated = _heated(flown)
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
-    layers = [*layers_m, *_parts(float(z.min()), float(z.max()), LAYERS)]
-    drifts = [*drifts_s, *_parts(float(t.min()), float(t.max()), DRIFTS)]
+    layers = [(d.lowest_m, d.highest_m) for d in suspected[:SUSPECTED]]
+    drifts = [(d.begin_s, d.end_s) for d in suspected[:SUSPECTED]]
+    layers += _parts(float(z.min()), float(z.max()), LAYERS)
+    drifts += _parts(float(t.min()), float(t.max()), DRIFTS)
     return [
         time_shift(),
         density_scale(),
         velocity_scale(),
         alpha_bias(),
-        *(density_layer(low, high) for low, high in dict.fromkeys(layers)),
-        *(velocity_drift(begin, end) for begin, end in dict.fromkeys(drifts)),
+        *(density_layer(low, high) for low, high in layers if high > low),
+        *(velocity_drift(begin, end) for begin, end in drifts if end > begin),
     ]
 
 
