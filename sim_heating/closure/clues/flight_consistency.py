@@ -35,8 +35,9 @@ HIGHEST_M = 80e3
 """Altitude [m] above which the mean molar mass of air changes, and drag with rarefaction."""
 SLOWEST_M_S = 2000.0
 """Velocity [m/s] below which coefficients change with Mach number, and winds count."""
-LEAST_DRAG_M_S2 = 0.5
-"""Deceleration [m/s2] below which drag is not judged: the rotation of the Earth gives some hundredths."""
+LEAST_DRAG_M_S2, LEAST_SENSED_M_S2 = 0.5, 0.05
+"""Accelerations below which drag and axial force are not judged: the rotation of the Earth adds some hundredths to the
+first, and an accelerometer has a bias."""
 HALF_WINDOW_S, HALF_WINDOW_M = 8.0, 1500.0
 """Half of the spans of time and altitude over which derivatives are taken."""
 STEP_S = 1.0
@@ -256,7 +257,7 @@ def _axial(flown: Conditions) -> _Relation | None:
         return None
     q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
     acceleration = G0_M_S2 * flown["axial_accel_g"]
-    judged = _hypersonic(flown) & (acceleration > LEAST_DRAG_M_S2)
+    judged = _hypersonic(flown) & (acceleration > LEAST_SENSED_M_S2)
     deviation = _from_smooth(flown, acceleration, q, judged)
     noise = 2.0 * _of_speed(flown)
     return _Relation("axial force", "axial acceleration over dynamic pressure is", deviation, judged, 0.1, noise=noise)
