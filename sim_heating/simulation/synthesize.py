@@ -17,7 +17,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
-from sim_heating.heating.effects.transition import TRANSITION, intermittency
+from sim_heating.heating.effects.transition import HYSTERESIS, TRANSITION, held_past, past_onset_now, turbulent_part
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
 from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
@@ -125,7 +125,11 @@ def _intermittency(used: EffectUse, conditions: Conditions) -> FloatArray:
     """(time,) intermittency [-] of a transition along a flight."""
     history = condition_history(conditions)
     block = np.column_stack([history, np.tile(used.values, (len(history), 1))])
-    return np.array([intermittency(row, 0, history.shape[1]) for row in block])
+    turbulent, held = np.empty(len(block)), -np.inf
+    for i, row in enumerate(block):
+        held = held_past(held, past_onset_now(row, 0, history.shape[1]), row[history.shape[1] + HYSTERESIS])
+        turbulent[i] = turbulent_part(row, history.shape[1], held)
+    return turbulent
 
 
 def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions) -> Conditions:
