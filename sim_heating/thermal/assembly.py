@@ -164,7 +164,7 @@ def _pressure_factor(decade: float, log10_p: float) -> float:
 def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
     """`_gather_polynomials` from the table with slopes (docs/equations_thermal_step.md, equation 10b):
 
-        c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
+    c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
     """
     t, weighted = B[a + T * LANES + lane], 3 + 3 * J[N_PRESSURES + lane]
     width = PIECE_HEAD + 2 * weighted

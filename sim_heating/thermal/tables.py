@@ -26,7 +26,7 @@ from sim_heating.thermal.stack import Material, pairs
 EDGES_K = BIN_K * np.arange(BINS + 1)
 """Edges of the bins [K]."""
 BEND_FROM_K, BEND_AT_K, BEND_TO_K = 0.0, 700.0, 1700.0
-"""Temperatures [K] between which the slope of a property's factor acts, and where it leaves the property as declared."""
+"""Temperatures [K] between which the slope of a property acts, and where it leaves the property as declared."""
 BEND_STEP_K = 100.0
 """Largest distance [K] between points of a table with a slope, within its range: f(T) k(T) is linear between them."""
 STRAIGHT = 1e-11
@@ -102,7 +102,7 @@ class TableStore:
 
         Layout and interpolation: docs/equations_thermal_step.md, section 2.
         """
-        # Insulation has a table of its own, even where another layer is of the same material: its properties may differ.
+        # Insulation has a table of its own, even where another layer is of its material: their properties may differ.
         key = (*(id(m) for m in layers), wall_enthalpy)
         if key not in self._points:
             self._points[key] = self._add(layers, contact, wall_enthalpy)
@@ -119,7 +119,6 @@ class TableStore:
             self.place(("emissivity", str(outer)), lambda: _point_table(outer)),
             self.place(("enthalpy", wall_enthalpy), lambda: _enthalpy_table(wall_enthalpy)),
         )
-
 
     def _place_material(self, material: Material, grid: bytes, bends: bool) -> int:
         """Offset of the table of a material, behind the distance to its table with slopes."""

@@ -68,8 +68,8 @@ STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, NATURAL, NATURAL_EXPONENT = 60
 VENTED, VENTING_TAU = 71, 74
 # Distance past the onset of transition with its hysteresis [-], one row a stage (heating/effects/transition.py).
 PAST_ONSET = 75
-# Change of the insulation's tables: conductivity with temperature [1/K] and with a decade of pressure [-], specific heat
-# with temperature [1/K] (docs/equations_thermal_step.md, equation 10b).
+# Change of the insulation's tables: conductivity with temperature [1/K] and with a decade of pressure [-], specific
+# heat with temperature [1/K] (docs/equations_thermal_step.md, equation 10b).
 BEND_K, BEND_P, BEND_C = 78, 79, 80
 C_STAGES = 81
 # After the conditions of the three stages those at the start and at the end of a frame that is divided.

@@ -508,7 +508,7 @@ def _lag_before(X: Blocks, groups: IntArray, first: bool) -> None:
 
 @njit
 def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
-    """Give the perturbed lanes at the middle stage and the end the memory of lag and hysteresis of this step's start."""
+    """Give the perturbed lanes at the middle stage and the end this step's memory of lag and hysteresis."""
     for g in range(len(groups)):
         for s in range(groups[g, 0], groups[g, 0] + LANES):
             for row in (LAG_VALUE, LAG_INPUT, PAST_ONSET):

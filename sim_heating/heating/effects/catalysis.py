@@ -27,8 +27,8 @@ def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     returns : factor [-]; below 1 where a step is negative
 
     S(x) = 1 / (1 + exp(-x)). An empirical rise, without chemistry; T_c [K] and H_c [J/kg] are where half of it is
-    reached. Above T_f [K] the part `fall` of the rise is lost again: recombination on silica decreases where its surface
-    changes. Source: the rise, Scott in NASA CP-2283; the fall, Deutschmann, Riedel and Warnatz, J. Heat
+    reached. Above T_f [K] the part `fall` of the rise is lost again: recombination on silica decreases where it is
+    very hot. Source: the rise, Scott in NASA CP-2283; the fall, Deutschmann, Riedel and Warnatz, J. Heat
     Transfer 117 (1995) 495; the form, docs/effects.md, equation 5.
     """
     hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
@@ -78,7 +78,9 @@ EFFECT = Effect(
         Parameter("flow_step", "1", 0.0, 0.2, -0.9, 3.0, "relative rise from low to high enthalpy of the flow"),
         Parameter("flow_J_kg", "J/kg", 1.5e7, 5e6, 1e5, 1e8, "recovery enthalpy of half that rise"),
         Parameter("flow_width_J_kg", "J/kg", 2e6, 1e6, 1e4, 1e8, "width of that rise"),
-        Parameter("fall_fraction", "1", 0.0, 0.5, 0.0, 1.0, "part of the first rise that is lost again on a hotter wall"),
+        Parameter(
+            "fall_fraction", "1", 0.0, 0.5, 0.0, 1.0, "part of the first rise that is lost again on a hotter wall"
+        ),
         Parameter("fall_K", "K", 1500.0, 150.0, 300.0, 2500.0, "wall temperature at which half of that is lost"),
     ),
     kernel=catalysis_factor,

@@ -126,7 +126,9 @@ EFFECT = Effect(
     name=CURVE,
     mode="multiply",
     parameters=(
-        Parameter("variable", "1", 0.0, 0.0, 0.0, len(VARIABLES) - 1.0, f"number of the variable: {', '.join(VARIABLES)}"),
+        Parameter(
+            "variable", "1", 0.0, 0.0, 0.0, len(VARIABLES) - 1.0, f"number of the variable: {', '.join(VARIABLES)}"
+        ),
         Parameter("low", "1", 30.0, 0.0, -1e5, 1e5, "first knot, in the unit of the variable"),
         Parameter("high", "1", 45.0, 0.0, -1e5, 1e5, "last knot"),
         *(

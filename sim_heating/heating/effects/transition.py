@@ -18,7 +18,7 @@ TRANSITION = "transition"
 """Name of the effect; a point with it takes its recovery enthalpy by intermittency (heating/film.py)."""
 ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS, BY_TABLE, BY_RE_THETA, HYSTERESIS = range(9)
 FALLS_WITH_ALPHA, SMALLEST_HYSTERESIS = 0.02, 0.05
-"""Sensitivity to angle of attack [1/deg] and fall back towards an onset [-] from which on hysteresis is searched for."""
+"""Sensitivity to angle of attack [1/deg] and fall back towards an onset [-] from which on hysteresis is looked for."""
 NARASIMHA = 0.412
 """Constant of the intermittency 1 - exp(-0.412 x^2) [-], with which `width` is the distance between a quarter and three
 quarters of the rise (Dhawan and Narasimha 1958)."""
@@ -55,6 +55,7 @@ def past_onset(B: FloatArray, c: int, p: int) -> float:
     """Distance past the onset [-] at the stage whose conditions begin at B[c], hysteresis included.
 
     Its value at the start of the step is read where heating/film.py keeps it; a march begins without hysteresis.
+    Source: docs/effects.md, equation 24a.
     """
     now, hysteresis = past_onset_now(B, c, p), B[p + HYSTERESIS]
     if hysteresis <= 0.0:
@@ -90,6 +91,7 @@ def intermittency(B: FloatArray, c: int, p: int) -> float:
     """Fraction of the time that the flow is turbulent [-] under flight conditions, hysteresis included.
 
     B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
+    Source: docs/effects.md, equations 23 to 24a.
     """
     return turbulent_part(B, p, past_onset(B, c, p))
 
