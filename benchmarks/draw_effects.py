@@ -36,6 +36,7 @@ DRAWN: Mapping[str, Mapping[str, float]] = {
     "catalysis": {"catalysis_step": 0.2, "catalysis_K": 1000.0},
     "coating-thickness": {"coating_factor": 1.5},
     "conductivity": {"conductivity_factor": 1.3},
+    "curve": {"low": 30.0, "high": 45.0, "s_4": 0.02, "s_5": 0.08, "s_6": 0.14, "s_7": 0.16},
     "elevon-curvature": {"d_elevon2": 2e-4},
     "emissivity": {"emissivity_factor": 0.93, "change_s": 600.0},
     "gap-flow": {"gap_fraction": 0.02, "gap_depth_m": 0.01},

@@ -84,6 +84,11 @@ STACK = (
     Parameter("stack.coating.heat_capacity_factor", "1", 1.0, 0.3, 1e-3, 10.0, "first layer, over the declared table"),
     Parameter("stack.rsi.conductivity_factor", "1", 1.0, 0.18, 1e-3, 10.0, "second layer, over the declared table"),
     Parameter("stack.rsi.heat_capacity_factor", "1", 1.0, 0.1, 1e-3, 10.0, "second layer, over the declared table"),
+    Parameter(
+        "stack.rsi.conductivity_slope", "1/K", 0.0, 2e-4, -9e-4, 1.2e-3, "of the second layer's factor, at 700 K"
+    ),
+    Parameter("stack.rsi.conductivity_decade", "1", 0.0, 0.1, -0.4, 0.3, "of the same factor a decade of p, at 1 kPa"),
+    Parameter("stack.rsi.heat_capacity_slope", "1/K", 0.0, 2e-4, -9e-4, 1.2e-3, "of the factor on it, at 700 K"),
     Parameter("stack.emissivity_factor", "1", 1.0, 0.035, 0.0, 1.5, "surface emittance over the declared table"),
     Parameter("stack.rsi.radiative_conductivity", "W/(m K)", 0.0, 0.05, -1.0, 10.0, "at 1000 K, grows with T^3"),
     Parameter("stack.rsi.radiation_from_K", "K", 0.0, 200.0, 0.0, 3000.0, "up to there declared conductivity has it"),

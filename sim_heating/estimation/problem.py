@@ -48,7 +48,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
-from sim_heating.march.mesh_choice import meshes_on_flights
+from sim_heating.march.mesh_choice import choose_meshes, meshes_on_flights
 from sim_heating.march.point import PointModel, check_one_name
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
@@ -121,10 +121,7 @@ class FitProblem:
         models = [replace(point_of_record(r, options.fixed, options.effects), reference=reference) for r in records]
         # the mesh is chosen once, for the declared model: a likelihood with another mesh at each step would not be
         # smooth, and those of two models could not be compared
-        meshes = [
-            meshes_on_flights([point_of_record(r)], [conditions_of_record(r)], options.longest_step_s)[0][0]
-            for r in records
-        ]
+        meshes = [_mesh(point_of_record(r), r, options.longest_step_s) for r in records]
         begin = list(options.starts) if options.starts is not None else [None] * len(records)
         self.record_fits = [
             self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
@@ -433,6 +430,14 @@ class FitProblem:
                 change = max(change, abs(sigma / s.sigma_K - 1.0))
                 s.record_fit.sigma_K[s.channel.number] = sigma
         return change
+
+
+def _mesh(point: PointModel, record: Record, step_s: float) -> Mesh:
+    """Mesh of a record's point, chosen on its flight where the stack prescribes no number of nodes."""
+    if point.nodes is not None:
+        # its error on the flight, which takes two marches, would change nothing
+        return choose_meshes([point], step_s)[0][0]
+    return meshes_on_flights([point], [conditions_of_record(record)], step_s)[0][0]
 
 
 R = TypeVar("R")

@@ -22,7 +22,7 @@ from sim_heating.base.kernels.elementary import LN_10, exp, log10
 from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.heating.atmosphere import SEA_LEVEL_PA
-from sim_heating.heating.effects.transition import intermittency
+from sim_heating.heating.effects.transition import intermittency, past_onset
 from sim_heating.heating.ratio.lookup import (
     VARIABLES,
     cache_axis_cell,
@@ -97,6 +97,15 @@ def _recovery_rise(B: FloatArray, J: IntArray, lane: int, c: int, p: int) -> flo
     if slot == k.NONE or B[c + k.RECOVERY_RISE] == 0.0:
         return 0.0
     return B[c + k.RECOVERY_RISE] * intermittency(B, c, p + k.EFFECT_PARAMETERS + slot * k.EFFECT_WIDTH)
+
+
+@inline_always
+def _keep_past_onset(B: FloatArray, J: IntArray, lane: int, stage: int, c: int, p: int) -> None:
+    """Write the distance past the onset of transition at a stage, which hysteresis needs at the next step."""
+    slot = J[k.TRANSITION_SLOT + lane]
+    if slot != k.NONE:
+        past = past_onset(B, c, p + k.EFFECT_PARAMETERS + slot * k.EFFECT_WIDTH)
+        B[(k.PAST_ONSET + stage) * LANES + lane] = past
 
 
 @njit
@@ -221,6 +230,7 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             B[(k.R_BASE + stage) * LANES + lane] = r
             r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
             H_r += _recovery_rise(B, J, lane, c, p)
+            _keep_past_onset(B, J, lane, stage, c, p)
         B[(k.FILM + stage) * LANES + lane] = r * B[c + k.H_REF]
         B[(k.RECOVERY + stage) * LANES + lane] = H_r
         B[(k.ADDED + stage) * LANES + lane] = B[c + k.Q_ADD]

@@ -7,6 +7,7 @@
     alpha_sens = 0.0                 fall of the onset with angle of attack [1/deg]
     alpha_0_deg = 40.0
     width = 0.03                     of the rise in log10
+    hysteresis = 0.0                 by how much it turns laminar again below its onset, in log10
     ratio_table_turbulent = "ratio_table_turbulent.csv"    or factor = 4.2, turbulent over laminar
 
     [heating.catalysis]              of a record; [catalysis] of a control point, [catalysis.MATERIAL] of a vehicle
@@ -57,6 +58,8 @@ class Transition(Declared):
     width_sigma: float | None = Field(default=None, ge=0.0, description="its standard deviation")
     alpha_0_deg: float = Field(default=40.0, description="angle of attack of the onset in degrees")
     alpha_0_deg_sigma: float | None = Field(default=None, ge=0.0, description="its standard deviation in degrees")
+    hysteresis: float = Field(default=0.0, ge=0.0, le=1.0, description="fall of log10 from its onset to laminar again")
+    hysteresis_sigma: float | None = Field(default=None, ge=0.0, description="its standard deviation")
     spots: float = Field(default=0.0, ge=0.0, le=1.0, description="1 for the form of turbulent spots")
     source: str = ""
     confidence: str = ""
@@ -86,7 +89,9 @@ class Transition(Declared):
         """Values of the effect's parameters, and their sigma as far as declared."""
         values = {"alpha_sens": self.alpha_sens, "width": self.width, "alpha_0_deg": self.alpha_0_deg}
         sigma = {name: getattr(self, name + SIGMA) for name in values}
-        values["spots"] = self.spots
+        # It is free in a search where its sigma is stated: no other declaration knows of it.
+        sigma["hysteresis"] = self.hysteresis_sigma or 0.0
+        values |= {"spots": self.spots, "hysteresis": self.hysteresis}
         if self.re_theta_over_m_e is None:
             values["log10_re_onset"] = self.log10_re_onset or 0.0
             return values, sigma | {"log10_re_onset": self.log10_re_onset_sigma}
@@ -163,11 +168,13 @@ def transition_keys(used: EffectUse, turbulent_file: str | None) -> dict[str, An
         # Fewer digits than those of the logarithm, whose rounding would show.
         onset, onset_sigma = (float(f"{x:.7g}") for x in (10.0**onset, 10.0**onset * math.log(10.0) * onset_sigma))
     keys: dict[str, Any] = {key: onset, key + SIGMA: onset_sigma}
-    spots = number.pop("spots")[0]
+    spots, hysteresis = number.pop("spots")[0], number.pop("hysteresis")
     if by_table:
         keys["ratio_table_turbulent"] = turbulent_file
     for name, (value, sigma) in number.items():
         keys |= {name: value, name + SIGMA: sigma}
+    if any(hysteresis):
+        keys |= dict(zip(("hysteresis", "hysteresis" + SIGMA), hysteresis, strict=True))
     return keys | ({"spots": spots} if spots > 0.0 else {})
 
 

@@ -13,7 +13,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.heating.effects.recombination import RECOMBINATION
-from sim_heating.heating.effects.transition import TRANSITION, intermittency
+from sim_heating.heating.effects.transition import HYSTERESIS, TRANSITION, held_past, past_onset_now, turbulent_part
 from sim_heating.heating.reference.models import point_heating
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
@@ -136,11 +136,15 @@ def _flow_of_record(record: Record) -> EdgeFlow:
 def intermittency_along(transition: EffectUse, conditions: Conditions) -> FloatArray:
     """(time,) intermittency [-] of a transition along a flight, 0 laminar, 1 turbulent (docs/effects.md, equation 24).
 
-    conditions : with the columns that its criterion reads, log10_re or log10_re_theta_m
+    conditions : of the whole flight, since a flow that has turned turbulent may stay so, with the columns that its criterion reads, log10_re or log10_re_theta_m
     """
     history = condition_history(conditions)
     block = np.column_stack([history, np.tile(transition.values, (len(history), 1))])
-    return np.array([intermittency(row, 0, history.shape[1]) for row in block])
+    turbulent, held, at = np.empty(len(block)), -np.inf, history.shape[1]
+    for i, row in enumerate(block):
+        held = held_past(held, past_onset_now(row, 0, at), row[at + HYSTERESIS])
+        turbulent[i] = turbulent_part(row, at, held)
+    return turbulent
 
 
 def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> None:

@@ -33,6 +33,9 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import (
+    BEND_C,
+    BEND_K,
+    BEND_P,
     BOIL,
     C_LEFT,
     C_RIGHT,
@@ -70,6 +73,7 @@ from sim_heating.base.kernels.block import (
     PCOL,
     PFRAC,
     PHASE_RATE,
+    PRESSURE_TABLE,
     RADIATES_FROM,
     RESIDUAL,
     SCALAR_ROWS,
@@ -99,6 +103,10 @@ REDUCED: Any = np.bool_(True)
 WHOLE_ROWS: Any = np.bool_(False)
 """Whether `assemble` eliminates the rows as well. Plain True and False would be types of their own to numba, and
 `assemble` would be compiled once for each."""
+BEND_LOG10_PA = (0.0, 3.0, 5.0)
+"""log10 of the pressures [Pa] between which a change of conductivity with pressure acts, and where there is none."""
+NO_BENT_TABLE = 0.0
+"""Distance to the table with slopes [-] that stands before the table of a material without one."""
 PIECE_HEAD = 3
 """Numbers before the polynomials of a piece: its lower and upper end, and its foot [K]."""
 
@@ -126,6 +134,9 @@ def _gather_polynomials(
 
     returns : offset of the piece in the table
     """
+    slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
+    if table[offset - 1] != NO_BENT_TABLE and (slope_k != 0.0 or decade != 0.0 or slope_c != 0.0):
+        return _gather_bent(B, J, table, a, lane, offset + int(table[offset - 1]), into)
     t, width = B[a + T * LANES + lane], PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane]
     row = offset + BINS + int(table[offset + property_bin(t)]) * width
     # From the piece at the foot of the bin to that of the temperature: most bins lie in one piece. The last has no end.
@@ -139,6 +150,41 @@ def _gather_polynomials(
         B[a + (into + 1 + k) * LANES + lane] = half * table[row + PIECE_HEAD + k]
         B[a + (into + 4 + k) * LANES + lane] = half * table[column + k]
         B[a + (into + 7 + k) * LANES + lane] = half * (table[column + 3 + k] - table[column + k])
+    return row
+
+
+@njit
+def _pressure_factor(decade: float, log10_p: float) -> float:
+    """Factor on conductivity at a pressure [-]: 1 + decade (log10 p - 3), between 1 Pa and 100 kPa."""
+    low, middle, high = BEND_LOG10_PA
+    return 1.0 + decade * (min(max(log10_p, low), high) - middle)
+
+
+@njit
+def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
+    """`_gather_polynomials` from the table with slopes (docs/equations_thermal_step.md, equation 10b):
+
+    c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
+    """
+    t, weighted = B[a + T * LANES + lane], 3 + 3 * J[N_PRESSURES + lane]
+    width = PIECE_HEAD + 2 * weighted
+    row = offset + BINS + int(table[offset + property_bin(t)]) * width
+    while t >= table[row + 1]:
+        row += width
+    slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
+    at = int(B[COLUMN * LANES + lane])
+    first, column = row + PIECE_HEAD, row + PIECE_HEAD + 3 + 3 * at
+    pressures = J[PRESSURE_TABLE + lane] + at
+    below, above = _pressure_factor(decade, table[pressures]), _pressure_factor(decade, table[pressures + 1])
+    B[a + into * LANES + lane] = table[row + 2]
+    for k in range(3):
+        half = 0.5 if k == 2 else 1.0
+        c = table[first + k] + slope_c * table[first + weighted + k]
+        low = below * (table[column + k] + slope_k * table[column + weighted + k])
+        high = above * (table[column + 3 + k] + slope_k * table[column + 3 + weighted + k])
+        B[a + (into + 1 + k) * LANES + lane] = half * c
+        B[a + (into + 4 + k) * LANES + lane] = half * low
+        B[a + (into + 7 + k) * LANES + lane] = half * (high - low)
     return row
 
 

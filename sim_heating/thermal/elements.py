@@ -9,6 +9,9 @@ from sim_heating.base.kernels.block import (
     BACK_EPS,
     BACK_H,
     BACK_T,
+    BEND_C,
+    BEND_K,
+    BEND_P,
     BOIL,
     CONDENSE,
     CURVE,
@@ -47,10 +50,11 @@ from sim_heating.base.parameters import LAYER_SLOTS
 from sim_heating.heating.ratio.lookup import write_order
 
 (
-    COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY, EMISSIVITY, RADIATIVE,
-    RADIATION_FROM, LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT,
+    COATING_THICKNESS, COATING_CONDUCTIVITY, COATING_CAPACITY, RSI_CONDUCTIVITY, RSI_CAPACITY,
+    CONDUCTIVITY_SLOPE, CONDUCTIVITY_DECADE, CAPACITY_SLOPE, EMISSIVITY, RADIATIVE, RADIATION_FROM,
+    LATENT_HEAT, BOILS, DEPOSITED, CONDENSES, WIDTH, CARRIED, GAP_FRACTION, GAP_DEPTH, CONTACT,
     H_BEHIND, T_BEHIND, EPS_BEHIND,
-) = range(20)  # fmt: skip
+) = range(23)  # fmt: skip
 """Indices of the parameters of parameters.STACK, in their order."""
 OWN = EPS_BEHIND + 1
 """Index of the first parameter of a layer by its own name; behind those of parameters.STACK, slot by slot."""
@@ -120,9 +124,21 @@ def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: F
         B[right + M_LEFT * LANES] = half
         B[here + WET_RIGHT * LANES] = wet
         B[right + WET_LEFT * LANES] = wet
+    _set_bends(B, lane, len(layer) + 1, p)
     _set_in_depth(B, J, lane, layer, insulation, p)
     _set_faces(B, lane, p)
     _set_gap(B, J, lane, layer, length_m, elements.bondline, p)
+
+
+@inline_always
+def _set_bends(B: FloatArray, lane: int, nodes: int, p: FloatArray) -> None:
+    """Write the change of the insulation's tables of a lane; where it is new, polynomials are gathered again."""
+    slope, decade, capacity = p[CONDUCTIVITY_SLOPE], p[CONDUCTIVITY_DECADE], p[CAPACITY_SLOPE]
+    at_k, at_p, at_c = BEND_K * LANES + lane, BEND_P * LANES + lane, BEND_C * LANES + lane
+    if B[at_k] != slope or B[at_p] != decade or B[at_c] != capacity:
+        B[at_k], B[at_p], B[at_c] = slope, decade, capacity
+        for i in range(nodes):
+            B[(HEAD_ROWS + i * NODE_ROWS + HIGH) * LANES + lane] = INVALID_HIGH_K
 
 
 @inline_always

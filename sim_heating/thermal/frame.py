@@ -51,6 +51,7 @@ from sim_heating.base.kernels.block import (
     NET,
     NODE_ROWS,
     OUTSIDE,
+    PAST_ONSET,
     PCOL,
     PFRAC,
     R_BASE,
@@ -91,7 +92,7 @@ EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
 STAGE_ROWS = (
     FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT, STAGE_SURROUNDINGS4, STAGE_BACK_T,
-    STAGE_NATURAL, VENTED,
+    STAGE_NATURAL, VENTED, PAST_ONSET,
 )  # fmt: skip
 """First rows of the quantities that have one row for each of the three stages."""
 STEP_TOLERANCE_K = 0.02

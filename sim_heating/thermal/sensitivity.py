@@ -52,6 +52,7 @@ from sim_heating.base.kernels.block import (
     NET,
     NODE_ROWS,
     PARAMETERS,
+    PAST_ONSET,
     PCOL,
     PFRAC,
     RESIDUAL,
@@ -188,11 +189,11 @@ def assemble_perturbed(
                 _copy_temperatures(B, X, start, source, g, J[ints + BACK_NODE + s], row)
         for s in range(LANES):
             lane = source[g * LANES + s]
-            # Once a step: the end of the last step is the past of the lag at both stages of this one.
+            # Once a step: the end of the last step is the past of lag and hysteresis at both stages of this one.
             if stage == 1:
                 X[start + LAG_PAST * LANES + s] = 1.0
-                X[start + LAG_VALUE * LANES + s] = X[start + (LAG_VALUE + 2) * LANES + s]
-                X[start + LAG_INPUT * LANES + s] = X[start + (LAG_INPUT + 2) * LANES + s]
+                for memory in (LAG_VALUE, LAG_INPUT, PAST_ONSET):
+                    X[start + memory * LANES + s] = X[start + (memory + 2) * LANES + s]
             time_at = C_STAGES * LANES + lane * N_CONDITIONS + TIME
             X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[time_at]
             to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS

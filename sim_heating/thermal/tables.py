@@ -4,6 +4,9 @@ Between two points of its file a property is linear, and its integral (heat cont
 parabola, exact to rounding (docs/equations_thermal_step.md, equation 9). A piece of a material lies between two
 neighbouring points of either property, wherever these are. Bins of BIN_K kelvin hold the number of the piece at their
 foot, from which the kernel steps to the piece of a temperature.
+
+Insulation has a second table, with finer pieces, in which each property is followed by the same property weighted with
+its temperature: the parameters `stack.rsi.*_slope` add the second to the first (equation 10b).
 """
 
 from __future__ import annotations
@@ -17,11 +20,15 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
-from sim_heating.thermal.assembly import BIN_K, BINS, FAR
+from sim_heating.thermal.assembly import BEND_LOG10_PA, BIN_K, BINS, FAR, NO_BENT_TABLE
 from sim_heating.thermal.stack import Material, pairs
 
 EDGES_K = BIN_K * np.arange(BINS + 1)
 """Edges of the bins [K]."""
+BEND_FROM_K, BEND_AT_K, BEND_TO_K = 0.0, 700.0, 1700.0
+"""Temperatures [K] between which the slope of a property acts, and where it leaves the property as declared."""
+BEND_STEP_K = 100.0
+"""Largest distance [K] between points of a table with a slope, within its range: f(T) k(T) is linear between them."""
 STRAIGHT = 1e-11
 """Relative change of a property at a point [-] below which the point is on the line through its neighbours."""
 KEPT = 256
@@ -43,7 +50,7 @@ class PointTables:
 
     columns   : number of pressure columns, two or more
     pressures : offset of log10 of their pressures [Pa]
-    materials : offset for each layer, the contact's last
+    materials : offset for each layer, the contact's last; at the one before, the distance to the table with a slope
     emissivity, enthalpy : offsets of those of the surface
     """
 
@@ -95,6 +102,7 @@ class TableStore:
 
         Layout and interpolation: docs/equations_thermal_step.md, section 2.
         """
+        # Insulation has a table of its own, even where another layer is of its material: their properties may differ.
         key = (*(id(m) for m in layers), wall_enthalpy)
         if key not in self._points:
             self._points[key] = self._add(layers, contact, wall_enthalpy)
@@ -103,23 +111,32 @@ class TableStore:
     def _add(self, layers: Sequence[Material], contact: Material, wall_enthalpy: WallEnthalpy) -> PointTables:
         log10_p = _pressure_columns(layers)
         grid = log10_p.tobytes()
-        outer = layers[0].emissivity or [[0.0, 1.0]]
+        outer, insulation = layers[0].emissivity or [[0.0, 1.0]], min(1, len(layers) - 1)
         return PointTables(
             len(log10_p),
             self.place(("pressures", grid), lambda: log10_p),
-            tuple(
-                self.place((id(m), grid), lambda m=m: _known_table(m.model_dump_json(), grid))  # type: ignore[misc]
-                for m in (*layers, contact)
-            ),
+            tuple(self._place_material(m, grid, i == insulation) for i, m in enumerate((*layers, contact))),
             self.place(("emissivity", str(outer)), lambda: _point_table(outer)),
             self.place(("enthalpy", wall_enthalpy), lambda: _enthalpy_table(wall_enthalpy)),
         )
 
+    def _place_material(self, material: Material, grid: bytes, bends: bool) -> int:
+        """Offset of the table of a material, behind the distance to its table with slopes."""
+        key = (id(material), grid, bends)
+        return self.place(key, lambda: _known_table(material.model_dump_json(), grid, bends)) + 1
+
 
 @lru_cache(KEPT)
-def _known_table(material: str, grid: bytes) -> FloatArray:
-    """The table of a material (its JSON) at pressures (the bytes of their log10)."""
-    return _material_table(Material.model_validate_json(material), np.frombuffer(grid))
+def _known_table(material: str, grid: bytes, bends: bool) -> FloatArray:
+    """Tables of a material (its JSON) at pressures (the bytes of their log10), behind the distance to the second one.
+
+    bends : whether it has the second one, with slopes
+    """
+    declared, log10_p = Material.model_validate_json(material), np.frombuffer(grid)
+    plain = _material_table(declared, log10_p)
+    if not bends:
+        return np.concatenate([[NO_BENT_TABLE], plain])
+    return np.concatenate([[float(len(plain))], plain, _bent_table(declared, log10_p)])
 
 
 def _point_table(table: list[list[float]]) -> FloatArray:
@@ -133,16 +150,43 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
 
     The last three are repeated for each pressure; all values are those at the foot of the piece.
     """
+    points = _declared_points(material)
+    properties = _properties_at(material, log10_p, points)
+    bent = _bends(points, properties)
+    return _piece_table(points[bent], properties[bent])
+
+
+def _bent_table(material: Material, log10_p: FloatArray) -> FloatArray:
+    """As `_material_table`, each piece followed by the same properties weighted with T - BEND_AT_K [K].
+
+    Source: docs/equations_thermal_step.md, equation 10b.
+    """
+    fine = np.arange(BEND_FROM_K, BEND_TO_K + BEND_STEP_K, BEND_STEP_K)
+    points = np.union1d(_declared_points(material), fine)
+    properties = _properties_at(material, log10_p, points)
+    weight = np.clip(points, BEND_FROM_K, BEND_TO_K) - BEND_AT_K
+    return _piece_table(points, np.column_stack([properties, weight[:, np.newaxis] * properties]))
+
+
+def _declared_points(material: Material) -> FloatArray:
+    """(point,) temperatures at which a property of a material has a point, and 0 K."""
+    _, k_at_K, _ = material.conductivity_grid()
+    return np.unique(np.concatenate([[0.0], pairs(material.specific_heat_J_kgK)[0], k_at_K]))
+
+
+def _properties_at(material: Material, log10_p: FloatArray, points: FloatArray) -> FloatArray:
+    """(point, property) specific heat [J/(kg K)], and conductivity [W/(m K)] at each pressure."""
     c_at_K, c = pairs(material.specific_heat_J_kgK)
     p_Pa, k_at_K, k = material.conductivity_grid()
-    points = np.unique(np.concatenate([[0.0], c_at_K, k_at_K]))
     columns = [np.interp(points, c_at_K, c)]
     for x in log10_p:
         at_p = np.array([np.interp(x, np.log10(p_Pa), row) for row in k])
         columns.append(np.interp(points, k_at_K, at_p))
-    properties = np.column_stack(columns)
-    bent = _bends(points, properties)
-    foot, properties = points[bent], properties[bent]
+    return np.column_stack(columns)
+
+
+def _piece_table(foot: FloatArray, properties: FloatArray) -> FloatArray:
+    """Piece at the foot of each bin, then each piece: ends and foot [K]; integral, value, slope of each property."""
     table = [np.append(-FAR, foot[1:]), np.append(foot[1:], FAR), foot]
     for values in properties.T:
         table += _integrals(foot, values)
@@ -187,8 +231,9 @@ def _pressure_columns(materials: Sequence[Material]) -> FloatArray:
     """log10 of all pressures at which any conductivity has a point; each is linear between them."""
     grids = [m.conductivity_grid()[0] for m in materials]
     points = [np.log10(p) for p in grids if len(p) > 1]
-    # Two columns always: the kernel interpolates between a pair, and equal columns give a constant.
+    # Two columns always: the kernel interpolates between a pair, and equal columns give a constant. They are those
+    # between which a change with pressure acts (equation 10b).
     if not points:
-        return np.array([0.0, 1.0])
+        return np.array([BEND_LOG10_PA[0], BEND_LOG10_PA[-1]])
     # Rounded, so that one pressure in two tables is one column.
     return np.unique(np.round(np.concatenate(points), 12))

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from benchmarks.verification.exact import SIGMA
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels import block
-from sim_heating.heating.effects import EffectUse, combined_uses, use
+from sim_heating.heating.effects import EffectUse, combined_uses, effect, use
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
@@ -76,6 +77,40 @@ def test_an_onset_in_re_theta_over_edge_mach_number_does_not_see_the_free_stream
     for log10_re in (5.0, 8.0):
         ensemble = begun(used, log10_re=log10_re, log10_re_theta_m=np.log10(300.0))
         assert recovery(ensemble) == pytest.approx(LAMINAR + 0.5 * RISE, rel=1e-12)
+
+
+def test_a_boundary_layer_turns_laminar_again_below_the_onset_at_which_it_turned_turbulent():
+    """A sharp onset at 6.5 with a hysteresis of 0.3, along a Reynolds number that rises, falls and rises again."""
+    rise = np.concatenate([np.linspace(6.0, 6.9, 10), np.linspace(6.8, 6.0, 9), np.linspace(6.1, 6.4, 4)]) + 0.05
+    sharp = use("transition", {"log10_re_onset": 6.5, "width": 1e-3, "factor": 4.0, "hysteresis": 0.3})
+    history = flight(np.arange(len(rise)), log10_re=rise, h_ref_kg_m2_s=0.1, H_r_J_kg=LAMINAR, H_r_rise_J_kg=RISE)[0]
+    ensemble = pack(
+        [PointModel("p", wall((material(), 0.01)), nodes=14, parameters={"ratio.d0": 0.5}, effects=(sharp,))]
+    )
+    turbulent, found = [], []
+    for i, now in enumerate(history):
+        if i == 0:
+            ensemble.begin(now[np.newaxis])
+        else:
+            ensemble.advance(now[np.newaxis], 1.0)
+        found.append((float(ensemble.film_kg_m2_s[0]), recovery(ensemble)))
+        # By a relay: on above the onset, off below it by more than the hysteresis, else as before.
+        turbulent.append(rise[i] > 6.5 or (rise[i] > 6.2 and bool(turbulent) and turbulent[-1]))
+    assert [bool(t) for t in turbulent].count(True) == 12
+    expected = [(0.2, LAMINAR + RISE) if t else (0.05, LAMINAR) for t in turbulent]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_search_for_an_onset_in_re_theta_over_edge_mach_number_needs_its_column():
+    t = np.arange(100.0)
+    flown = Conditions({"time_s": t, "log10_re": 6.0 + 0.01 * t, "alpha_deg": np.full(100, 40.0)})
+    starts = effect("transition").starts_for(flown)
+    assert not any(start.values.get("by_re_theta") for start in starts)
+    with_column = effect("transition").starts_for(flown.with_columns(log10_re_theta_m=2.0 + 0.005 * t))
+    onsets = [s.values["log10_re_onset"] for s in with_column if s.values.get("by_re_theta")]
+    assert len(onsets) == 7
+    assert 2.0 < min(onsets) < max(onsets) < 2.5
+    assert not any("hysteresis" in start.names for start in starts)  # the onset is passed once, and never again
 
 
 @pytest.mark.parametrize("log10_re", [6.4, 6.5, 6.7])

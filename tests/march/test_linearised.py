@@ -68,18 +68,20 @@ COLUMNS = (
 BASE = {
     "stack.moisture.latent_J_kg": 5e4, "stack.moisture.boil_K": 800.0, "stack.moisture.deposit_J_kg": 2e4,
     "stack.moisture.condense_K": 700.0, "stack.moisture.width_K": 60.0, "stack.moisture.vapour_W_m": 5.0,
-    "stack.gap.fraction": 0.05,
+    "stack.gap.fraction": 0.05, "stack.rsi.conductivity_slope": 2e-4, "stack.rsi.conductivity_decade": 0.05,
+    "stack.rsi.heat_capacity_slope": -1e-4,
     "stack.rsi.radiative_conductivity": 0.03, "stack.rsi.radiation_from_K": 500.0, "back.h_W_m2K": 12.0,
     "back.T_K": 310.0, "back.emissivity": 0.4,
 }  # fmt: skip
 """Values at which every parameter of the stack has something to act on."""
 VALUES = {
-    "transition": {"log10_re_onset": 6.5, "alpha_sens": 0.01, "width": 0.08, "factor": 1.5},
+    "transition": {"log10_re_onset": 6.5, "alpha_sens": 0.02, "width": 0.08, "factor": 1.5, "hysteresis": 0.03},
     "impingement-onset": {"alpha_onset_deg": 37.1, "slope": 2e-3},
     "emissivity": {"emissivity_factor": 0.9, "change_s": 31.0, "emissivity_slope": 5e-5},
     "nonisothermal-wall": {"decay_begin_s": 30.3},
     "sideslip": {"slope_abs_beta": 2e-3},
-    "catalysis": {"flow_step": 0.1, "flow_J_kg": 1.9e7},
+    "catalysis": {"flow_step": 0.1, "flow_J_kg": 1.9e7, "fall_fraction": 0.5, "fall_K": 1200.0},
+    "curve": {"variable": 3.0, "low": 3.0, "high": 11.0, "s_1": 0.1, "s_2": -0.1, "s_4": 0.05, "s_6": 0.1, "s_7": 0.2},
 }
 """Values at which an effect acts during the POPU; else its nominal ones."""
 

@@ -20,14 +20,16 @@ FloatArray = NDArray[np.float64]
 
 def record_with(
     effects: Sequence[EffectUse], seed: int, *, jets: Callable[[FloatArray], FloatArray] | None = None,
-    lost: float = 0.0, skew_s: float = 0.0, practice: str = "p06", **parameters: float,
+    lost: float = 0.0, skew_s: float = 0.0, practice: str = "p06", declared: Record | None = None,
+    **parameters: float,
 ) -> tuple[Record, PointHistory]:  # fmt: skip
     """A practice flight whose truth has undeclared effects, parameters (`stack__rsi__...`) or clock skew, and the
     truth.
 
     The truth is marched on a mesh of half the elements; `jets` is flown and not recorded.
+    declared : another record than that of the practice flight, with the clock of its readings
     """
-    record, _ = practice_record(practice)
+    record = practice_record(practice)[0] if declared is None else declared
     conditions = conditions_of_record(record)
     t = conditions.time_s
     values = {name.replace("__", "."): value for name, value in parameters.items()}

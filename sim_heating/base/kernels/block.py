@@ -66,7 +66,12 @@ BEFORE_FACES, BEFORE_FAILED, BEFORE_LAG, COUNTED = 51, 55, 56, 58
 STAGE_SURROUNDINGS4, STAGE_BACK_T, STAGE_NATURAL, NATURAL, NATURAL_EXPONENT = 60, 63, 66, 69, 70
 # Pressure in the insulation where it lags [Pa], one row a stage, and its time constant [s].
 VENTED, VENTING_TAU = 71, 74
-C_STAGES = 75
+# Distance past the onset of transition with its hysteresis [-], one row a stage (heating/effects/transition.py).
+PAST_ONSET = 75
+# Change of the insulation's tables: conductivity with temperature [1/K] and with a decade of pressure [-], specific
+# heat with temperature [1/K] (docs/equations_thermal_step.md, equation 10b).
+BEND_K, BEND_P, BEND_C = 78, 79, 80
+C_STAGES = 81
 # After the conditions of the three stages those at the start and at the end of a frame that is divided.
 FRAME_START, FRAME_END = 3, 4
 PARAMETERS = C_STAGES + 5 * N_CONDITIONS

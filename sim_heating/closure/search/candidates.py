@@ -72,12 +72,18 @@ class Candidate:
         return Form(frozenset(self.names), frozenset((n, v) for n, v in values.items() if n not in self.names))
 
 
-def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> list[Candidate]:
+def candidates(
+    record: Record, flown: Conditions, taken: Sequence[str] = (), *, last_resort: bool = False
+) -> list[Candidate]:
     """All candidates for a record, without the effects that are already in the model.
 
     flown : its conditions over the samples that are fitted
     taken : names of the effects in the model
+    last_resort : whether the candidates are those of last resort, and no others
     """
+    if last_resort:
+        chosen = (e for name, e in effects().items() if e.last_resort and name not in taken)
+        return [c for e in chosen for c in _effect_candidates(e, record, flown)]
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     declared = {used.effect.name for used in record.declared.heating.effects}
@@ -85,6 +91,7 @@ def candidates(record: Record, flown: Conditions, taken: Sequence[str] = ()) -> 
     for name, effect in effects().items():
         if (
             name not in {*taken, *declared}
+            and not effect.last_resort
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)
         ):

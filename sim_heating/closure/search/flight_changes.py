@@ -6,9 +6,9 @@ from the changed columns by `conditions_of_record`. Where they are columns,
 
     h_ref ~ rho^1/2 V,    H_r changes as H_0 - (1 - r) u_e^2 / 2 does,
 
-laminar stagnation heating (Sutton & Graves, NASA TR R-376, 1971) and the recovery of the point. The surface pressure
-keeps its part of the pressure rise at the stagnation point, which changes with the angle of attack as that of modified
-Newtonian flow where it has done so along the flight.
+laminar stagnation heating (Sutton & Graves, NASA TR R-376, 1971) and the recovery of the point. The rise of the surface
+pressure goes with the dynamic pressure, and with the angle of attack as that of modified Newtonian flow where it has
+done so along the flight.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import Parameter
+from sim_heating.closure.clues.flight_consistency import Discrepancy
 from sim_heating.closure.search.record_change import RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
@@ -39,31 +40,34 @@ MIN_FLIGHT_M_S = 1000.0
 LAYERS, DRIFTS = 8, 6
 """Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
 tried."""
+SUSPECTED = 4
+"""Contradictions within the conditions, the clearest ones, whose spans are tried."""
 HEATED = 0.15
 """Part of the largest heating of a cold wall above which a flight counts as heated."""
 
 
-def flight_changes(record: Record, layers_m: Sequence[tuple[float, float]] = (),
-                   drifts_s: Sequence[tuple[float, float]] = ()) -> list[RecordChange]:  # fmt: skip
+def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
     """Changes of the flight that may explain a record; none for a ground test.
 
-    layers_m : altitudes [m] between which the density is suspected, before all others
-    drifts_s : times [s] between which the velocity is suspected to drift
+    suspected : parts of the flight whose conditions contradict each other; layers of density and drifts of velocity are
+                tried there as well as along the whole heated descent
     """
     flown = record.conditions
     if flown["velocity_m_s"].max() < MIN_FLIGHT_M_S:
         return []
     heated = _heated(flown)
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
-    layers = [*layers_m, *_parts(float(z.min()), float(z.max()), LAYERS)]
-    drifts = [*drifts_s, *_parts(float(t.min()), float(t.max()), DRIFTS)]
+    layers = [(d.lowest_m, d.highest_m) for d in suspected[:SUSPECTED]]
+    drifts = [(d.begin_s, d.end_s) for d in suspected[:SUSPECTED]]
+    layers += _parts(float(z.min()), float(z.max()), LAYERS)
+    drifts += _parts(float(t.min()), float(t.max()), DRIFTS)
     return [
         time_shift(),
         density_scale(),
         velocity_scale(),
         alpha_bias(),
-        *(density_layer(low, high) for low, high in dict.fromkeys(layers)),
-        *(velocity_drift(begin, end) for begin, end in dict.fromkeys(drifts)),
+        *(density_layer(low, high) for low, high in layers if high > low),
+        *(velocity_drift(begin, end) for begin, end in drifts if end > begin),
     ]
 
 
@@ -93,7 +97,7 @@ def time_shift() -> RecordChange:
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
     what = "density of the flight conditions"
-    return RecordChange("flight", what, DENSITY, lambda r, f: _with_density(r, f), _scaled(what))
+    return RecordChange("flight", what, DENSITY, lambda r, f: with_density(r, f), _scaled(what))
 
 
 def density_layer(low_m: float, high_m: float) -> RecordChange:
@@ -101,7 +105,7 @@ def density_layer(low_m: float, high_m: float) -> RecordChange:
 
     def apply(record: Record, factor: float) -> Record:
         z = record.conditions["altitude_m"]
-        return _with_density(record, np.where((z >= low_m) & (z <= high_m), factor, 1.0))
+        return with_density(record, np.where((z >= low_m) & (z <= high_m), factor, 1.0))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
         return tuple(density_layer(*span) for span in _moved_ends(low_m, high_m, fraction))
@@ -114,7 +118,7 @@ def density_layer(low_m: float, high_m: float) -> RecordChange:
 def velocity_scale() -> RecordChange:
     """The velocity was another by a factor, along the whole flight."""
     what = "velocity of the flight conditions"
-    return RecordChange("flight", what, VELOCITY, lambda r, f: _with_velocity(r, f), _scaled(what))
+    return RecordChange("flight", what, VELOCITY, lambda r, f: with_velocity(r, f), _scaled(what))
 
 
 def velocity_drift(begin_s: float, end_s: float) -> RecordChange:
@@ -122,7 +126,7 @@ def velocity_drift(begin_s: float, end_s: float) -> RecordChange:
 
     def apply(record: Record, factor: float) -> Record:
         drift = np.interp(record.conditions.time_s, [begin_s, end_s], [0.0, 1.0])
-        return _with_velocity(record, 1.0 + (factor - 1.0) * drift)
+        return with_velocity(record, 1.0 + (factor - 1.0) * drift)
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
         return tuple(velocity_drift(*span) for span in _moved_ends(begin_s, end_s, fraction))
@@ -138,7 +142,7 @@ def alpha_bias() -> RecordChange:
     def describe(value: float) -> str:
         return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
 
-    return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, _with_alpha, describe)
+    return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
 
 
 def _moved_ends(low: float, high: float, fraction: float) -> list[tuple[float, float]]:
@@ -171,20 +175,20 @@ def shift_conditions(record: Record, later_s: float) -> Record:
     return replace(record, conditions=flown.with_columns(**moved))
 
 
-def _with_density(record: Record, factor: FloatArray | float) -> Record:
+def with_density(record: Record, factor: FloatArray | float) -> Record:
     """The record with its density times a factor, at the temperature of the air."""
     flown = record.conditions
     columns = {"rho_kg_m3": flown["rho_kg_m3"] * factor, "p_inf_Pa": flown["p_inf_Pa"] * factor}
     return _changed(record, columns)
 
 
-def _with_velocity(record: Record, factor: FloatArray | float) -> Record:
+def with_velocity(record: Record, factor: FloatArray | float) -> Record:
     """The record with its velocity times a factor."""
     flown = record.conditions
     return _changed(record, {"velocity_m_s": flown["velocity_m_s"] * factor, "mach": flown["mach"] * factor})
 
 
-def _with_alpha(record: Record, bias_deg: float) -> Record:
+def with_alpha(record: Record, bias_deg: float) -> Record:
     """The record with its angle of attack larger by some degrees."""
     return _changed(record, {"alpha_deg": record.conditions["alpha_deg"] + bias_deg})
 
@@ -197,7 +201,7 @@ def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
     if "q_Pa" in flown:
         more["q_Pa"] = flown["q_Pa"] * density * speed**2
     if "p_surface_Pa" in flown:
-        more["p_surface_Pa"] = _surface_pressure(before, flown)
+        more["p_surface_Pa"] = _surface_pressure(before, flown, density * speed**2)
     if record.declared.heating.reference == "columns":
         recovery = record.declared.heating.recovery_of_point
         # "none" has no film coefficient, only the recovery enthalpy of the point
@@ -212,16 +216,22 @@ def _over(values: FloatArray, before: FloatArray) -> FloatArray:
     return np.divide(values, before, out=np.ones_like(values), where=before != 0.0)
 
 
-def _surface_pressure(before: Conditions, flown: Conditions) -> FloatArray:
-    """Surface pressure [Pa] in changed conditions, its part of the pressure rise at the stagnation point kept."""
-    whole = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
-    rise = [surface_pressure(whole, c) - c["p_inf_Pa"] for c in (before, flown)]
-    part = np.clip(np.divide(before["p_surface_Pa"] - before["p_inf_Pa"], rise[0], out=np.zeros_like(rise[0]),
-                             where=rise[0] > 0.0), 0.0, 1.0)  # fmt: skip
-    turned = flown["alpha_deg"] - before["alpha_deg"]
+def _surface_pressure(before: Conditions, flown: Conditions, pressure: FloatArray) -> FloatArray:
+    """Surface pressure [Pa] in changed conditions: its rise goes with the dynamic pressure.
+
+    pressure : (time,) changed over stated dynamic pressure [-]
+
+        p = p_inf + q cp_max sin^2 theta,   theta - alpha constant for a windward surface
+
+    The pressure coefficient of the stagnation point, cp_max, changes by less than 2 % for each km/s.
+    """
+    rise, turned = (before["p_surface_Pa"] - before["p_inf_Pa"]) * pressure, flown["alpha_deg"] - before["alpha_deg"]
     if np.any(turned):
-        angle, heated = np.degrees(np.arcsin(np.sqrt(part))), _heated(before)
+        whole = FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+        largest = surface_pressure(whole, before) - before["p_inf_Pa"]
+        part = np.divide(rise, largest, out=np.zeros_like(rise), where=(largest > 0.0) & (rise > 0.0))
+        angle, heated = np.degrees(np.arcsin(np.sqrt(np.minimum(part, 1.0)))), _heated(before)
         # a windward surface follows the angle of attack; the pressure of a leeward one does not
         if np.std((angle - before["alpha_deg"])[heated]) < 0.5 * np.std(before["alpha_deg"][heated]):
-            part = np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2
-    return np.asarray(flown["p_inf_Pa"] + part * rise[1])
+            rise = largest * np.sin(np.radians(np.clip(angle + turned, 0.0, 90.0))) ** 2
+    return np.asarray(flown["p_inf_Pa"] + rise)

@@ -65,11 +65,14 @@ def record_path(
     t = t[fitted & (t >= span[0]) & (t <= span[1])]
     if len(t) == 0:
         raise InputError(f"{record.name}: no sample lies in the segments of the estimate; is it the record of the fit?")
-    flown = conditions_of_record(record).at(t)
+    whole = conditions_of_record(record)
+    flown = whole.at(t)
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
     # Weighted by the square of the heat flux, on which the temperatures depend.
     weight = (flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]) ** 2
-    turbulent = np.zeros(len(t)) if transition is None else intermittency_along(transition, flown)
+    turbulent = np.zeros(len(t))
+    if transition is not None:
+        turbulent = np.interp(t, whole.time_s, intermittency_along(transition, whole))
     return FlownPath(x, weight, declared_ratio(record.ratio_table, x), turbulent)
 
 

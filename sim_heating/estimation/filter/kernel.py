@@ -39,6 +39,7 @@ from sim_heating.base.kernels.block import (
     N_PARAMETERS,
     NODE_ROWS,
     PARAMETERS,
+    PAST_ONSET,
     T_STAGE,
     T_START,
     T,
@@ -497,20 +498,20 @@ def disturb(B: FloatArray, X: Blocks, perturbed: PerturbedGroups, lane: int, cha
 
 @njit
 def _lag_before(X: Blocks, groups: IntArray, first: bool) -> None:
-    """Give the perturbed lanes at the start of a step the lag memory of the start of the step before."""
+    """Give the perturbed lanes at the start of a step the memory of lag and hysteresis of the step before it."""
     for g in range(len(groups)):
         for s in range(groups[g, 0], groups[g, 0] + LANES):
             X.start[s + LAG_PAST * LANES] = 0.0 if first else 1.0
-            X.start[s + LAG_VALUE * LANES] = X.end[s + LAG_VALUE * LANES]
-            X.start[s + LAG_INPUT * LANES] = X.end[s + LAG_INPUT * LANES]
+            for row in (LAG_VALUE, LAG_INPUT, PAST_ONSET):
+                X.start[s + row * LANES] = X.end[s + row * LANES]
 
 
 @njit
 def _lag_now(X: Blocks, groups: IntArray, first: bool) -> None:
-    """Give the perturbed lanes at the middle stage and the end the lag memory of the start of this step."""
+    """Give the perturbed lanes at the middle stage and the end this step's memory of lag and hysteresis."""
     for g in range(len(groups)):
         for s in range(groups[g, 0], groups[g, 0] + LANES):
-            for row in (LAG_VALUE, LAG_INPUT):
+            for row in (LAG_VALUE, LAG_INPUT, PAST_ONSET):
                 now = s + (row + 2) * LANES
                 if first:
                     X.end[now] = X.start[now]

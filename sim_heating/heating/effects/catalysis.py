@@ -13,23 +13,27 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
 from sim_heating.heating.effects import Effect, SearchStart, flight
 
-STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG = range(6)
+STEP, MIDDLE_K, WIDTH_K, FLOW_STEP, MIDDLE_J_KG, WIDTH_J_KG, FALL, FALL_K = range(8)
 
 
 @njit
 def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     """Factor of catalysis on the heating ratio [-].
 
-        f = 1 + step S((T_w - T_c) / width_T) + flow_step S((H_r - H_c) / width_H),    S(x) = 1 / (1 + exp(-x))
+        f = 1 + step S((T_w - T_c) / width_T) (1 - fall S((T_w - T_f) / width_T)) + flow_step S((H_r - H_c) / width_H)
 
     B       : block of the lane group; B[c] flight conditions with H_r [J/kg], B[p] the parameters of EFFECT
     wall_K  : wall temperature T_w [K]
     returns : factor [-]; below 1 where a step is negative
 
-    An empirical rise, without chemistry; T_c [K] and H_c [J/kg] are where half of it is reached.
-    Source: the observation, Scott in NASA CP-2283; the form, docs/effects.md, equation 5.
+    S(x) = 1 / (1 + exp(-x)). An empirical rise, without chemistry; T_c [K] and H_c [J/kg] are where half of it is
+    reached. Above T_f [K] the part `fall` of the rise is lost again: recombination on silica decreases where it is
+    very hot. Source: the rise, Scott in NASA CP-2283; the fall, Deutschmann, Riedel and Warnatz, J. Heat
+    Transfer 117 (1995) 495; the form, docs/effects.md, equation 5.
     """
     hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
+    if B[p + FALL] != 0.0:
+        hot *= 1.0 - B[p + FALL] * logistic((wall_K - B[p + FALL_K]) / B[p + WIDTH_K])
     return 1.0 + hot + B[p + FLOW_STEP] * logistic((B[c + flight.H_r_J_kg] - B[p + MIDDLE_J_KG]) / B[p + WIDTH_J_KG])
 
 
@@ -37,9 +41,11 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for catalysis (docs/effects.md, equation 5), with no rise yet.
 
     flown   : conditions of the flight, whose highest recovery enthalpy [J/kg] sets the scale of the second kind
-    returns : rises at wall temperatures of 500 to 1300 [K], or at 0.3 to 0.9 of that enthalpy, sharp and gradual
+    returns : rises at wall temperatures of 500 to 1300 [K], or at 0.3 to 0.9 of that enthalpy, sharp and gradual; rises
+              most of which is lost again 250 [K] above
     """
     hot = ("catalysis_step", "catalysis_K", "catalysis_width_K")
+    hot_and_lost = (*hot, "fall_fraction", "fall_K")
     flow = ("flow_step", "flow_J_kg", "flow_width_J_kg")
     greatest = float(np.max(flown["H_r_J_kg"]))
     return [
@@ -47,6 +53,12 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
             SearchStart(hot, {"catalysis_K": T, "catalysis_width_K": width})
             for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
             for width in (60.0, 200.0)
+        ),
+        *(
+            SearchStart(
+                hot_and_lost, {"catalysis_K": T, "catalysis_width_K": 60.0, "fall_fraction": 0.8, "fall_K": T + 250.0}
+            )
+            for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
         ),
         *(
             SearchStart(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
@@ -66,11 +78,19 @@ EFFECT = Effect(
         Parameter("flow_step", "1", 0.0, 0.2, -0.9, 3.0, "relative rise from low to high enthalpy of the flow"),
         Parameter("flow_J_kg", "J/kg", 1.5e7, 5e6, 1e5, 1e8, "recovery enthalpy of half that rise"),
         Parameter("flow_width_J_kg", "J/kg", 2e6, 1e6, 1e4, 1e8, "width of that rise"),
+        Parameter(
+            "fall_fraction", "1", 0.0, 0.5, 0.0, 1.0, "part of the first rise that is lost again on a hotter wall"
+        ),
+        Parameter("fall_K", "K", 1500.0, 150.0, 300.0, 2500.0, "wall temperature at which half of that is lost"),
     ),
     kernel=catalysis_factor,
     needs_wall=True,
     neutral={"catalysis_step": 0.0, "flow_step": 0.0},
     search_starts=search_starts,
-    physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation.",
-    source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283",
+    # A hotter wall is more catalytic. A flow of more atoms than the tables mean may heat a wall less that is not.
+    search_bounds={"catalysis_step": (0.0, 3.0), "catalysis_width_K": (5.0, 400.0)},
+    physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation; on "
+    "a still hotter wall it may decrease again.",
+    source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283; its "
+    "decrease: Deutschmann, Riedel & Warnatz, J. Heat Transfer 117 (1995) 495",
 )

@@ -74,7 +74,8 @@ class Effect:
                     parameters
     search_starts : starts of the search for it in data, for a flight's conditions; by default one, with all parameters
                     that have a prior, from their nominal values
-    search_bounds : narrower bounds of some parameters in the search for it
+    search_bounds : narrower bounds of some parameters in the search for it, those that are physical
+    last_resort   : whether `close-loop` looks for it only where no other effect is adequate
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
@@ -98,6 +99,7 @@ class Effect:
     neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
     search_starts: Callable[[Conditions], Sequence[SearchStart]] | None = field(default=None, compare=False)
     search_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False)
+    last_resort: bool = False
     physics: str = ""
     source: str = ""
 

@@ -9,8 +9,13 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for heat capacity (docs/effects.md, equation 11): the factor [-] of insulation or coating alone."""
-    return [SearchStart(("heat_capacity_factor",)), SearchStart(("coating_heat_capacity_factor",))]
+    """Search starts for heat capacity (docs/effects.md, equation 11), with the tables as declared.
+
+    flown   : conditions of the flight, not used
+    returns : the factor [-] of the insulation alone, and with a slope in temperature; that of the coating
+    """
+    names = ("heat_capacity_factor", "heat_capacity_slope")
+    return [SearchStart(names[:1]), SearchStart(names), SearchStart(("coating_heat_capacity_factor",))]
 
 
 EFFECT = Effect(
@@ -25,8 +30,12 @@ EFFECT = Effect(
             "stack.coating.heat_capacity_factor",
             "of the coating, over the declared one",
         ),
+        model_parameter(
+            "heat_capacity_slope", "stack.rsi.heat_capacity_slope", "relative change per kelvin, 0 at 700 K"
+        ),
     ),
     search_starts=search_starts,
+    search_bounds={"heat_capacity_factor": (0.2, 5.0), "coating_heat_capacity_factor": (0.2, 5.0)},
     physics="Density and specific heat scatter from lot to lot, and waterproofing adds mass.",
     source="Williams & Curry, NASA RP-1289 (1992)",
 )

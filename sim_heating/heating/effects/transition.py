@@ -8,6 +8,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels import block
 from sim_heating.base.kernels.elementary import exp, logistic
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
@@ -15,37 +16,84 @@ from sim_heating.heating.effects import Effect, SearchStart, flight
 
 TRANSITION = "transition"
 """Name of the effect; a point with it takes its recovery enthalpy by intermittency (heating/film.py)."""
-ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS, BY_TABLE, BY_RE_THETA = range(8)
+ONSET, ALPHA_SENSITIVITY, WIDTH, FACTOR, ALPHA_0, SPOTS, BY_TABLE, BY_RE_THETA, HYSTERESIS = range(9)
+FALLS_WITH_ALPHA, SMALLEST_HYSTERESIS = 0.02, 0.05
+"""Sensitivity to angle of attack [1/deg] and fall back towards an onset [-] from which on hysteresis is looked for."""
 NARASIMHA = 0.412
 """Constant of the intermittency 1 - exp(-0.412 x^2) [-], with which `width` is the distance between a quarter and three
 quarters of the rise (Dhawan and Narasimha 1958)."""
 
 
 @njit
-def intermittency(B: FloatArray, c: int, p: int) -> float:
-    """Fraction of the time that the flow is turbulent, from 0 (laminar) to 1.
+def past_onset_now(B: FloatArray, c: int, p: int) -> float:
+    """Distance past the onset, y = log10_re - onset + alpha_sens (alpha - alpha_0) [-], hysteresis apart.
 
-        Gamma = (1 - spots) / (1 + exp(-x)) + spots (1 - exp(-0.412 max(x, 0)^2))
-        x = (log10_re - onset + alpha_sens (alpha - alpha_0)) / width
-
-    with log10(Re_theta / M_e) in place of log10_re where `by_re_theta` is 1.
-
+    log10(Re_theta / M_e) takes the place of log10_re where `by_re_theta` is 1.
     B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
+    Source: docs/effects.md, equation 23.
+    """
+    at = B[c + flight.log10_re]
+    if B[p + BY_RE_THETA] != 0.0:
+        at = B[c + flight.log10_re_theta_m]
+    return at - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + flight.alpha_deg] - B[p + ALPHA_0])
+
+
+@njit
+def held_past(before: float, now: float, hysteresis: float) -> float:
+    """Distance past the onset with hysteresis [-]: that of the play operator, z = min(max(z, y), y + hysteresis).
+
+    before     : z at the start of the step;  now : y, without hysteresis
+    hysteresis : by how much the flow turns laminar again below the onset at which it turned turbulent, 0 or above
+    Exact where y rises or falls all through the step. Source: Visintin, Differential Models of Hysteresis (1994),
+    sec. III.2; docs/effects.md, equation 24a.
+    """
+    return min(max(before, now), now + hysteresis)
+
+
+@njit
+def past_onset(B: FloatArray, c: int, p: int) -> float:
+    """Distance past the onset [-] at the stage whose conditions begin at B[c], hysteresis included.
+
+    Its value at the start of the step is read where heating/film.py keeps it; a march begins without hysteresis.
+    Source: docs/effects.md, equation 24a.
+    """
+    now, hysteresis = past_onset_now(B, c, p), B[p + HYSTERESIS]
+    if hysteresis <= 0.0:
+        return now
+    lane = (c - block.C_STAGES * block.LANES) // block.N_CONDITIONS % block.LANES
+    if B[block.LAG_PAST * block.LANES + lane] == 0.0:
+        return now
+    return held_past(B[block.PAST_ONSET * block.LANES + lane], now, hysteresis)
+
+
+@njit
+def turbulent_part(B: FloatArray, p: int, past: float) -> float:
+    """Fraction of the time that the flow is turbulent at a distance past the onset, from 0 (laminar) to 1.
+
+        Gamma = (1 - spots) / (1 + exp(-x)) + spots (1 - exp(-0.412 max(x, 0)^2)),    x = past / width
+
+    B, p    : the parameters are B[p] and those behind it;  past : distance past the onset [-]
     returns : Gamma [-]
 
     Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/effects.md,
     equations 23 and 24.
     """
-    at = B[c + flight.log10_re]
-    if B[p + BY_RE_THETA] != 0.0:
-        at = B[c + flight.log10_re_theta_m]
-    past = at - B[p + ONSET] + B[p + ALPHA_SENSITIVITY] * (B[c + flight.alpha_deg] - B[p + ALPHA_0])
     x = past / B[p + WIDTH]
     turbulent = logistic(x)
     if B[p + SPOTS] > 0.0:
         from_onset = max(x, 0.0)
         turbulent += B[p + SPOTS] * (1.0 - exp(-NARASIMHA * from_onset * from_onset) - turbulent)
     return turbulent
+
+
+@njit
+def intermittency(B: FloatArray, c: int, p: int) -> float:
+    """Fraction of the time that the flow is turbulent [-] under flight conditions, hysteresis included.
+
+    B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
+    Source: docs/effects.md, equations 23 to 24a.
+    """
+    return turbulent_part(B, p, past_onset(B, c, p))
 
 
 @njit
@@ -70,7 +118,8 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
 
     flown   : conditions of the flight
     returns : onsets at 14 quantiles of the log10 Reynolds number flown [-], in either form, first independent of angle
-              of attack: a flight that crosses its onset once cannot separate alpha_sens from the onset
+              of attack: a flight that crosses its onset once cannot separate alpha_sens from the onset; seven with
+              hysteresis, where the flight could turn laminar again; seven in log10 (Re_theta / M_e), where it is known
     """
     at_any_alpha = ("log10_re_onset", "width", "factor")
     names = (*at_any_alpha, "alpha_sens")
@@ -83,7 +132,28 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     return [
         *(SearchStart(at_any_alpha, start | {"alpha_sens": 0.0}) for start in starts),
         *(SearchStart(names, start | {"alpha_sens": 0.01}) for start in starts),
+        *_with_hysteresis(flown, onsets[::2]),
+        *_by_re_theta(flown),
     ]
+
+
+def _with_hysteresis(flown: Conditions, onsets: FloatArray) -> Sequence[SearchStart]:
+    """Starts with hysteresis at these onsets [-]; none where the flight never falls back towards its onset."""
+    towards = flown["log10_re"] + FALLS_WITH_ALPHA * flown["alpha_deg"]
+    if not np.max(np.maximum.accumulate(towards) - towards, initial=0.0) > SMALLEST_HYSTERESIS:
+        return []
+    names = ("log10_re_onset", "width", "factor", "alpha_sens", "hysteresis")
+    rest = {"width": 0.02, "alpha_sens": 0.01, "hysteresis": 0.05}
+    return [SearchStart(names, {"log10_re_onset": float(x)} | rest) for x in onsets]
+
+
+def _by_re_theta(flown: Conditions) -> Sequence[SearchStart]:
+    """Starts with an onset in log10 (Re_theta / M_e) [-]; none where the conditions do not have it."""
+    if "log10_re_theta_m" not in flown or not np.ptp(flown["log10_re_theta_m"]) > 0.0:
+        return []
+    onsets = np.quantile(flown["log10_re_theta_m"], np.linspace(0.05, 0.98, 7))
+    rest = {"width": 0.05, "by_re_theta": 1.0, "alpha_sens": 0.0}
+    return [SearchStart(("log10_re_onset", "width", "factor"), {"log10_re_onset": float(x)} | rest) for x in onsets]
 
 
 EFFECT = Effect(
@@ -100,6 +170,7 @@ EFFECT = Effect(
         Parameter("spots", "1", 0.0, 0.0, 0.0, 1.0, "1 for the form of turbulent spots, which begins at the onset"),
         Parameter("by_table", "1", 0.0, 0.0, 0.0, 1.0, "1 where `factor` is on the turbulent over laminar table"),
         Parameter("by_re_theta", "1", 0.0, 0.0, 0.0, 1.0, "1 where the onset is one of log10 (Re_theta / M_e)"),
+        Parameter("hysteresis", "1", 0.0, 0.1, 0.0, 1.0, "by how much it turns laminar again below its onset"),
     ),
     kernel=transition_factor,
     needs=("log10_re",),
@@ -107,7 +178,8 @@ EFFECT = Effect(
     search_starts=search_starts,
     # A declared one may heat less than its table; what is looked for as transition heats more.
     search_bounds={"factor": (1.0, 20.0)},
-    physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack.",
+    physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack; it may turn "
+    "laminar again at a lower one.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test "
     "Maneuvers'; spots: Dhawan & Narasimha, J. Fluid Mech. 3 (1958) 418",
 )

@@ -1,0 +1,52 @@
+"""`python -m benchmarks.challenge`: write flight records, and next to them the truth of each."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.challenge.files import toml_text
+from benchmarks.challenge.record import CLASSES, make_and_write, whole_set
+
+
+@click.command(help="Write flight records with known truth, and answers.toml next to them.")
+@click.option(
+    "--count", type=click.IntRange(1), default=sum(CLASSES.values()), show_default=True, help="how many records"
+)
+@click.option("--seed", type=click.IntRange(0), required=True, help="the same seed makes the same records")
+@click.option("--classes", default="all", show_default=True, help=f"some of {', '.join(CLASSES)}, with commas")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="a new directory")
+@click.option("--processes", type=click.IntRange(1), default=1, show_default=True)
+def main(count: int, seed: int, classes: str, out: Path, processes: int) -> None:
+    """Make and write."""
+    names = list(CLASSES) if classes == "all" else [name.strip() for name in classes.split(",")]
+    unknown = [name for name in names if name not in CLASSES]
+    if unknown:
+        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join(CLASSES)}, or all")
+    if out.exists() and any(out.iterdir()):
+        raise click.BadParameter(f"`{out}` is not empty; give a new directory")
+    out.mkdir(parents=True, exist_ok=True)
+    tasks = [(seed, number, of_class, out) for of_class, number in whole_set(count, names)]
+    answers: dict[str, dict[str, Any]] = {}
+    start, seconds = time.perf_counter(), []
+    with get_context("spawn").Pool(processes) as pool:
+        for name, answer, taken in pool.imap(make_and_write, tasks):
+            answers[name] = answer
+            seconds.append(taken)
+            click.echo(f"{name:<12} {', '.join(answer['form']):<50} {answer['wall']:<13} {taken:5.1f} s")
+            (out / "answers.toml").write_text(toml_text(answers))
+    whole = time.perf_counter() - start
+    click.echo(f"{count} records in {whole:.0f} s; median {np.median(seconds):.1f} s a record and process")
+
+
+if __name__ == "__main__":
+    main()

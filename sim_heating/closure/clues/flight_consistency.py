@@ -1,0 +1,349 @@
+"""Flight conditions checked against themselves, before any fit.
+
+Columns of a flight are not independent of each other. Relations between them, each along the descent:
+
+    gas            p = rho R T
+    hydrostatics   d ln p / dz = -rho g / p
+    Mach number    V = M sqrt(1.4 p / rho)
+    Reynolds       10^log10_re = rho V L / mu(T), with one length L
+    enthalpy       H_r - cp T = r V^2 / 2, where it is a column, r smooth in the angle of attack
+    path           dz/dt = V sin gamma, where the path angle is a column
+    drag           -dV/dt - g sin gamma = rho V^2 / 2 (CD S / m), CD S / m smooth in angle of attack and deflections
+    axial force    axial_accel_g g0 = rho V^2 / 2 (CA S / m), likewise, where it is a column
+
+The first five are one number along the flight. Drag and axial force are fitted by a quadratic in the angle of attack
+and lines in deflections and velocity. Fits are robust (Huber's weights), so that the greater part of a flight judges
+the rest. What counts is the deviation of a part of the flight in units of the scatter of the whole, to which noise and
+resolution of velocity and altitude are added, all estimated from the columns: shears of the atmosphere and a coarse
+recorder widen it. A deviation that is common to the whole flight, such as a density that is wrong by one factor, is in
+no relation and is not found here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.heating.atmosphere import CP_AIR, G0_M_S2, GAMMA, R_AIR, gravity, sutherland_viscosity
+
+HIGHEST_M = 80e3
+"""Altitude [m] above which the mean molar mass of air changes, and drag with rarefaction."""
+SLOWEST_M_S = 2000.0
+"""Velocity [m/s] below which coefficients change with Mach number, and winds count."""
+LEAST_DRAG_M_S2, LEAST_SENSED_M_S2 = 0.5, 0.05
+"""Accelerations below which drag and axial force are not judged: the rotation of the Earth adds some hundredths to the
+first, and an accelerometer has a bias."""
+HALF_WINDOW_S, HALF_WINDOW_M = 8.0, 1500.0
+"""Half of the spans of time and altitude over which derivatives are taken."""
+STEP_S = 1.0
+"""Least interval [s] of the samples that are judged."""
+SIGMAS, LONGEST_NOISE_S = 6.0, 4.0
+"""Scatters of the whole flight that a deviation has to exceed, for longer than this [s]."""
+HUBER = 1.345
+"""Scatters beyond which Huber's weights fall; 95 % efficient for normal errors (Huber 1964)."""
+FEWEST = 60
+"""Samples that a relation is judged with."""
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """A part of a flight whose conditions contradict each other.
+
+    relation       : name of the relation, such as "drag"
+    begin_s, end_s : when [s];  lowest_m, highest_m : altitudes [m] between which
+    size           : median deviation, in the unit of the relation: over the value expected [-], or [deg] for the path
+    sigmas         : over the scatter of the whole flight [-]
+    message        : in one line
+    """
+
+    relation: str
+    begin_s: float
+    end_s: float
+    lowest_m: float
+    highest_m: float
+    size: float
+    sigmas: float
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Relation:
+    """Deviations of a relation along a flight.
+
+    name, words : of it;  deviation : (time,) [-] or [deg];  judged : (time,) where it holds
+    least       : smallest deviation that counts, for models of it are approximate;  unit : of the deviation
+    noise       : (time,) standard deviation from noise and resolution of the columns, in that unit
+    """
+
+    name: str
+    words: str
+    deviation: FloatArray
+    judged: BoolArray
+    least: float
+    unit: str = "%"
+    noise: FloatArray | float = 0.0
+
+
+def flight_discrepancies(conditions: Conditions) -> list[Discrepancy]:
+    """Parts of a flight whose conditions contradict each other, the clearest first; none for a ground test.
+
+    conditions : flight conditions with the columns of `conditions.STATE`; `gamma_deg`, `axial_accel_g` and `H_r_J_kg`
+                 are judged where they are columns
+    """
+    fast = conditions["velocity_m_s"] > SLOWEST_M_S
+    if np.count_nonzero(fast) < FEWEST:
+        return []
+    flown = _evenly(conditions)
+    found = [d for relation in RELATIONS for d in _parts(flown, relation(flown))]
+    return sorted(found, key=lambda d: -d.sigmas)
+
+
+def _evenly(conditions: Conditions) -> Conditions:
+    """Conditions at even times, at the median interval of the samples but not below STEP_S."""
+    t = conditions.time_s
+    return conditions.at(np.arange(t[0], t[-1], max(float(np.median(np.diff(t))), STEP_S)))
+
+
+def _parts(flown: Conditions, relation: _Relation | None) -> list[Discrepancy]:
+    """Parts of a flight that deviate from a relation."""
+    if relation is None or np.count_nonzero(relation.judged) < FEWEST:
+        return []
+    t, deviation, judged = flown.time_s, relation.deviation, relation.judged
+    scatter = np.hypot(1.4826 * float(np.median(np.abs(deviation[judged]))), relation.noise) * np.ones(len(t))
+    sigmas = np.where(judged, deviation / np.maximum(scatter, relation.least / SIGMAS), 0.0)
+    sign = _bridged(np.sign(sigmas) * (np.abs(sigmas) > SIGMAS), t)
+    ends = np.flatnonzero(np.diff(sign, prepend=0.0, append=0.0) != 0.0)
+    spans = [slice(first, after) for first, after in pairwise(ends) if sign[first] != 0.0]
+    return [_discrepancy(flown, relation, sigmas, s) for s in spans if t[s.stop - 1] - t[s.start] > LONGEST_NOISE_S]
+
+
+def _bridged(sign: FloatArray, t: FloatArray) -> FloatArray:
+    """(time,) signs of deviations, those that return to the same within a window in one part."""
+    at = np.flatnonzero(sign)
+    for i, j in pairwise(at):
+        if sign[i] == sign[j] and t[j] - t[i] <= 2.0 * HALF_WINDOW_S:
+            sign[i:j] = sign[i]
+    return sign
+
+
+def _discrepancy(flown: Conditions, relation: _Relation, sigmas: FloatArray, span: slice) -> Discrepancy:
+    """What a part of a flight deviates by, in words."""
+    t, z = flown.time_s[span], flown["altitude_m"][span] / 1e3
+    size, count = float(np.median(relation.deviation[span])), float(np.median(np.abs(sigmas[span])))
+    amount = f"{100.0 * abs(size):.0f} %" if relation.unit == "%" else f"{abs(size):.2g} {relation.unit}"
+    message = (
+        f"{relation.words} {amount} {'above' if size > 0.0 else 'below'} the rest of the flight from {t[0]:.0f} to "
+        f"{t[-1]:.0f} s, {z.min():.1f} to {z.max():.1f} km ({count:.0f} sigma)"
+    )
+    ends = (float(t[0]), float(t[-1]), 1e3 * float(z.min()), 1e3 * float(z.max()))
+    return Discrepancy(relation.name, *ends, size, count, message)
+
+
+# The relations -------------------------------------------------------------------------------------------------------
+
+
+def _low(flown: Conditions) -> BoolArray:
+    """(time,) where air has one molar mass, and its density and pressure are known."""
+    known = (flown["p_inf_Pa"] > 0.0) & (flown["rho_kg_m3"] > 0.0) & (flown["T_inf_K"] > 0.0)
+    return np.asarray((flown["altitude_m"] < HIGHEST_M) & known)
+
+
+def _hypersonic(flown: Conditions) -> BoolArray:
+    """(time,) fast flight within the continuum."""
+    return np.asarray(_low(flown) & (flown["velocity_m_s"] > SLOWEST_M_S))
+
+
+def _ratio(over: FloatArray, under: FloatArray, judged: BoolArray) -> FloatArray:
+    """Relative deviation of a ratio from its median over the judged samples; 0 elsewhere."""
+    found = np.ones_like(over)
+    np.divide(over, under, out=found, where=judged & (under > 0.0) & (over > 0.0))
+    return np.where(judged, found / np.median(found[judged]) - 1.0, 0.0) if np.any(judged) else np.zeros_like(over)
+
+
+def _gas(flown: Conditions) -> _Relation:
+    judged = _low(flown)
+    deviation = _ratio(flown["rho_kg_m3"] * R_AIR * flown["T_inf_K"], flown["p_inf_Pa"], judged)
+    return _Relation("gas", "rho R T over the pressure is", deviation, judged, 0.01)
+
+
+def _hydrostatics(flown: Conditions) -> _Relation | None:
+    """Logarithm of the pressure over spans of altitude, against the weight of the air in them."""
+    judged = _low(flown)
+    z_all = flown["altitude_m"]
+    z, p, rho = z_all[judged], flown["p_inf_Pa"][judged], flown["rho_kg_m3"][judged]
+    if len(z) < FEWEST or np.ptp(z) < 8.0 * HALF_WINDOW_M:
+        return None
+    order = np.argsort(z, kind="stable")
+    level = np.arange(z[order[0]], z[order[-1]], 0.1 * HALF_WINDOW_M)
+    log_p, weight = (np.interp(level, z[order], v[order]) for v in (np.log(p), rho * _gravity(z) / p))
+    column = np.concatenate(([0.0], np.cumsum(0.5 * (weight[1:] + weight[:-1]) * np.diff(level))))
+    ends = np.clip(z + HALF_WINDOW_M, None, level[-1]), np.clip(z - HALF_WINDOW_M, level[0], None)
+    fell, held = (np.interp(ends[1], level, v) - np.interp(ends[0], level, v) for v in (log_p, -column))
+    deviation = np.zeros(len(flown))
+    deviation[judged] = np.divide(fell, held, out=np.ones_like(fell), where=held > 0.0) - 1.0
+    return _Relation(
+        "hydrostatics",
+        "the fall of pressure over the weight of the air is",
+        deviation,
+        judged,
+        0.05,
+        noise=_noise(z_all) / HALF_WINDOW_M,
+    )
+
+
+def _gravity(z_m: FloatArray) -> FloatArray:
+    """(time,) acceleration of gravity [m/s2]."""
+    return np.array([gravity(float(z)) for z in z_m])
+
+
+def _mach(flown: Conditions) -> _Relation:
+    judged = _low(flown)
+    sound = np.sqrt(GAMMA * np.divide(flown["p_inf_Pa"], flown["rho_kg_m3"], out=np.ones(len(flown)), where=judged))
+    deviation = _ratio(flown["velocity_m_s"], flown["mach"] * sound, judged)
+    words = "velocity over Mach number and speed of sound is"
+    return _Relation("Mach number", words, deviation, judged, 0.01, noise=_of_speed(flown))
+
+
+def _reynolds(flown: Conditions) -> _Relation:
+    judged = _low(flown)
+    mu = np.ones(len(flown))
+    mu[judged] = sutherland_viscosity(flown["T_inf_K"][judged])
+    deviation = _ratio(flown["rho_kg_m3"] * flown["velocity_m_s"], 10.0 ** flown["log10_re"] * mu, judged)
+    words = "rho V over Reynolds number and viscosity is"
+    return _Relation("Reynolds number", words, deviation, judged, 0.02, noise=_of_speed(flown))
+
+
+def _enthalpy(flown: Conditions) -> _Relation | None:
+    if "H_r_J_kg" not in flown:
+        return None
+    judged = _hypersonic(flown)
+    kinetic = 0.5 * flown["velocity_m_s"] ** 2
+    deviation = _from_smooth(flown, flown["H_r_J_kg"] - CP_AIR * flown["T_inf_K"], kinetic, judged)
+    return _Relation(
+        "enthalpy", "recovery enthalpy over V^2/2 is", deviation, judged, 0.02, noise=2.0 * _of_speed(flown)
+    )
+
+
+def _path(flown: Conditions) -> _Relation | None:
+    """Angle of the path from altitude and velocity, less that of the column."""
+    if "gamma_deg" not in flown:
+        return None
+    judged = _hypersonic(flown)
+    V = np.maximum(flown["velocity_m_s"], 1.0)
+    sine = np.clip(_slope(flown["altitude_m"], flown) / V, -1.0, 1.0)
+    deviation = np.degrees(np.arcsin(sine)) - _smoothed(flown["gamma_deg"], flown)
+    words = "the path angle of altitude and velocity less that stated is"
+    return _Relation("path", words, deviation, judged, 0.1, "deg", np.degrees(_slope_noise("altitude_m", flown) / V))
+
+
+def _drag(flown: Conditions) -> _Relation:
+    V, z = np.maximum(flown["velocity_m_s"], 1.0), flown["altitude_m"]
+    sinking = _smoothed(_gravity(z) * np.gradient(z, flown.time_s) / V, flown)
+    drag = -_slope(V, flown) - sinking
+    q = 0.5 * flown["rho_kg_m3"] * V**2
+    judged = _hypersonic(flown) & (drag > LEAST_DRAG_M_S2)
+    deviation = _from_smooth(flown, drag, q, judged, smooth=True)
+    noise = np.divide(_slope_noise("velocity_m_s", flown), drag, out=np.zeros(len(drag)), where=judged)
+    return _Relation("drag", "deceleration over dynamic pressure is", deviation, judged, 0.05, noise=noise)
+
+
+def _axial(flown: Conditions) -> _Relation | None:
+    if "axial_accel_g" not in flown:
+        return None
+    q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
+    acceleration = G0_M_S2 * flown["axial_accel_g"]
+    judged = _hypersonic(flown) & (acceleration > LEAST_SENSED_M_S2)
+    deviation = _from_smooth(flown, acceleration, q, judged)
+    noise = 2.0 * _of_speed(flown)
+    return _Relation("axial force", "axial acceleration over dynamic pressure is", deviation, judged, 0.1, noise=noise)
+
+
+RELATIONS: tuple[Callable[[Conditions], _Relation | None], ...] = (
+    _gas, _hydrostatics, _mach, _reynolds, _enthalpy, _path, _drag, _axial,
+)  # fmt: skip
+"""Relations between the columns of a flight."""
+
+
+# Numerics ------------------------------------------------------------------------------------------------------------
+
+
+def _kernel(flown: Conditions) -> FloatArray:
+    """Weights of the mean that a derivative through a line over a window is of the true one: a parabola."""
+    half = max(round(HALF_WINDOW_S / float(flown.time_s[1] - flown.time_s[0])), 2)
+    k = np.arange(-half, half + 1)
+    weight = np.concatenate(([0.0], np.cumsum(-k[:-1].astype(float)), [0.0]))
+    # the line's slope weighs differences of neighbours; half of each goes to either of its samples
+    weight = 0.5 * (weight[:-1] + weight[1:])
+    return np.asarray(np.abs(weight) / np.sum(np.abs(weight)))
+
+
+def _smoothed(values: FloatArray, flown: Conditions) -> FloatArray:
+    """(time,) mean over the window of derivatives."""
+    weight = _kernel(flown)
+    padded = np.pad(values, len(weight) // 2, mode="edge")
+    return np.convolve(padded, weight[::-1], mode="valid")
+
+
+def _slope(values: FloatArray, flown: Conditions) -> FloatArray:
+    """(time,) derivative in time through a line over a window."""
+    return _smoothed(np.gradient(values, flown.time_s), flown)
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the noise of a column, from its second differences and its resolution.
+
+    The resolution is the least difference of two neighbours; within it a column errs evenly.
+    """
+    steps = np.abs(np.diff(values))
+    changes = steps[steps > 0.0]
+    resolution = float(changes.min()) if changes.size else 0.0
+    white = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0)
+    return float(np.hypot(white, resolution / np.sqrt(12.0)))
+
+
+def _slope_noise(name: str, flown: Conditions) -> float:
+    """Standard deviation of the slope of a column, as if its noise were the same along half a window."""
+    return _noise(flown[name]) / HALF_WINDOW_S
+
+
+def _of_speed(flown: Conditions) -> FloatArray:
+    """(time,) noise of the velocity over the velocity."""
+    return np.asarray(_noise(flown["velocity_m_s"]) / np.maximum(flown["velocity_m_s"], 1.0))
+
+
+def _from_smooth(
+    flown: Conditions, force: FloatArray, scale: FloatArray, judged: BoolArray, *, smooth: bool = False
+) -> FloatArray:
+    """(time,) relative deviation of a force from a smooth coefficient times its scale; 0 where it is not judged.
+
+    The coefficient is quadratic in the angle of attack and linear in deflections and velocity.
+    smooth : whether the force is a mean over the window of derivatives, as its model then has to be
+    """
+    if np.count_nonzero(judged) < FEWEST:
+        return np.zeros(len(flown))
+    alpha = flown["alpha_deg"] - np.median(flown["alpha_deg"][judged])
+    speed = flown["velocity_m_s"] / np.median(flown["velocity_m_s"][judged]) - 1.0
+    terms = [np.ones(len(flown)), alpha, alpha**2, flown["elevon_deg"], flown["bodyflap_deg"], speed]
+    columns = np.column_stack([_smoothed(scale * v, flown) if smooth else scale * v for v in terms])
+    columns, y = columns[judged], force[judged]
+    weight = 1.0 / y
+    A, b = columns * weight[:, np.newaxis], y * weight
+    robust = np.ones(len(b))
+    for _ in range(ROUNDS):
+        fit = np.linalg.lstsq(A * robust[:, np.newaxis], b * robust, rcond=None)[0]
+        residual = b - A @ fit
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+        robust = np.sqrt(np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residual), 1e-12)))
+    deviation = np.zeros(len(flown))
+    expected = columns @ fit
+    deviation[judged] = np.divide(y, expected, out=np.ones_like(y), where=expected > 0.0) - 1.0
+    return deviation
+
+
+ROUNDS = 20
+"""Iterations of a robust fit."""
