@@ -20,6 +20,7 @@ import numpy as np
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.kernels.lag import lag_columns
+from sim_heating.base.parameters import Parameter
 from sim_heating.base.report.figure import ANGLES, new_figure, save_figure
 from sim_heating.heating.effects import Effect, effects, use
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
@@ -145,11 +146,17 @@ def page(present: str) -> str:
         lines += equations(by_name.get(name, ""))
         lines += [TABLE, "|---|---|---|---|---|---|"]
         lines += [
-            f"| `{p.name}` | {p.unit} | {p.value:g} | {p.sigma:g} | {p.lower:g} to {p.upper:g} | {p.text} |"
-            for p in effect.parameters
+            f"| `{p.name}` | {p.unit} | {p.value:g} | {p.sigma:g} | {bounds(p, searched)} | {p.text} |"
+            for p, searched in zip(effect.parameters, effect.search_definitions(), strict=True)
         ]
         lines += ["", f"![{name}](images/effect_{name}.png)", ""]
     return "\n".join(lines)
+
+
+def bounds(p: Parameter, searched: Parameter) -> str:
+    """Bounds of a parameter, and those in the search for its effect where they are narrower."""
+    text = f"{p.lower:g} to {p.upper:g}"
+    return text if searched == p else f"{text}; search {searched.lower:g} to {searched.upper:g}"
 
 
 def equations(section: str) -> list[str]:

@@ -223,9 +223,14 @@ def _enthalpy(flown: Conditions) -> _Relation | None:
         return None
     judged = _hypersonic(flown)
     kinetic = 0.5 * flown["velocity_m_s"] ** 2
-    deviation = _from_smooth(flown, flown["H_r_J_kg"] - CP_AIR * flown["T_inf_K"], kinetic, judged)
+    deviation, noise = _from_smooth(flown, flown["H_r_J_kg"] - CP_AIR * flown["T_inf_K"], kinetic, judged)
     return _Relation(
-        "enthalpy", "recovery enthalpy over V^2/2 is", deviation, judged, 0.02, noise=2.0 * _of_speed(flown)
+        "enthalpy",
+        "recovery enthalpy over V^2/2 is",
+        deviation,
+        judged,
+        0.02,
+        noise=np.hypot(noise, 2.0 * _of_speed(flown)),
     )
 
 
@@ -247,9 +252,11 @@ def _drag(flown: Conditions) -> _Relation:
     drag = -_slope(V, flown) - sinking
     q = 0.5 * flown["rho_kg_m3"] * V**2
     judged = _hypersonic(flown) & (drag > LEAST_DRAG_M_S2)
-    deviation = _from_smooth(flown, drag, q, judged, smooth=True)
+    deviation, model = _from_smooth(flown, drag, q, judged, smooth=True)
     noise = np.divide(_slope_noise("velocity_m_s", flown), drag, out=np.zeros(len(drag)), where=judged)
-    return _Relation("drag", "deceleration over dynamic pressure is", deviation, judged, 0.05, noise=noise)
+    return _Relation(
+        "drag", "deceleration over dynamic pressure is", deviation, judged, 0.05, noise=np.hypot(noise, model)
+    )
 
 
 def _axial(flown: Conditions) -> _Relation | None:
@@ -258,9 +265,15 @@ def _axial(flown: Conditions) -> _Relation | None:
     q = 0.5 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
     acceleration = G0_M_S2 * flown["axial_accel_g"]
     judged = _hypersonic(flown) & (acceleration > LEAST_SENSED_M_S2)
-    deviation = _from_smooth(flown, acceleration, q, judged)
-    noise = 2.0 * _of_speed(flown)
-    return _Relation("axial force", "axial acceleration over dynamic pressure is", deviation, judged, 0.1, noise=noise)
+    deviation, noise = _from_smooth(flown, acceleration, q, judged)
+    return _Relation(
+        "axial force",
+        "axial acceleration over dynamic pressure is",
+        deviation,
+        judged,
+        0.1,
+        noise=np.hypot(noise, 2.0 * _of_speed(flown)),
+    )
 
 
 RELATIONS: tuple[Callable[[Conditions], _Relation | None], ...] = (
@@ -318,32 +331,40 @@ def _of_speed(flown: Conditions) -> FloatArray:
 
 def _from_smooth(
     flown: Conditions, force: FloatArray, scale: FloatArray, judged: BoolArray, *, smooth: bool = False
-) -> FloatArray:
-    """(time,) relative deviation of a force from a smooth coefficient times its scale; 0 where it is not judged.
+) -> tuple[FloatArray, FloatArray]:
+    """Relative deviation of a force from a smooth coefficient times its scale, and its standard deviation.
 
-    The coefficient is quadratic in the angle of attack and linear in deflections and velocity.
-    smooth : whether the force is a mean over the window of derivatives, as its model then has to be
+    The coefficient is quadratic in the angle of attack and linear in deflections and velocity. Where few samples say
+    what it is, as at an angle that is flown in one manoeuvre alone, its own error counts: that of a fit to errors which
+    stay the same for some time.
+    smooth  : whether the force is a mean over the window of derivatives, as its model then has to be
+    returns : (time,) and (time,), 0 where the force is not judged
     """
+    deviation, noise = np.zeros(len(flown)), np.zeros(len(flown))
     if np.count_nonzero(judged) < FEWEST:
-        return np.zeros(len(flown))
+        return deviation, noise
     alpha = flown["alpha_deg"] - np.median(flown["alpha_deg"][judged])
     speed = flown["velocity_m_s"] / np.median(flown["velocity_m_s"][judged]) - 1.0
     terms = [np.ones(len(flown)), alpha, alpha**2, flown["elevon_deg"], flown["bodyflap_deg"], speed]
     columns = np.column_stack([_smoothed(scale * v, flown) if smooth else scale * v for v in terms])
-    columns, y = columns[judged], force[judged]
-    weight = 1.0 / y
-    A, b = columns * weight[:, np.newaxis], y * weight
-    robust = np.ones(len(b))
+    y = force[judged]
+    # relative errors; the columns are scaled for a well-conditioned fit
+    A = columns[judged] / y[:, np.newaxis]
+    A /= np.maximum(np.max(np.abs(A), axis=0), np.finfo(float).tiny)
+    weight = np.ones(len(y))
     for _ in range(ROUNDS):
-        fit = np.linalg.lstsq(A * robust[:, np.newaxis], b * robust, rcond=None)[0]
-        residual = b - A @ fit
+        fit = np.linalg.lstsq(A * np.sqrt(weight)[:, np.newaxis], np.sqrt(weight), rcond=None)[0]
+        residual = 1.0 - A @ fit
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
-        robust = np.sqrt(np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residual), 1e-12)))
-    deviation = np.zeros(len(flown))
-    expected = columns @ fit
-    deviation[judged] = np.divide(y, expected, out=np.ones_like(y), where=expected > 0.0) - 1.0
-    return deviation
+        weight = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residual), 1e-12))
+    leverage = np.einsum("ij,jk,ik->i", A, np.linalg.pinv(A.T @ (A * weight[:, np.newaxis])), A)
+    together = LASTING_S / float(flown.time_s[1] - flown.time_s[0])
+    deviation[judged] = np.divide(residual, A @ fit, out=np.zeros(len(y)), where=A @ fit > 0.0)
+    noise[judged] = spread * np.sqrt(together * leverage)
+    return deviation, noise
 
 
 ROUNDS = 20
 """Iterations of a robust fit."""
+LASTING_S = 60.0
+"""Time [s] for which errors of the atmosphere and of an aerodynamic model stay the same."""

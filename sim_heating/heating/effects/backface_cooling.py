@@ -31,6 +31,8 @@ EFFECT = Effect(
     ),
     neutral={"back_h_W_m2K": 0.0, "back_emissivity": 0.0},
     search_starts=search_starts,
+    # Film coefficients of gases, and temperatures of a structure that survives.
+    search_bounds={"back_h_W_m2K": (0.0, 500.0), "back_K": (150.0, 700.0)},
     physics="Air from the vents late in the entry, and radiation to cooler structure, limit the skin's peak.",
     source="Ko, Quinn & Gong, NASA TM-86043 and its successors (structure temperatures of STS-1 to STS-5)",
 )

@@ -87,8 +87,14 @@ EFFECT = Effect(
     needs_wall=True,
     neutral={"catalysis_step": 0.0, "flow_step": 0.0},
     search_starts=search_starts,
-    # A hotter wall is more catalytic. A flow of more atoms than the tables mean may heat a wall less that is not.
-    search_bounds={"catalysis_step": (0.0, 3.0), "catalysis_width_K": (5.0, 400.0)},
+    # Recombination is worth the heat of dissociation, up to 0.6 of the recovery enthalpy in an entry from orbit: from
+    # none to all of it the heating rises by 1.5, from all to none it falls by 0.6.
+    search_bounds={
+        "catalysis_step": (-0.6, 1.5),
+        "catalysis_width_K": (5.0, 400.0),
+        "flow_step": (-0.6, 1.5),
+        "flow_width_J_kg": (2e5, 1e7),
+    },
     physics="Recombination of atoms at the wall grows with its temperature and gives up the energy of dissociation; on "
     "a still hotter wall it may decrease again.",
     source="Scott, 'Effects of nonequilibrium and wall catalysis on Shuttle heat transfer', in NASA CP-2283; its "

@@ -26,6 +26,7 @@ EFFECT = Effect(
     ),
     neutral={"gap_fraction": 0.0},
     search_starts=search_starts,
+    search_bounds={"gap_fraction": (0.0, 0.5)},
     physics="Gas driven through gaps by pressure gradients heats their sides, each depth by its own temperature.",
     source="Gap heating of the Shuttle tiles, NASA CP-2283 (1983)",
 )

@@ -53,6 +53,7 @@ EFFECT = Effect(
     needs=("alpha_deg",),
     neutral={"slope": 0.0},
     search_starts=search_starts,
+    search_bounds={"slope": (0.0, 0.1)},  # flow that reaches a point heats it
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
     source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

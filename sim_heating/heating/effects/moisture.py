@@ -56,6 +56,15 @@ EFFECT = Effect(
     ),
     neutral={"latent_J_kg": 0.0, "deposit_J_kg": 0.0, "vapour_W_m": 0.0},
     search_starts=search_starts,
+    # Water boils at 250 K at 80 Pa and at 373 K at sea level, bound to fibres somewhat above; over a wider range than
+    # 60 K it is another change of the heat capacity.
+    search_bounds={
+        "boil_K": (250.0, 500.0),
+        "condense_K": (250.0, 500.0),
+        "width_K": (1.0, 60.0),
+        "latent_J_kg": (0.0, 1e6),
+        "deposit_J_kg": (0.0, 1e6),
+    },
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
     source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "
     "its density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",

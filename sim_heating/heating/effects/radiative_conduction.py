@@ -33,6 +33,8 @@ EFFECT = Effect(
     ),
     neutral={"k_rad": 0.0},
     search_starts=search_starts,
+    # Radiation adds to a conductivity; one that is declared too high when hot is a slope of `conductivity`.
+    search_bounds={"k_rad": (0.0, 1.0), "from_K": (0.0, 2000.0)},
     physics="In fibres that are optically thick radiation diffuses: its conductivity is proportional to T^3. "
     "A declared conductivity includes it up to the temperature of the measurement.",
     source="Rosseland diffusion; Howell, Siegel & Menguc, Thermal Radiation Heat Transfer, 5th ed., ch. 12",
