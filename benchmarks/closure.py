@@ -66,10 +66,15 @@ def make_and_close(task: tuple[int, int, str]) -> bytes:
         found = search_effects(record)
         after = rmse_K(found)
         seconds = time.process_time() - begun
-        more = answer["effect"] in NAMES and answer["effect"] != UNKNOWN and exceeds(after, answer["true_rmse_K"])
-        known = rmse_K(search_of_effect(found, answer["effect"])) if more else None
+        known_search = found if answer["effect"] not in NAMES else search_of_effect(found, answer["effect"])
+        known = rmse_K(known_search) if exceeds(after, answer["true_rmse_K"]) else None
+        of_truth = found.none if answer["effect"] == "none" else known_search.conclusion.best
     row = {
         "effect": answer["effect"], "form": answer["form"], "named": found.names, "cpu_s": seconds,
+        "finding": found.conclusion.finding, "alternatives": found.conclusion.alternatives,
+        "kind": found.conclusion.best.kind, "rival": found.conclusion.rival, "explained": found.conclusion.explained,
+        "adequacy": found.conclusion.best.adequacy.as_json(), "statistic": found.conclusion.best.adequacy.statistic,
+        "true_statistic": None if answer["effect"] == UNKNOWN else of_truth.adequacy.statistic,
         "accepted": answer.get("accepted", [answer["effect"]]), "separable": answer.get("separable", True),
         "residual_over_floor": answer.get("residual_over_floor"), "noise_colour": answer["noise_colour"],
         "lag1_autocorrelation": found.rounds[0].base.lag1_autocorrelation,
@@ -89,7 +94,7 @@ def rmse_K(found: SearchResult) -> dict[str, float]:
     """RMSE [K] over fit and holdout segments, refitted with the effects found."""
     from sim_heating.closure.close import refit
 
-    fitted = refit(found) if found.added else found.before
+    fitted = refit(found)
     return {part: e["rmse_K"] for part, e in fitted.after[0].segment_errors().items() if e}
 
 
@@ -99,15 +104,22 @@ def exceeds(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
 
 
 def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
-    """The search with the candidates of one effect alone."""
-    from sim_heating.closure.search.candidates import SENSOR_EFFECT
+    """The search with the candidates of one effect alone, its best form fitted to convergence."""
+    from sim_heating.closure.search.candidates import LAG_EFFECT, SENSOR_EFFECT
+    from sim_heating.closure.search.hypothesis import Conclusion, hypothesis
+    from sim_heating.closure.search.refine import refine
     from sim_heating.closure.search.search import search_round
     from sim_heating.closure.search.trial_fit import base_trial
     from sim_heating.heating.effects import effects
 
-    others = {*effects(), SENSOR_EFFECT} - {effect}
-    one = search_round(base_trial(found.before), sorted(others), lambda fraction, text: None)
-    return replace(found, rounds=(one,), added=one.trials[:1], unknown=False)
+    others = {*effects(), SENSOR_EFFECT, LAG_EFFECT} - {effect}
+    base = base_trial(found.before)
+    one = search_round(base, sorted(others), lambda fraction, text: None)
+    best = refine(base, one.trials, one.tried, one.predicted)[:1]
+    if not best:
+        return found
+    known = hypothesis([best[0].trial], one.forms)
+    return replace(found, rounds=(one,), conclusion=Conclusion("found", known, (), 0.0))
 
 
 def is_correct(row: dict[str, Any]) -> bool:

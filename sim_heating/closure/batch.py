@@ -148,7 +148,11 @@ def summary_row(report: Any) -> dict[str, Any]:
         "record": report.record.name,
         "control_point": report.record.declared.control_point,
         "effects": [e.name for e in report.effects],
-        "posterior": report.effects[0].posterior,
+        "finding": report.statement.finding,
+        "named": " + ".join(" or ".join(names) for names in report.statement.alternatives),
+        "not_effects": [f"{c.kind}: {c.what}" for c in report.statement.not_effects],
+        "probability": report.statement.probability,
+        "p_value": None if report.statement.adequacy is None else report.statement.adequacy.p_value,
         "noise_floor_K": report.noise_floor_K,
         "data_faults": [f.kind for f in report.faults],
         "fault_messages": [f.message for f in report.faults],
@@ -168,6 +172,8 @@ def _write_summary_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """The numbers of the summary, one row a record."""
     columns: dict[str, Any] = {"record": [row["record"] for row in rows]}
     columns["effects"] = ["+".join(row["effects"]) if "effects" in row else "failed" for row in rows]
-    for name in ("posterior", "noise_floor_K", *ERROR_COLUMNS):
+    columns["finding"] = [row.get("finding", "failed") for row in rows]
+    columns["named"] = [row.get("named", "") for row in rows]
+    for name in ("probability", "p_value", "noise_floor_K", *ERROR_COLUMNS):
         columns[name] = np.array([np.nan if row.get(name) is None else row[name] for row in rows])
     write_csv(path, columns)

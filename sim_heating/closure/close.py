@@ -10,28 +10,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
-from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.fit_checks import check_fit
-from sim_heating.closure.record_checks import CLOCK, DataFault, check_record, unresolved
+from sim_heating.closure.record_checks import CLOCK, TRAJECTORY, DataFault, check_record, unresolved
 from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import (
-    CandidateScore,
-    Closure,
-    Finding,
-    ParameterEstimate,
-    false_alarm_statement,
-    write_closure,
-)
+from sim_heating.closure.report import CandidateScore, Closure, Finding, false_alarm_statement, write_closure
+from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
+from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
+from sim_heating.closure.table_prior.prior import table_prior
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import NewtonSettings
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
@@ -112,17 +112,23 @@ def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = 
         raise InputError(*of_clock)
     result = search_effects(record, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found")
-    fitted = refit(result) if result.added else result.before
+    fitted = refit(result)
     progress(0.9, "residual as heating")
     return ClosedLoop(result, fitted, _closure(result, fitted, faults))
 
 
 def refit(result: SearchResult) -> FitResult:
-    """The record fitted to convergence with the declared model's parameters and all added effects, with bounds.
+    """The record fitted to convergence with what was found, with bounds; the declared model's fit where nothing was.
 
-    Priors of the effects are as wide as in the search.
+    Priors of the effects are as wide as in the search. A cause that is no effect changes the record itself: its flight,
+    wall or sensors are then those found.
     """
-    last = result.added[-1]
+    best = result.conclusion.best
+    if not result.explained:
+        return result.before
+    if best.change is not None:
+        return estimate([best.change.change.apply(result.record, best.change.value)], result.before.labels)
+    last = best.last
     part = last.problem.record_fits[0]
     # The priors of the search: with the declared ones the last fit could end at other values than those that were
     # ranked.
@@ -145,12 +151,14 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
     """The results of a search and its refit, for the report; `faults` are those found before any fit."""
     before, values = result.before, result.before.fit.values
     residual = residual_heating(before.problem, values)
-    after = fitted.after[0] if result.added else before.after[0]
-    residual_after = residual_heating(fitted.problem, fitted.fit.values) if result.added else None
+    after = fitted.after[0]
+    residual_after = residual_heating(fitted.problem, fitted.fit.values) if result.explained else None
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
     }
+    contradictions = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
+    not_effects = _not_effects(result)
     return Closure(
         record=result.record,
         predicted=before.before[0],
@@ -164,33 +172,90 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
         residual=residual,
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
+        statement=_statement(result, fitted, not_effects),
         faults=[
+            *(contradictions if not not_effects else []),
             *unresolved(faults, after),
-            *check_fit(fitted.problem, fitted.fit.values, residual_after or residual),
+            *([] if not_effects else check_fit(fitted.problem, fitted.fit.values, residual_after or residual)),
         ],
         false_alarm=false_alarm_statement(),
-        warnings=[*fitted.warnings, *_residual_warning(result, residual_after)],
+        warnings=[*fitted.warnings, *_residual_warning(result, residual_after), *collinear_directions(fitted)],
     )
 
 
-def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
-    """A line on the residual of the added effects, where it is more than noise."""
-    if residual is None or result.added[-1].excess_chi2 < REPORTED_EXCESS:
+def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[NotEffect]) -> Statement:
+    """The finding with its alternatives and its adequacy."""
+    conclusion = result.conclusion
+    best = conclusion.best if conclusion.finding != UNKNOWN else result.none
+    return Statement(
+        finding=conclusion.finding,
+        alternatives=[[_in_words(result, name) for name in names] for names in conclusion.alternatives],
+        adequacy=best.adequacy,
+        explained=conclusion.explained,
+        probability=None,
+        not_effects=not_effects,
+        converged=fitted.fit.converged,
+    )
+
+
+def _in_words(result: SearchResult, name: str) -> str:
+    """An alternative as the report has it: the name of an effect, another cause with its value."""
+    found = next((h for h in result.hypotheses if h.names == (name,) and h.kind != "effect"), None)
+    return name if found is None else _cause(found).what
+
+
+def _not_effects(result: SearchResult) -> list[NotEffect]:
+    """The cause that was found, where it is no effect; else errors of the table that the declared model's fit shows."""
+    best = result.conclusion.best
+    if result.explained and best.kind != "effect":
+        return [_cause(best)]
+    if result.conclusion.finding != NONE:
         return []
-    size = math.sqrt(1.0 + result.added[-1].excess_chi2)
+    labels = result.before.labels
+    prior = table_prior(result.record, labels, result.before.problem.reference)
+    return [
+        NotEffect("table", f.what, {n: ParameterEstimate(v, s, MODEL[n].unit) for n, (v, s) in f.parameters.items()})
+        for f in table_findings(result.before, prior)
+    ]
+
+
+def _cause(found: Hypothesis) -> NotEffect:
+    """A cause that is no effect, with its estimate."""
+    if found.change is not None:
+        parameter = found.change.change.parameter
+        own = (
+            {}
+            if parameter is None
+            else {parameter.name: ParameterEstimate(found.change.value, found.change.sigma, parameter.unit)}
+        )
+        return NotEffect(found.kind, found.change.describe(), own)
+    trial = found.last
+    name, fit = trial.candidate.names[0], trial.fit
+    at = [u.parameter.name for u in trial.problem.unknowns].index(name)
+    value, sigma = float(fit.values[at]), float(fit.sigma[at])
+    return NotEffect("table", table_error(name, value), {name: ParameterEstimate(value, sigma, MODEL[name].unit)})
+
+
+def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
+    """A line on the residual of what was found, where it is more than noise."""
+    best = result.conclusion.best
+    if residual is None or best.excess_chi2 < REPORTED_EXCESS:
+        return []
+    size = math.sqrt(1.0 + best.excess_chi2)
     return [
         f"the residual is {size:.2f} times noise, small compared with what the effects explain: another effect, or a "
-        f"form that differs from that of {' and '.join(result.names)}. {residual_evidence(residual).proposal()[0]}"
+        f"form that differs from that of {' and '.join(best.names)}. {residual_evidence(residual).proposal()[0]}"
     ]
 
 
 def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
     """The added effects; "none" or "unknown" where there are none."""
+    shares = posteriors({" + ".join(h.names): h.score for h in result.hypotheses if h.admissible} | {NONE: 0.0})
     if not result.added:
         name = result.names[0]
-        posterior = result.rounds[0].posterior["none"]
-        return [Finding(name, posterior if name == "none" else 1.0 - posterior, {})]
-    return [Finding(t.name, t.posterior, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added]
+        return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
+    share = shares[" + ".join(result.conclusion.best.names)]
+    return [Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added]
 
 
 def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
@@ -214,26 +279,45 @@ def _sensor_of(trial: TrialFit) -> str | None:
 
 
 def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
-    """The candidates of the first round; those that were not fitted have their predicted BIC, and errors as before."""
+    """All single causes, as they were compared; those that were not fitted have their predicted BIC, and errors as
+    before."""
     first = result.rounds[0]
-    before = result.before.after[0].segment_errors()
-    rows = [("none", 0.0, before)]
-    for trial in first.trials:
-        try:
-            rows.append((trial.name, trial.delta_bic, trial.prediction.segment_errors()))
-        except RunError:  # fitted in steps that the plain march cannot take
-            continue
-    rows += [(name, delta_bic, before) for name, delta_bic in first.screened_out.items()]
+    scored = {h.names[0]: h for h in reversed(result.hypotheses) if len(h.names) == 1}
+    shares = posteriors({name: h.score for name, h in scored.items() if h.admissible} | {NONE: 0.0})
+    rows = [(NONE, 0.0, result.none.last)]
+    rows += [
+        (h.names[0], h.last.delta_bic if h.change is None else h.change.delta_bic, h.last) for h in scored.values()
+    ]
+    rows += [(t.name, t.delta_bic, t) for t in first.trials if t.name not in scored]
+    rows += [
+        (name, delta_bic, result.none.last) for name, delta_bic in first.screened_out.items() if name not in scored
+    ]
     return [
         CandidateScore(
             name=name,
             delta_bic=delta_bic,
-            fit_rmse_K=errors["fit"]["rmse_K"],
-            holdout_rmse_K=errors["holdout"]["rmse_K"] if errors["holdout"] else None,
-            posterior=first.posterior.get(name, 0.0),
+            fit_rmse_K=rmse_K(trial.problem, trial.fit.values),
+            holdout_rmse_K=None if trial.held_out is None else rmse_K(trial.held_out, trial.fit.values),
+            posterior=shares.get(name, 0.0),
         )
-        for name, delta_bic, errors in rows
+        for name, delta_bic, trial in rows
     ]
+
+
+def rmse_K(problem: FitProblem, values: FloatArray) -> float:
+    """RMSE of the samples of a problem [K], a recorder's word taken at its middle.
+
+    values : (parameter,) at which they are predicted;  returns NaN where they cannot be marched
+    """
+    try:
+        samples = problem.samples(values)
+    except RunError:
+        return float("nan")
+    residuals = np.concatenate([
+        0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples
+    ])  # fmt: skip
+    known = residuals[np.isfinite(residuals)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
 def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[str]:

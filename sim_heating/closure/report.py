@@ -1,6 +1,6 @@
 """Files of a closed loop: closure.json, residual_heating.csv, and report.html for a review.
 
-closure.json is the format "closure-report/1"; further keys are `estimated` (all parameters of the last fit), `residual`
+closure.json is the format "closure-report/2"; further keys are `estimated` (all parameters of the last fit), `residual`
 and `residual_after` (size and bandwidth of the residual heating, residuals that no heating explains), `evidence`,
 `data_faults` (errors of the record itself), `false_alarm` and `warnings`.
 
@@ -36,25 +36,12 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
+from sim_heating.closure.statement import FOUND, ONE_OF, UNKNOWN, ParameterEstimate, Statement, finite
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 
 NAME, PAGE = "closure.json", "report.html"
 FILES = (NAME, PAGE, HEATING_NAME)
-NONE, UNKNOWN = "none", "unknown"
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """An estimated parameter.
-
-    value, sigma : in its unit; sigma is not finite where the record does not determine it
-    unit         : as in closure.json, "1" where it has none
-    """
-
-    value: float
-    sigma: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -62,7 +49,8 @@ class Finding:
     """A named effect, or "none" or "unknown".
 
     name       : as in closure.json
-    posterior  : its probability among the candidates
+    posterior  : its share of the likelihood among the hypotheses, equal prior ones; a comparison, no calibrated
+                 probability
     parameters : estimates by their names within the effect
     sensor     : the thermocouple that the effect is of; None where it is of no single one
     """
@@ -80,7 +68,7 @@ class Finding:
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
         sensor = {} if self.sensor is None else {"sensor": {"value": self.sensor, "sigma": None, "unit": ""}}
-        parameters = sensor | {n: _parameter_json(p) for n, p in self.parameters.items()}
+        parameters = sensor | {n: p.as_json() for n, p in self.parameters.items()}
         return {"name": self.name, "posterior": self.posterior, "parameters": parameters}
 
 
@@ -117,6 +105,7 @@ class Closure:
     parameters    : all estimates of the last fit, by dotted names
     residual, residual_after : residual heating after the derivatives, and after the effects
     evidence      : on the cause of the first residual
+    statement     : the finding, its alternatives, its adequacy, and causes that are no effect
     faults        : errors of the record itself
     false_alarm   : chance of naming an effect where there is none, with its calibration
     warnings      : on the fit and its residual
@@ -134,19 +123,22 @@ class Closure:
     residual: ResidualHeating
     residual_after: ResidualHeating | None
     evidence: ResidualEvidence
+    statement: Statement
     faults: Sequence[DataFault] = ()
     false_alarm: str = ""
     warnings: Sequence[str] = ()
 
     @property
     def named(self) -> str:
-        """Names of the effects, joined."""
-        return " + ".join(e.name for e in self.effects)
+        """What was found, joined: the effects, else causes that are none; "unknown" or "none"."""
+        if self.added:
+            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
+        return self.effects[0].name
 
     @property
     def added(self) -> bool:
-        """Whether effects were added to the model."""
-        return self.effects[0].name not in (NONE, UNKNOWN)
+        """Whether a cause was found that the model after has, and the one before has not."""
+        return self.statement.finding in (FOUND, ONE_OF)
 
     def __repr__(self) -> str:
         errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))
@@ -160,19 +152,20 @@ def closure_json(found: Closure) -> dict[str, Any]:
     effects = [e.as_json() for e in found.effects]
     several = {"effects": effects} if len(effects) > 1 else {}
     return {
-        "format": "closure-report/1",
+        "format": "closure-report/2",
         "records": [str(found.record.directory)],
         "sensors": [s.name for s in found.record.used_sensors],
         "predicted": found.predicted.segment_errors(),
         "before": found.before.segment_errors(),
         "after": found.after.segment_errors(),
-        "noise_floor_K": _finite(found.noise_floor_K),
+        "noise_floor_K": finite(found.noise_floor_K),
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
         **several,
+        **found.statement.as_json(),
         "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
-        "estimated": {n: _parameter_json(p) for n, p in found.parameters.items()},
+        "estimated": {n: p.as_json() for n, p in found.parameters.items()},
         "residual": found.residual.as_json(),
         "residual_after": None if found.residual_after is None else found.residual_after.as_json(),
         "evidence": {**found.evidence.as_json(), "proposal": found.evidence.proposal()},
@@ -181,16 +174,6 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "warnings": list(found.warnings),
         "program": f"sim-heating {package_version()}",
     }  # fmt: skip
-
-
-def _finite(value: float) -> float | None:
-    """A number for JSON: None where it is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _parameter_json(p: ParameterEstimate) -> dict[str, Any]:
-    """A parameter as closure.json has it."""
-    return {"value": float(p.value), "sigma": _finite(p.sigma), "unit": p.unit}
 
 
 def write_closure(found: Closure, folder: Path) -> None:
@@ -211,7 +194,8 @@ def closure_page(found: Closure) -> Page:
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in found.faults), *found.warnings]
     sections = [
-        _errors_section(found), _comparison_section(found), _parameters_section(found), _candidates_section(found),
+        *_not_effects_section(found), _errors_section(found), *_adequacy_section(found), _comparison_section(found),
+        _parameters_section(found), _candidates_section(found),
         _heating_section(found), _evidence_section(found), _sensors_section(found),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
@@ -227,20 +211,28 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "before, held out": "before_holdout_rmse_K", "after, held out": "after_holdout_rmse_K",
         "noise floor": "noise_floor_K",
     }  # fmt: skip
-    columns = [Column("record"), Column("found", is_text=True), Column("posterior", format=".3f")]
+    columns = [Column("record"), Column("finding", is_text=True), Column("named", is_text=True)]
+    columns += [Column("probability", format=".2f"), Column("p-value", format=".2g")]
     columns += [Column(head, key, ".2f", "K") for head, key in errors.items()]
     cells = [
         [r["record"], "failed", *[""] * (len(columns) - 2)]
         if "failed" in r
-        else [r["record"], _found_text(r), r["posterior"], *(r[key] for key in errors.values())]
+        else [
+            r["record"],
+            r["finding"],
+            _found_text(r),
+            r["probability"],
+            r["p_value"],
+            *(r[key] for key in errors.values()),
+        ]
         for r in rows
     ]
     return Table("What the declared models lack", columns, cells)
 
 
 def _found_text(row: Mapping[str, Any]) -> str:
-    """Effects of a row; faults of the record's data come first, as an effect is no finding then."""
-    effects, faults = " + ".join(row["effects"]), ", ".join(dict.fromkeys(row["data_faults"]))
+    """What a row names; faults of the record's data come first, as an effect is no finding then."""
+    effects, faults = row["named"], ", ".join(dict.fromkeys(row["data_faults"]))
     return f"{faults} ({effects})" if faults else effects
 
 
@@ -250,12 +242,10 @@ def _headline(found: Closure) -> tuple[str, str]:
     errors = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
     if found.faults:
         return f"No aerothermal finding: {found.faults[0].kind}", found.faults[0].message
-    if found.added:
-        posterior = f"Posterior {found.effects[0].posterior:.3f} against all candidates, none included. "
-        return f"Found: {found.named}", posterior + errors
-    if found.effects[0].name == UNKNOWN:
-        return "Something is missing that no candidate explains", " ".join(found.evidence.proposal()[:1])
-    return "The declared model and its derivatives explain the record", errors
+    words = found.statement.in_words()
+    if found.statement.finding == UNKNOWN:
+        return words, " ".join([*found.evidence.proposal()[:1], found.statement.certainty()])
+    return words, f"{found.statement.certainty()} {errors}"
 
 
 def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
@@ -265,6 +255,38 @@ def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, f
     if before is after or before["rmse_K"] == after["rmse_K"]:
         return f"RMSE over {what} data: {before['rmse_K']:.2f} K. "
     return f"RMSE over {what} data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after. "
+
+
+def _not_effects_section(found: Closure) -> list[Section]:
+    """Causes that are no aerothermal effect, in words."""
+    causes = found.statement.not_effects
+    if not causes:
+        return []
+    return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
+
+
+def _adequacy_section(found: Closure) -> list[Section]:
+    """Reduced chi-squares of the model with what was found, by sensor and by time."""
+    adequacy = found.statement.adequacy
+    if adequacy is None:
+        return []
+    rows: list[list[Any]] = [["fitted samples", adequacy.chi2_fit]]
+    if adequacy.chi2_holdout is not None:
+        rows.append(["segments held out", adequacy.chi2_holdout])
+    rows += [[f"sensor {n}", v] for n, v in adequacy.by_sensor.items()]
+    rows += [[n, v] for n, v in adequacy.by_phase.items()]
+    text = (
+        "Residuals over what noise and rounding give. For the true model the reduced chi-square is 1 in every row. The "
+        f"autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. A share of {adequacy.p_value:.2g} of "
+        "synthetic records, fitted with the true effect, deviates more (p-value)."
+    )
+    return [
+        Section(
+            "Does it explain the record?",
+            [text],
+            tables=[Table("", ["", Column("reduced chi-square", format=".2f")], rows)],
+        )
+    ]
 
 
 def _errors_section(found: Closure) -> Section:

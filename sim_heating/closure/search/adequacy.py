@@ -29,10 +29,15 @@ from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.record_fit import PredictedSamples
 
 CALIBRATION = Path(__file__).parents[1] / "closure_calibration.json"
+ADEQUATE, UNEXPLAINED = 0.01, 1e-3
+"""p-value from which on a model explains the record to its noise, and below which something is missing although no
+candidate explains any of it."""
 PARTS, FEWEST = 8, 12
 """Consecutive parts of a record that are judged by themselves, and the least number of samples of one."""
 MODEL_ERROR = 0.03
 """Excess chi-square that meshes and steps may leave [-]."""
+UNEVEN = 0.15
+"""Relative excess of a part's chi-square over that of the record that noise of one size may have, besides scatter."""
 MAX_LAG1, COLOUR = 0.4, 0.1
 """Largest autocorrelation that counts as the colour of noise [-], and that by which recorders' colours differ."""
 
@@ -47,6 +52,8 @@ class Adequacy:
     sign_changes : share of neighbouring residuals with different signs [-], half for white noise
     by_sensor, by_phase : reduced chi-square of each sensor, and of consecutive parts by their times
     statistic    : the largest excess over its scatter
+    unstructured : whether the residuals are as white noise of one size, whatever its size: the recorder may be noisier
+                   than declared, but no model error has this form
     """
 
     p_value: float
@@ -57,6 +64,7 @@ class Adequacy:
     by_sensor: Mapping[str, float]
     by_phase: Mapping[str, float]
     statistic: float
+    unstructured: bool
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
@@ -109,6 +117,7 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
         by_sensor={n: s.chi2() for n, s in own.items()},
         by_phase={n: s.chi2() for n, s in parts.items()},
         statistic=statistic,
+        unstructured=lag1 <= COLOUR + 2.0 * scatter and all(_is_even(s, everything) for s in chi2.values()),
     )
 
 
@@ -159,6 +168,12 @@ def _excess(scores: _Scores, rho: float) -> float:
     n = max(len(scores.time_s), 1)
     scatter = math.sqrt(2.0 * (1.0 + rho**2) / ((1.0 - rho**2) * n))
     return (scores.chi2() - 1.0) / (MODEL_ERROR + scatter)
+
+
+def _is_even(part: _Scores, everything: _Scores) -> bool:
+    """Whether the chi-square of a part is not far above that of the whole record."""
+    n = len(part.time_s)
+    return n < FEWEST or part.chi2() <= everything.chi2() * (1.0 + UNEVEN + 3.0 * math.sqrt(2.0 / n))
 
 
 def _neighbours(everything: Sequence[PredictedSamples]) -> tuple[float, float]:

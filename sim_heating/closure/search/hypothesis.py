@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sim_heating.closure.search.adequacy import Adequacy, assess
+from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, SETTLED, objections
 from sim_heating.closure.search.ranking import model_bic, prior_penalty
 from sim_heating.closure.search.record_change import ChangeFit
@@ -27,9 +27,6 @@ MIN_BIC_GAIN = 10.0
 """How much lower the score of an effect has to be than that of none, or of the model without it."""
 SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
-ADEQUATE, UNEXPLAINED = 0.01, 1e-3
-"""p-value from which on a model explains the record to its noise, and below which something is missing although no
-candidate explains any of it."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 NEARLY_ALL, NEAR_NOISE = 0.97, 1.3
@@ -63,14 +60,14 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its effects, or the change in words without its value; none for the declared model."""
-        change = () if self.change is None else (self.change.change.name or self.change.change.what,)
+        change = () if self.change is None else (self.change.change.what,)
         return (*change, *(t.name for t in self.trials if t.name != "none"))
 
     @property
     def kind(self) -> str:
         """Kind of its cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
-            return "effect" if self.change.change.name else self.change.change.kind
+            return self.change.change.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
@@ -91,8 +88,8 @@ class Hypothesis:
 
     @property
     def adequate(self) -> bool:
-        """Whether its p-value is at least ADEQUATE."""
-        return self.adequacy.p_value >= ADEQUATE
+        """Whether its p-value is at least ADEQUATE, or its residuals are noise that is larger than declared."""
+        return self.adequacy.p_value >= ADEQUATE or self.adequacy.unstructured
 
     @cached_property
     def excess_chi2(self) -> float:
@@ -157,12 +154,14 @@ class Conclusion:
     best         : the hypothesis that is named first; the declared model for "none" and where nothing resembles it
     alternatives : for each thing found, the names that the record cannot tell apart, the likeliest first
     rival        : score of the best hypothesis outside the set, relative to the best
+    explained    : part of the excess chi-square that it explains [-]
     """
 
     finding: str
     best: Hypothesis
     alternatives: tuple[tuple[str, ...], ...]
     rival: float
+    explained: float = 0.0
 
     @property
     def effect_name(self) -> str:
@@ -183,7 +182,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
     if best is None or best.score > -MIN_BIC_GAIN:
-        unexplained = none.adequacy.p_value < UNEXPLAINED
+        unexplained = none.adequacy.p_value < UNEXPLAINED and not none.adequacy.unstructured
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
@@ -195,10 +194,10 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     rival = float(min(outside) - best.score)
     if best.adequate or near:
         several = any(len(slot) > 1 for slot in alternatives)
-        return Conclusion("one of" if several else "found", best, alternatives, rival)
+        return Conclusion("one of" if several else "found", best, alternatives, rival, share)
     if share >= MIN_SHARE:
-        return Conclusion("partly", best, alternatives, rival)
-    return Conclusion("unknown", best, (), rival)
+        return Conclusion("partly", best, alternatives, rival, share)
+    return Conclusion("unknown", best, (), rival, share)
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

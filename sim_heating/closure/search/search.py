@@ -3,10 +3,13 @@
 The declared model's magnitude and derivatives are fitted first. Then every candidate is screened (screening.py), the
 promising ones are fitted together with these (trial_fit.py), and the leading ones are fitted to convergence in their
 simplest and richest forms (refine.py). Changes of the record's flight, wall and sensors are screened and fitted in the
-same way (record_change.py), and wrong derivatives of its table (table_candidates.py). Where the best single effect explains the record to its noise the search ends.
-Otherwise a further effect is sought on top of each of several first ones, jointly with it. A further effect has to
-explain a good part of the remaining excess, and to improve the prediction of the segments held out; at the end each is
-left out in turn, and stays out where the score does not suffer. All models are then compared (hypothesis.py).
+same way (record_change.py), and wrong derivatives of its table (table_candidates.py).
+
+Where the best single cause explains the record to its noise the search ends. Otherwise a further effect is sought on
+top of each of several first ones, jointly with it. A further effect has to explain a good part of the remaining excess,
+and to improve the prediction of the segments held out; at the end each is left out in turn, and stays out where the
+score does not suffer. All models are then compared (hypothesis.py). Where none is adequate, a smooth curve against one
+variable shows what the residual follows; it is never named as a cause.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
+from sim_heating.closure.search.candidates import Candidate, candidates
 from sim_heating.closure.search.flight_changes import flight_changes
 from sim_heating.closure.search.hypothesis import (
     MIN_BIC_GAIN,
@@ -34,6 +38,7 @@ from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trial_fit import (
+    QUICK,
     TrialFit,
     base_trial,
     declared_fit,
@@ -68,6 +73,8 @@ class SearchResult:
     rounds     : passes over the candidates, the first one on top of the declared model
     hypotheses : all models that were fitted to convergence, best first; those that may not be named come last
     conclusion : what follows from them
+    discrepancies : parts of the flight whose conditions contradict each other
+    curve      : the best smooth curve against one variable, where nothing adequate was found
     """
 
     record: Record
@@ -76,12 +83,19 @@ class SearchResult:
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     conclusion: Conclusion
+    discrepancies: Sequence[Discrepancy] = ()
+    curve: TrialFit | None = None
+
+    @property
+    def explained(self) -> bool:
+        """Whether a cause was found, an effect or another."""
+        return self.conclusion.finding in ("found", "one of")
 
     @property
     def added(self) -> tuple[TrialFit, ...]:
         """Trial fits whose effects are added to the model, in order; none where nothing is named."""
-        named = self.conclusion.finding in ("found", "one of")
-        return self.conclusion.best.trials if named and self.conclusion.best.kind == "effect" else ()
+        best = self.conclusion.best
+        return best.trials if self.explained and best.kind == "effect" and best.change is None else ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,7 +118,8 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
-    found += _changes(base, singles, progress)
+    discrepancies = flight_discrepancies(record.conditions)
+    found += _changes(base, singles, discrepancies, progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
         picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
@@ -120,7 +135,11 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
             found += triples
         found += _pruned(base, _accepted(none, found), first.forms)
         rated = _accepted(none, found)
-    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclude(none, rated))
+    conclusion, curve = conclude(none, rated), None
+    if conclusion.finding in ("partly", "unknown"):
+        progress(0.95, "a curve against the variable that the residual follows")
+        curve = _curve(base)
+    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve)
 
 
 def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
@@ -128,17 +147,42 @@ def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
     return lambda fraction, text: progress(begin + (end - begin) * fraction, f"{what}: {text}")
 
 
-def _changes(base: TrialFit, singles: Sequence[Contender], progress: Progress) -> list[Hypothesis]:
+def _changes(
+    base: TrialFit, singles: Sequence[Contender], discrepancies: Sequence[Discrepancy], progress: Progress
+) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared."""
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
-    changes = [*flight_changes(record), *wall_changes(record)]
+    changes = [*flight_changes(record, discrepancies), *wall_changes(record)]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     predicted = [gain for gain, _ in predicted_change_gains(base, changes)]
     least = CHANGE_SHARE * max([best, *predicted])
     leading = sorted((k for k, gain in enumerate(predicted) if gain > least), key=lambda k: -predicted[k])
     fits = fit_changes(base, [changes[k] for k in leading[:MOST_CHANGES]], best)
     return [change_hypothesis(f, len(changes)) for f in fits]
+
+
+def _curve(base: TrialFit) -> TrialFit | None:
+    """The best candidate of last resort on top of the declared model; None where none can be fitted."""
+    tried = _candidates(base, (), last_resort=True)
+    problems = [problem_with(base, c) for c in tried]
+    start = fitted_values(base)
+    fits = maximise_together(
+        problems, [start_values(p, start | dict(c.start)) for p, c in zip(problems, tried, strict=True)], QUICK
+    )
+    found = [
+        TrialFit(c.name, c, p, None, f, delta_bic(base, f, c, 1.0))
+        for c, p, f in zip(tried, problems, fits, strict=True)
+        if np.isfinite(f.log_likelihood)
+    ]
+    return min(found, key=lambda t: t.delta_bic, default=None)
+
+
+def _candidates(base: TrialFit, taken: Sequence[str], *, last_resort: bool = False) -> list[Candidate]:
+    """All candidates on top of a model, over the samples that are fitted."""
+    record = base.problem.record_fits[0].record
+    flown = conditions_of_record(record)
+    return candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=last_resort)
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
@@ -213,9 +257,7 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
     taken : names of the effects that are no candidates
     """
     progress(0.0, "screening candidates")
-    record = base.problem.record_fits[0].record
-    flown = conditions_of_record(record)
-    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
+    tried = _candidates(base, taken)
     tried += table_candidates(base) if not taken else []
     gains = predicted_gains(base, tried)
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))

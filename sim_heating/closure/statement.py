@@ -1,0 +1,126 @@
+"""What a closed loop states: the finding in a word, its alternatives, whether it explains the record, how sure it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy
+
+FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
+"""The findings of a closure report."""
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """An estimated parameter.
+
+    value, sigma : in its unit; sigma is not finite where the record does not determine it
+    unit         : as in closure.json, "1" where it has none
+    """
+
+    value: float
+    sigma: float
+    unit: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        return {"value": float(self.value), "sigma": finite(self.sigma), "unit": self.unit}
+
+
+def finite(value: float | None) -> float | None:
+    """A number for JSON: None where it is not finite."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class NotEffect:
+    """A cause that is no aerothermal effect.
+
+    kind        : "wall", "flight", "sensor" or "table"
+    what        : in words, with its value
+    parameters  : estimates by name
+    probability : calibrated; None where no calibration is at hand
+    """
+
+    kind: str
+    what: str
+    parameters: Mapping[str, ParameterEstimate] = field(default_factory=dict)
+    probability: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        parameters = {n: p.as_json() for n, p in self.parameters.items()}
+        return {"kind": self.kind, "what": self.what, "parameters": parameters, "probability": self.probability}
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What a closed loop states.
+
+    finding      : "found", "one of", "partly", "unknown" or "none"
+    alternatives : for each thing found, the names that the record cannot tell apart, the likeliest first; for "partly",
+                   what the residual resembles
+    adequacy     : of the model with what was named, and for "partly" with what the residual resembles
+    explained    : part of the excess chi-square that this model explains [-]
+    probability  : calibrated, that the finding as stated is right; None where no calibration is at hand
+    not_effects  : causes that are no aerothermal effect
+    converged    : whether the last fit converged
+    """
+
+    finding: str
+    alternatives: Sequence[Sequence[str]] = ()
+    adequacy: Adequacy | None = None
+    explained: float = 0.0
+    probability: float | None = None
+    not_effects: Sequence[NotEffect] = ()
+    converged: bool = True
+
+    def as_json(self) -> dict[str, Any]:
+        """Its keys in closure.json."""
+        return {
+            "finding": self.finding,
+            "alternatives": [list(names) for names in self.alternatives],
+            "adequacy": None if self.adequacy is None else self.adequacy.as_json(),
+            "probability": self.probability,
+            "not_effects": [n.as_json() for n in self.not_effects],
+            "converged": self.converged,
+        }
+
+    @property
+    def noise_floors(self) -> float:
+        """RMS residual over noise of the segments held out, of the fitted samples where there are none [-]."""
+        if self.adequacy is None:
+            return math.nan
+        chi2 = self.adequacy.chi2_fit if self.adequacy.chi2_holdout is None else self.adequacy.chi2_holdout
+        return math.sqrt(max(chi2, 0.0))
+
+    def in_words(self) -> str:
+        """The finding in a few words."""
+        named = " + ".join(" or ".join(names) for names in self.alternatives)
+        if self.finding in (FOUND, ONE_OF):
+            return f"Found: {named}"
+        if self.finding == PARTLY:
+            held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
+            where = "on the segments held out" if held_out else "in the fitted samples"
+            return f"Resembles {named}, which leaves {self.noise_floors:.1f} noise floors {where}"
+        if self.finding == UNKNOWN:
+            return "Something is missing that no candidate explains"
+        return "The declared model and its derivatives explain the record"
+
+    def certainty(self) -> str:
+        """How sure the finding is, in one line."""
+        lines = []
+        if self.probability is not None:
+            lines.append(f"Probability that this finding is right: {_percent(self.probability)} (calibrated).")
+        if self.adequacy is not None:
+            verdict = "explains" if self.adequacy.p_value >= ADEQUATE else "does not explain"
+            lines.append(f"The model {verdict} the record to its noise (p = {self.adequacy.p_value:.2g}).")
+        return " ".join(lines)
+
+
+def _percent(probability: float) -> str:
+    """A probability in per cent, never as certain."""
+    return "above 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
