@@ -63,7 +63,7 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
     from sim_heating.closure.report import closures_table
 
     table = closures_table(rows)
-    found = [column.head for column in table.layout].index("found")
+    found = [column.head for column in table.layout].index("named")
     print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
 
 
@@ -71,6 +71,9 @@ def _print_details(report: Closure) -> None:
     """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
     for fault in report.faults:
         CONSOLE.print(fault.message)
+    CONSOLE.print(f"{report.statement.in_words()}. {report.statement.certainty()}")
+    for cause in report.statement.not_effects:
+        CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
     for effect in report.effects:
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")

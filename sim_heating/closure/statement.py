@@ -1,4 +1,4 @@
-"""What a closed loop states: the finding in a word, its alternatives, whether it explains the record, how sure it is."""
+"""What a closed loop states: the finding in a word, its alternatives, its adequacy, and how sure it is."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from sim_heating.cli import cli
 from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search.candidates import candidates
 from sim_heating.closure.search.ranking import count_forms
-from sim_heating.closure.search.search import MIN_BIC_GAIN, search_effects, search_round
+from sim_heating.closure.search.search import search_effects, search_round
 from sim_heating.closure.search.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse, use
@@ -39,13 +39,16 @@ from tests.support.paths import PRACTICE
 def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None:
     found = search_effects(load_record(PRACTICE / name))
     assert found.names == (effect,)
-    assert found.rounds[0].posterior[effect] > (0.5 if effect == "none" else 0.99)
+    assert found.conclusion.finding == ("none" if effect == "none" else "found")
+    assert found.conclusion.best.adequate
 
 
 def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
     found = search_effects(load_record(PRACTICE / "p02"))  # a sine in time, which is no effect of the library
     assert found.names == ("unknown",)
-    assert found.rounds[0].excess_chi2 > 10.0
+    assert found.none.excess_chi2 > 10.0
+    assert found.curve is not None  # what it follows best is shown and not named
+    assert found.curve.name not in found.names
 
 
 def simulated_record(
@@ -75,17 +78,18 @@ def test_a_residual_that_no_candidate_explains_is_unknown_and_noise_above_the_de
     rippled = flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * ripple)
     unexplained = search_effects(simulated_record(record, flown=rippled))
     assert unexplained.names == ("unknown",)
-    assert unexplained.rounds[0].trials[0].score > -MIN_BIC_GAIN
+    assert not unexplained.none.adequate
     noisy = search_effects(simulated_record(record, noise=2.0))
     assert noisy.names == ("none",)
-    assert noisy.rounds[0].excess_chi2 > 1.0
+    assert noisy.none.excess_chi2 > 1.0
+    assert noisy.none.adequacy.unstructured
 
 
 def test_two_effects_are_both_named_with_their_sizes() -> None:
-    """Moisture resembles both together and is the best single one; it is replaced by one of the two."""
+    """Another effect resembles both together and is the best single one; the pair explains the record to its noise."""
     put_in = [use("conductivity", {"conductivity_factor": 1.12}), use("alpha-curvature", {"d_alpha2": 1.5e-4})]
     found = search_effects(simulated_record(load_record(PRACTICE / "p06"), put_in))
-    assert found.rounds[0].trials[0].name not in {"conductivity", "alpha-curvature"}
+    assert found.conclusion.best.adequate
     assert set(found.names) == {"conductivity", "alpha-curvature"}
     last = found.added[-1]
     values, sigma = fitted_values(last), dict(zip(last.fit.names, last.fit.sigma, strict=True))
@@ -148,11 +152,16 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = CliRunner().invoke(cli, ["close-loop", str(PRACTICE / "p08"), "--out", str(out)])
     assert result.exit_code == 0, result.output
-    assert re.search("│ p08 +│ impingement-onset +│", result.output)
+    assert re.search("│ p08 +│ found +│ impingement-onset +│", result.output)
     assert ".sim_heating.json" not in result.output
     assert set(files_written(out)) <= set(FILES)
     found = json.loads((out / "closure.json").read_text())
-    assert found["format"] == "closure-report/1"
+    assert found["format"] == "closure-report/2"
+    assert found["finding"] == "found"
+    assert found["alternatives"] == [["impingement-onset"]]
+    assert found["adequacy"]["p_value"] > 0.01
+    assert found["not_effects"] == []
+    assert found["converged"]
     assert found["effect"]["name"] == "impingement-onset"
     assert found["after"]["holdout"]["rmse_K"] < 1.1 * found["noise_floor_K"] < found["before"]["holdout"]["rmse_K"]
     assert {c["name"] for c in found["candidates"]} > {"none", "transition", "time-skew", "conductivity"}

@@ -25,18 +25,23 @@ from sim_heating.closure.report import (
     CandidateScore,
     Closure,
     Finding,
-    ParameterEstimate,
     closure_json,
     closure_page,
     write_closure,
 )
+from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.statement import ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import pooled_rmse_K
 from tests.support.browser import CHROMIUM, assert_harmless, hostile, needs_browser
 from tests.support.missing import record_with
 
+FOUND_ONSET = Statement(
+    "found", [["impingement-onset"]],
+    Adequacy(0.4, 1.02, 1.05, 0.03, 0.49, {"surface": 1.01, "bond": 1.03}, {"0 to 100 s": 1.0}, 1.2, True), 0.98, 0.97,
+)  # fmt: skip
 ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
 
 
@@ -65,7 +70,7 @@ def closed() -> Closure:
     named = Finding("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
     return Closure(
         record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,
-        [named], scores, parameters, residual, residual_after, residual_evidence(residual), (),
+        [named], scores, parameters, residual, residual_after, residual_evidence(residual), FOUND_ONSET, (),
         "Calibrated on null records: 2 %.",
     )  # fmt: skip
 
@@ -73,7 +78,7 @@ def closed() -> Closure:
 def test_closure_json_has_every_field_of_its_format():
     data = json.loads(json.dumps(closure_json(closed())))
     record = closed().record
-    assert data["format"] == "closure-report/1"
+    assert data["format"] == "closure-report/2"
     assert data["records"] == [str(record.directory)]
     assert data["sensors"] == [s.name for s in record.used_sensors]
     for stage in ("predicted", "before", "after"):

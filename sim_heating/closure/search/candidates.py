@@ -89,8 +89,9 @@ def candidates(
     declared = {used.effect.name for used in record.declared.heating.effects}
     found = _declared_candidates(record, flown, taken)
     for name, effect in effects().items():
+        # a declared transition may have another criterion than that of nature: the library's own takes its place
         if (
-            name not in {*taken, *declared}
+            name not in ({*taken, *declared} if name != TRANSITION else taken)
             and not effect.last_resort
             and not (effect.lags and lag_taken)
             and all(_varies(v, flown) for v in effect.needs)

@@ -59,7 +59,8 @@ FIRST_PICKS, SECOND_PICKS = 3, 2
 MIN_SHARE = 0.5
 """Part of the remaining excess chi-square that a further effect has to explain."""
 MIN_OVER_FIRST = 0.1
-"""Least chi-square that a further effect explains, over that of the first: a first one of another form leaves less."""
+"""Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
+first effect of another form leaves less."""
 MAX_EFFECTS = 3
 CHANGE_SHARE, MOST_CHANGES = 0.5, 8
 """Part of the best gain in log likelihood that a change of the record has to predict to be fitted; how many are."""
@@ -221,9 +222,9 @@ def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]
             if len(h.names) != count:
                 continue
             gained = simpler.excess_chi2 - h.excess_chi2
-            least = max(MIN_SHARE * simpler.excess_chi2, MIN_OVER_FIRST * least_explained)
             predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
-            if gained >= least and predicts:
+            enough = gained >= MIN_OVER_FIRST * least_explained or h.adequate
+            if gained >= MIN_SHARE * simpler.excess_chi2 and enough and predicts:
                 kept.append(h)
     return scored(none, kept)
 

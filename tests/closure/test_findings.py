@@ -1,0 +1,128 @@
+"""What a closed loop states: adequacy of a model, sets that cannot be told apart, and what may not be named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy, assess, p_value
+from sim_heating.closure.search.admissibility import objections
+from sim_heating.closure.search.hypothesis import Hypothesis, conclude
+from sim_heating.closure.search.search import SearchResult, search_effects
+from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
+from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.newton import Status
+from sim_heating.heating.effects import use
+from sim_heating.inputs.record import load_record
+from tests.support.missing import record_with
+from tests.support.paths import PRACTICE
+
+ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
+
+
+@cache
+def searched() -> SearchResult:
+    """The search on a record with one undeclared effect."""
+    return search_effects(load_record(PRACTICE / "p08"))
+
+
+def adequacy_of(record, effects=()) -> Adequacy:
+    """Adequacy of the declared model, or with effects at their true values, magnitude and derivatives fitted."""
+    fitted = estimate([record], effects=effects)
+    return assess(fitted.samples())
+
+
+def test_the_true_model_is_adequate_and_a_model_without_the_effect_is_not() -> None:
+    record, _ = record_with([ONSET], 5)
+    true, without = adequacy_of(record, [ONSET]), adequacy_of(record)
+    assert true.p_value > ADEQUATE
+    assert true.chi2_fit == pytest.approx(1.0, abs=0.1)
+    assert abs(true.lag1) < 0.1
+    assert without.p_value < 1e-3
+    assert not without.unstructured
+    assert max(without.by_phase.values()) > 2.0 > max(true.by_phase.values())
+
+
+def test_the_p_value_falls_continuously_with_the_statistic_and_is_never_zero() -> None:
+    at = np.linspace(0.0, 30.0, 400)
+    p = np.array([p_value(t) for t in at])
+    assert p[0] == pytest.approx(1.0, abs=0.02)
+    assert np.all(np.diff(p) <= 0.0)
+    assert np.max(-np.diff(p)) < 0.15
+    assert 0.0 < p[-1] < 1e-4
+
+
+def test_white_noise_above_the_declared_one_has_no_structure_and_a_slow_error_of_the_same_size_has() -> None:
+    record, _ = record_with([], 6)
+    fitted = estimate([record])
+    samples = fitted.samples()
+    rng = np.random.default_rng(3)
+    noisier = [replace(s, mean_K=s.mean_K + rng.normal(0.0, 2.0 * s.sigma_K, len(s.mean_K))) for s in samples]
+    slow = [replace(s, mean_K=s.mean_K + 2.8 * s.sigma_K * np.sin(s.time_s / 40.0)) for s in samples]
+    assert assess(noisier).unstructured
+    assert not assess(slow).unstructured
+    assert assess(noisier).p_value < 1e-3
+    assert assess(slow).p_value < 1e-3
+
+
+def test_what_is_named_has_converged_and_lies_on_no_bound() -> None:
+    trial = searched().conclusion.best.last
+    assert objections(trial) == ()
+    stopped = replace(trial, fit=replace(trial.fit, status=Status.ITERATIONS, predicted_gain=5.0))
+    assert any("did not converge" in line for line in objections(stopped))
+    at = [u.parameter.name for u in trial.problem.unknowns].index("effect.impingement-onset.slope")
+    values, on_bound = trial.fit.values.copy(), trial.fit.on_bound.copy()
+    values[at], on_bound[at] = 0.2, True
+    assert any(
+        "on its bound" in line
+        for line in objections(replace(trial, fit=replace(trial.fit, values=values, on_bound=on_bound)))
+    )
+    values = trial.fit.values.copy()
+    values[at] = 1.5 * trial.fit.sigma[at]
+    small = objections(replace(trial, fit=replace(trial.fit, values=values)))
+    assert any("standard deviations from none" in line for line in small)
+
+
+def renamed(h: Hypothesis, name: str, score: float, objections: tuple[str, ...] = ()) -> Hypothesis:
+    """A hypothesis as another effect with its own score."""
+    return replace(h, trials=(replace(h.last, name=name),), score=score, objections=objections)
+
+
+def test_candidates_within_odds_of_twenty_are_a_set_and_others_are_not() -> None:
+    none, best = searched().none, searched().conclusion.best
+    both = conclude(none, [renamed(best, "coating-thickness", -500.0), renamed(best, "heat-capacity", -497.0)])
+    assert both.finding == "one of"
+    assert both.alternatives == (("coating-thickness", "heat-capacity"),)
+    clear = conclude(none, [renamed(best, "coating-thickness", -500.0), renamed(best, "heat-capacity", -490.0)])
+    assert clear.finding == "found"
+    assert clear.rival == pytest.approx(10.0)
+
+
+def test_an_inadmissible_form_is_disqualified_however_well_it_fits() -> None:
+    none, best = searched().none, searched().conclusion.best
+    better = renamed(best, "moisture", -90000.0, ("moisture: latent_J_kg is on its bound, 0",))
+    found = conclude(none, [renamed(best, "coating-thickness", -500.0), better])
+    assert found.alternatives == (("coating-thickness",),)
+    assert conclude(none, [better]).finding == "unknown"
+
+
+def test_a_finding_that_leaves_many_noise_floors_says_what_it_resembles() -> None:
+    bad = Adequacy(1e-9, 5.0, 36.0, 0.6, 0.2, {"surface": 5.0}, {}, 40.0, False)
+    text = Statement("partly", [["transition"]], bad, 0.7).in_words()
+    assert text == "Resembles transition, which leaves 6.0 noise floors on the segments held out"
+
+
+def test_causes_that_are_no_effect_are_listed_with_their_estimates() -> None:
+    cause = NotEffect(
+        "flight", "density of the flight conditions 8 % too low", {"f": ParameterEstimate(1.08, 0.01, "1")}
+    )
+    data = Statement("found", [[cause.what]], not_effects=[cause]).as_json()
+    assert data["not_effects"] == [
+        {
+            "kind": "flight", "what": cause.what, "parameters": {"f": {"value": 1.08, "sigma": 0.01, "unit": "1"}},
+            "probability": None,
+        }
+    ]  # fmt: skip
