@@ -103,6 +103,14 @@ def curve_of(trial: TrialFit, points: int = POINTS) -> CurveBand:
     return curve_band(used.values, trial.fit.covariance[np.ix_(at, at)], np.linspace(low, high, points), about)
 
 
+def curve_words(band: CurveBand) -> str:
+    """What a curve says, in a line: its change where it is largest, its least, and the standard deviations of both."""
+    high, low = int(np.argmax(band.value)), int(np.argmin(band.value))
+    unit = "" if band.unit == "1" else f" {band.unit}"
+    ends = [f"{band.value[i]:+.1%} +- {band.sigma[i]:.1%} at {band.at[i]:.4g}{unit}" for i in (low, high)]
+    return f"the heating departs with {band.label}: {ends[0]}, {ends[1]}"
+
+
 def write_curve(path: Path, band: CurveBand) -> None:
     """Write a curve as CSV: its variable, the relative change of the heating ratio [-], and its standard deviation."""
     columns = {band.variable: band.at, "relative_change": band.value, "sigma": band.sigma}
