@@ -184,11 +184,14 @@ def confusion(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
 
 
 def run() -> list[Figure]:
-    """Make and close the records that are not finished, in two processes."""
+    """Make and close the records that are not finished, in two processes; then those of closure_challenge.py."""
+    from benchmarks import closure_challenge  # which uses the figures of this module
+
     wanted = jobs()
     outcome = run_batches(wanted, make_and_close, LEDGER, workers=2, progress=lambda f, text: click.echo(text))
     failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
-    return [failed, *figures_and_results([json.loads(path.read_text()) for path in outcome.done.values()])]
+    figures = figures_and_results([json.loads(path.read_text()) for path in outcome.done.values()])
+    return [failed, *figures, *closure_challenge.run()]
 
 
 def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:

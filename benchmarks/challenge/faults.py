@@ -499,9 +499,17 @@ FAULTS: dict[str, tuple[Family, ...]] = {
         ),
     ),
     "table": (
-        Family("alpha-derivative", ("linear",), _draw_slope(0.015, 0.04), _slope(ALPHA), needs=("popu",)),
         Family(
-            "elevon-derivative", ("linear",), _draw_slope(0.02, 0.05), _slope(ELEVON), needs=("elevon",), points=FLAPS
+            "alpha-derivative", ("linear",), _draw_slope(0.015, 0.04), _slope(ALPHA), needs=("popu",), is_slope=True
+        ),
+        Family(
+            "elevon-derivative",
+            ("linear",),
+            _draw_slope(0.02, 0.05),
+            _slope(ELEVON),
+            needs=("elevon",),
+            points=FLAPS,
+            is_slope=True,
         ),
         Family(
             "above-42",

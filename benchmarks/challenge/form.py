@@ -31,6 +31,7 @@ class Family:
     points    : names of points that show it; empty for all
     recorded  : for a fault of the flight: the state as it was recorded, from the state as it was
     effects   : names of effects that report it all the same
+    is_slope  : whether a refit of the slopes takes up all of it
     """
 
     name: str
@@ -42,6 +43,7 @@ class Family:
     points: tuple[str, ...] = ()
     recorded: Callable[[Case, str, Parameters, dict[str, Any]], dict[str, Any]] | None = None
     effects: tuple[str, ...] = ()
+    is_slope: bool = False
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,12 @@ class Bench:
         """(reading,) change by deviations, over the floors."""
         return self.stacked(self.readings_K(drawn, true) - self.plain_K)
 
+    def beyond_scale(self, change: FloatArray) -> float:
+        """Chi-square of a change after least squares with the scale alone."""
+        first = self.basis[:, 0]
+        left = change - first * float(first @ change)
+        return float(left @ left)
+
     def remainder(self, change: FloatArray, *others: FloatArray) -> FloatArray:
         """(reading,) of a change after least squares with scale and slopes, and the sizes of others."""
         Q = self.basis

@@ -25,6 +25,8 @@ DERIVATIVES = ("d_alpha", "d_beta", "d_logre", "d_elevon", "d_bodyflap")
 SLOPES = (0.003, 0.002, 0.02, 0.004, 0.002)
 """Standard deviation of the errors in slope as a share of the ratio [1/deg, 1/deg, 1, 1/deg, 1/deg]."""
 SCALE = 0.07
+LEAST_SIGMA = 0.15
+"""Sigma of a table over its ratio below which errors in slope are as much smaller, to stay within it."""
 TILES = ("V09T9527", "LOWER_FWD", "LOWER_MID", "LOWER_AFT", "WING_LOWER", "STS96_468", "STS96_480", "STS96_597")
 FLAPS = ("V07T9730", "BODYFLAP", "STS96_730")
 FELTS = ("V07T9975", "V07T9976", "LEE_UPPER", "LEE_FUSELAGE")
@@ -216,10 +218,13 @@ def draw_ratio(
     if share is not None:
         sigma = share * table
     middle = tuple(int(np.argmin(np.abs(axis - x))) for axis, x in zip(axes, reference, strict=True))
-    r = float(table[middle])
-    spread = min(0.5 * float(sigma[middle]) / r, SCALE) * (2.0 if wide else 1.0)
+    r, relative = float(table[middle]), float(sigma[middle] / table[middle])
+    spread = min(0.5 * relative, SCALE) * (2.0 if wide else 1.0)
     scale = float(np.clip(rng.normal(0.0, spread), -2.0 * spread, 2.0 * spread))
-    d = r * np.array(SLOPES) * (1.8 if wide else 1.0) * np.clip(rng.normal(size=5), -2.0, 2.0)
+    size = min(relative / LEAST_SIGMA, 1.0) * (1.8 if wide else 1.0)
+    d = r * np.array(SLOPES) * size * np.clip(rng.normal(size=5), -2.0, 2.0)
+    # on an axis with one node a table states that the ratio does not depend on the variable
+    d *= [len(axis) > 1 for axis in axes]
     digits = np.array([float(f"{v:.4g}") for v in d])
     return Ratio(axes, table, np.maximum(sigma, 1e-5), round(scale, 5), digits, reference)
 

@@ -49,6 +49,8 @@ LEAST = 1.9
 """Below it a deviation of the usual size is drawn again."""
 SMALL, SMALL_CHI2 = 0.12, (15.0, 80.0)
 """Share of the records whose deviation is small, and its chi-square."""
+SEEN_CHI2 = 300.0
+"""Least chi-square of an error in a derivative of the table, after a refit of the scale alone."""
 TABLE_SIGMA = 0.03
 """Sigma of the table over the ratio, where its derivatives are off by several of them."""
 
@@ -197,6 +199,8 @@ def _draw_visible(
         left = bench.remainder(change, *(c for j, c in enumerate(changes) if j != i))
         seen.append((over_floor(left), float(left @ left)))
         if len(families) > 1 and seen[-1][0] < LEAST:
+            return None
+        if families[i].is_slope and bench.beyond_scale(change) < SEEN_CHI2:
             return None
     return (
         bench,

@@ -21,6 +21,7 @@ import numpy as np
 
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
+from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.search.candidates import Candidate, candidates
 from sim_heating.closure.search.flight_changes import flight_changes
 from sim_heating.closure.search.hypothesis import (
@@ -38,7 +39,6 @@ from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trial_fit import (
-    QUICK,
     TrialFit,
     base_trial,
     declared_fit,
@@ -139,7 +139,7 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
-        curve = _curve(base)
+        curve = next(iter(curve_trials(base)), None)
     return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve)
 
 
@@ -163,27 +163,11 @@ def _changes(
     return [change_hypothesis(f, len(changes)) for f in fits]
 
 
-def _curve(base: TrialFit) -> TrialFit | None:
-    """The best candidate of last resort on top of the declared model; None where none can be fitted."""
-    tried = _candidates(base, (), last_resort=True)
-    problems = [problem_with(base, c) for c in tried]
-    start = fitted_values(base)
-    fits = maximise_together(
-        problems, [start_values(p, start | dict(c.start)) for p, c in zip(problems, tried, strict=True)], QUICK
-    )
-    found = [
-        TrialFit(c.name, c, p, None, f, delta_bic(base, f, c, 1.0))
-        for c, p, f in zip(tried, problems, fits, strict=True)
-        if np.isfinite(f.log_likelihood)
-    ]
-    return min(found, key=lambda t: t.delta_bic, default=None)
-
-
-def _candidates(base: TrialFit, taken: Sequence[str], *, last_resort: bool = False) -> list[Candidate]:
+def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
     """All candidates on top of a model, over the samples that are fitted."""
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
-    return candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=last_resort)
+    return candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:

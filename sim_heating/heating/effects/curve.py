@@ -39,8 +39,8 @@ LABELS = (
 )  # fmt: skip
 """Each variable in words."""
 ALPHA, LOG10_RE, ELEVON, BODYFLAP, BETA, WALL, TIME = range(len(VARIABLES))
-WITHIN = (0.02, 0.98)
-"""Quantiles of a variable flown between which the knots lie."""
+HOT = 0.1
+"""Heating of a cold wall, over the largest of the flight, from which on the knots have to reach."""
 LEAST_RANGE = (0.5, 0.05, 0.5, 0.5, 0.5, 50.0, 20.0)
 """Range of each variable, in its unit, below which it cannot carry a curve."""
 WALL_RANGE_K = (300.0, 1700.0)
@@ -100,17 +100,18 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for a curve (docs/effects.md, equation 29), still equal to 1.
 
     flown   : conditions of the flight
-    returns : one for each variable that varies, with knots over its range flown, in its unit; wall temperatures of 300
-              to 1700 [K]; time last
+    returns : one for each variable that varies, with knots over its range while the flight heats, in its unit; wall
+              temperatures of 300 to 1700 [K]; time last
     """
-    starts = []
+    heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    hot, starts = heating >= HOT * np.max(heating), []
     for number, name in enumerate(VARIABLES):
         if number == WALL:
             low, high = WALL_RANGE_K
         elif number == TIME:
-            low, high = float(flown.time_s[0]), float(flown.time_s[-1])
+            low, high = float(flown.time_s[hot][0]), float(flown.time_s[hot][-1])
         elif name in flown:
-            low, high = (float(x) for x in np.quantile(flown[name], WITHIN))
+            low, high = float(np.min(flown[name][hot])), float(np.max(flown[name][hot]))
         else:
             continue
         if high - low >= LEAST_RANGE[number]:
@@ -166,7 +167,9 @@ class CurveBand:
         return f"<CurveBand against {self.label}: {np.min(self.value):+.3f} to {np.max(self.value):+.3f}>"
 
 
-def curve_band(values: Sequence[float], covariance: npt.ArrayLike, at: npt.ArrayLike | None = None) -> CurveBand:
+def curve_band(
+    values: Sequence[float], covariance: npt.ArrayLike, at: npt.ArrayLike | None = None, about: float | None = None
+) -> CurveBand:
     """A fitted curve and its standard deviation along its variable.
 
         s(v) = w(v) . s_knots,    sigma(v)^2 = w^T C w
@@ -174,6 +177,8 @@ def curve_band(values: Sequence[float], covariance: npt.ArrayLike, at: npt.Array
     values     : all parameters of the effect in their order, the estimated ones at their estimates
     covariance : (KNOTS, KNOTS) covariance of the values at the knots [-]
     at         : (point,) values of the variable, in its unit; by default the knots
+    about      : value of the variable at which the curve is to be 0: w(v) - w(about) takes the place of w(v). The level
+                 of a curve is also that of the table's magnitude, and so known less well than its shape
     raises     : InputError where a shape is wrong, or the covariance is not one of finite numbers
 
     The spline is linear in its values, so that the band is exact for a normal distribution of them.
@@ -186,8 +191,9 @@ def curve_band(values: Sequence[float], covariance: npt.ArrayLike, at: npt.Array
         )
     low, high, number = B[LOW], B[HIGH], int(B[VARIABLE])
     v = np.linspace(low, high, KNOTS) if at is None else np.asarray(at, dtype=float)
-    u = (v - low) / (high - low) * (KNOTS - 1.0)
     unit_values = np.column_stack([np.zeros((KNOTS, FIRST)), np.eye(KNOTS)])
-    w = np.array([[spline(row, 0, x) for row in unit_values] for x in u])
+    w = np.array([[spline(row, 0, (x - low) / (high - low) * (KNOTS - 1.0)) for row in unit_values] for x in v])
+    if about is not None:
+        w -= [spline(row, 0, (about - low) / (high - low) * (KNOTS - 1.0)) for row in unit_values]
     sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", w, C, w), 0.0))
     return CurveBand(VARIABLES[number], LABELS[number], UNITS[number], v, w @ B[FIRST:], sigma)

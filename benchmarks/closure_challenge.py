@@ -1,0 +1,428 @@
+"""close-loop on records that nobody generated for it: `challenge`'s classes, and the project's own flights.
+
+    python -m benchmarks closure                                   # this set and that of closure.py, all records
+    python -m benchmarks.closure_challenge --share 0.1             # a tenth of every class, for work between full runs
+    python -m benchmarks.closure_challenge --classes null,wall     # some classes
+    python -m benchmarks.closure_challenge --figures               # figures of the finished records
+
+Finished records are kept in out/closure_challenge: an interrupted run is resumed from there. What counts as right:
+
+- effects: each thing found contains a true effect in its set of names, and each true effect is in one of the sets;
+  nothing else is named. A rival that the generator's linear estimate cannot tell from the truth counts as the truth.
+- a fault of wall, flight, sensor or table: an entry of not_effects of that kind, or an effect that reports the fault.
+- nothing: `none`. A form that no library has: `unknown` or `partly`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from itertools import pairwise, permutations
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from benchmarks.challenge.record import CLASSES, KINDS, whole_set
+from benchmarks.challenge.record import make_and_write as make_challenge
+from benchmarks.closure import limits, proportion, rmse_K, search_of_effect
+from benchmarks.measure import Figure, save, table
+from sim_heating.base.errors import InputError
+from sim_heating.base.parallel import Job, run_batches
+
+SEED = 22
+SEEDS = 20
+"""Seeds of the noise of the project's own flights."""
+LEDGER = Path("out") / "closure_challenge"
+FLOWN = "flown"
+NAMED = ("found", "one of")
+SURE = 0.95
+"""Probability from which on a finding is meant to be relied on."""
+ADEQUATE = 0.01
+"""p-value of the adequacy above which a model explains the record to its noise."""
+CLOSE = 10.0
+"""Difference of BIC below which a fit that knows the truth cannot tell it from what was found."""
+LIBRARY = {
+    "transition": ("logistic", "intermittency"), "impingement-onset": ("ramp",), "alpha-curvature": ("quadratic",),
+    "elevon-curvature": ("quadratic",), "bodyflap-curvature": ("quadratic",), "interaction": ("product",),
+    "sideslip": ("magnitude", "quadratic"), "nonisothermal-wall": ("first-order",), "jet-interaction": ("gain",),
+    "time-skew": ("constant",), "coating-thickness": ("factor",), "conductivity": ("factor",),
+    "heat-capacity": ("insulation", "coating"), "emissivity": ("constant", "step", "slope"),
+    "sensor-bias": ("offset", "gain", "both"), "sensor-lag": ("first-order",), "catalysis": ("logistic",),
+    "backface-cooling": ("film", "radiation", "both"), "gap-flow": ("exponential",), "moisture": ("capacity",),
+    "radiative-conduction": ("cubic", "cubic-above"),
+}  # fmt: skip
+"""Forms of the generator that the package has, by effect."""
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Limits of the probabilities that are counted together."""
+
+
+# Making and closing --------------------------------------------------------------------------------------------------
+
+
+def jobs(classes: Sequence[str], share: float) -> list[Job]:
+    """A share of every class, spread evenly; the first part of the run is representative at any time."""
+    made = [c for c in classes if c in CLASSES]
+    whole = [(c, k) for c, k in whole_set(sum(CLASSES[c] for c in made), made) if k < max(share * CLASSES[c], 1)]
+    wanted = [((k + 0.5) / CLASSES[c], Job(f"{c}-{k:03d}.json", (c, k))) for c, k in whole]
+    if FLOWN in classes:
+        names = flown_names()
+        count = max(round(share * SEEDS), 1)
+        few = [name for name in names if int(name.rpartition("-")[2]) <= count]
+        wanted += [((i + 0.5) / len(few), Job(f"{name}.json", (FLOWN, name))) for i, name in enumerate(few)]
+    return [job for _, job in sorted(wanted, key=lambda w: (w[0], w[1].id))]
+
+
+def flown_names() -> list[str]:
+    """Names of the project's own flights as records, which are made first where they are not there."""
+    folder = LEDGER / "records"
+    if not (folder / "answers.toml").is_file():
+        from benchmarks.challenge.flown import write_all
+
+        click.echo("flying the scenarios")
+        write_all(SEEDS, folder)
+    return sorted(_answers(folder), key=lambda name: (name.rpartition("-")[2], name))
+
+
+def _answers(folder: Path) -> dict[str, Any]:
+    import tomllib
+
+    return tomllib.loads((folder / "answers.toml").read_text())
+
+
+def make_and_close(task: tuple[str, int | str]) -> bytes:
+    """Make a record, or take one of the flown ones, and close its loop; truth and finding as JSON."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    of_class, which = task
+    if isinstance(which, str):
+        answer = _answers(LEDGER / "records")[which]
+        return json.dumps(closed(LEDGER / "records" / which, answer)).encode()
+    with tempfile.TemporaryDirectory() as folder:
+        name, answer, _ = make_challenge((SEED, which, of_class, Path(folder)))
+        return json.dumps(closed(Path(folder) / name, answer)).encode()
+
+
+def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
+    """What close-loop states of a record, next to what is true of it."""
+    from sim_heating.closure.close import close_loop
+    from sim_heating.closure.report import closure_json
+    from sim_heating.inputs.record import load_record
+
+    kept = ("class", "form", "flight", "wall", "effects", "accepted", "separable", "kind", "what", "size",
+            "residual_over_floor", "chi_square", "noise_floor_K", "noise", "true_rmse_K")  # fmt: skip
+    row = {key: answer[key] for key in kept if key in answer}
+    begun = time.process_time()
+    try:
+        record = load_record(directory)
+        loop = close_loop(record)
+    except InputError as refusal:
+        return row | stated({}) | {"finding": "refused", "message": str(refusal), "cpu_s": time.process_time() - begun}
+    report = closure_json(loop.report)
+    row |= stated(report) | {"cpu_s": time.process_time() - begun}
+    after = {part: e["rmse_K"] for part, e in report["after"].items() if e}
+    row["after_K"] = after
+    truth = row.get("true_rmse_K", {})
+    if row["class"] == "one" and any(after[p] > 1.1 * truth[p] for p in after.keys() & truth.keys()):
+        row["known_K"] = rmse_K(search_of_effect(loop.search, row["effects"][0]))
+    if row["class"] == FLOWN and not is_right(row):
+        row["bic_of_truth_above_finding"] = bic_of_truth_above(record, answer, loop.fitted.fit, loop.fitted.problem)
+    return row
+
+
+def stated(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The statements of a closure report that are judged; of closure-report/1 what it has of them."""
+    effect = report.get("effect", {"name": "none", "posterior": 0.0})
+    names = [e["name"] for e in report.get("effects", [effect])]
+    plain = {"none": "none", "unknown": "unknown"}.get(names[0], "found")
+    adequacy = report.get("adequacy") or {}
+    return {
+        "finding": report.get("finding", plain),
+        "alternatives": report.get("alternatives", [[name] for name in names if name not in ("none", "unknown")]),
+        "probability": report.get("probability", effect["posterior"]),
+        "not_effects": [
+            {key: entry[key] for key in ("kind", "what", "probability") if key in entry}
+            for entry in report.get("not_effects", [])
+        ],
+        "p_value": adequacy.get("p_value"),
+        "converged": report.get("converged", True),
+    }
+
+
+def bic_of_truth_above(record: Any, answer: Mapping[str, Any], found: Any, problem: Any) -> float | None:
+    """BIC of a fit that knows the form of the truth, less that of what was found; None where it cannot be fitted."""
+    from sim_heating.base.errors import RunError
+    from sim_heating.base.parameters import EFFECT_PREFIX
+    from sim_heating.estimation.fit import default_names, estimate
+    from sim_heating.estimation.inference.newton import NewtonSettings
+    from sim_heating.heating.effects import effects, use
+
+    first: dict[str, float] = {}
+    used = []
+    for name, values in zip(answer["effects"], answer.get("parameters", []), strict=True):
+        if name in effects() and not any("." in key for key in values):
+            used.append(use(name, values))
+            first |= {f"{EFFECT_PREFIX}{name}.{key}": value for key, value in values.items()}
+        else:
+            first |= values
+    try:
+        known = estimate(
+            [record], [*default_names([record]), *first], effects=used, settings=NewtonSettings(first_values=first)
+        )
+    except (InputError, RunError):
+        return None
+    log_n = float(np.log(np.count_nonzero(np.isfinite(record.temperatures_K()))))
+    bics = [
+        -2.0 * float(fit.log_likelihood) + len(p.unknowns) * log_n
+        for fit, p in ((known.fit, known.problem), (found, problem))
+    ]
+    return bics[0] - bics[1]
+
+
+# Judging -------------------------------------------------------------------------------------------------------------
+
+
+def explains(sets: Sequence[Sequence[str]], truth: Sequence[Sequence[str]]) -> bool:
+    """Whether each set has a name of a true effect of its own, and each true effect that must be named is in one.
+
+    truth : for each true effect the names that count as right; one that holds `none` need not be named
+    """
+    if len(sets) > len(truth):
+        return False
+    for order in permutations(range(len(truth)), len(sets)):
+        rest = set(range(len(truth))) - set(order)
+        hit = all(set(names) & set(truth[i]) for names, i in zip(sets, order, strict=True))
+        if hit and all("none" in truth[i] for i in rest):
+            return True
+    return False
+
+
+def verdict(row: Mapping[str, Any]) -> str:
+    """`right`, `undecided` (unknown, partly), `missed` (none where something is) or `wrong`."""
+    finding, kinds = row["finding"], {entry["kind"] for entry in row["not_effects"]}
+    sets = row["alternatives"] if finding in NAMED else []
+    truth = row["accepted"]
+    undecided = finding in ("unknown", "partly")
+    if finding == "refused":
+        return "right" if row["class"] == "sensor" else "wrong"
+    if row["class"] == "unknown":
+        right = undecided or ("none" in truth[0] and not sets and not kinds)
+    elif row["class"] in KINDS:
+        covered = explains(sets, truth) and bool(sets or row["class"] != "table")
+        right = covered and not undecided if row["kind"] not in kinds or sets else kinds == {row["kind"]}
+    else:
+        right = not kinds and not undecided and explains(sets, truth)
+    if right:
+        return "right"
+    if undecided:
+        return "undecided"
+    return "wrong" if sets or kinds else "missed"
+
+
+def is_right(row: Mapping[str, Any]) -> bool:
+    """Whether a row is right."""
+    return verdict(row) == "right"
+
+
+def is_tie(row: Mapping[str, Any]) -> bool:
+    """Whether a fit that knows the truth cannot tell it from what was found."""
+    above = row.get("bic_of_truth_above_finding")
+    return above is not None and above > -CLOSE
+
+
+def beside(row: Mapping[str, Any]) -> bool:
+    """Whether something is named next to the truth that is not there."""
+    sets = row["alternatives"] if row["finding"] in NAMED else []
+    names = {name for accepted in row["accepted"] for name in accepted}
+    return any(not set(found) & names for found in sets) or len(sets) > max(len(row["accepted"]), 0)
+
+
+def false_aerothermal(row: Mapping[str, Any]) -> bool:
+    """Whether a fault is stated as an effect that does not report it, by a model that is called adequate."""
+    adequate = row["p_value"] is None or row["p_value"] > ADEQUATE
+    return row["finding"] in NAMED and adequate and not explains(row["alternatives"], row["accepted"])
+
+
+def in_library(row: Mapping[str, Any]) -> bool:
+    """Whether every form of the truth is one of the package."""
+    parts = [form.split("/") for form in row["form"]]
+    return all(len(p) == 2 and p[1] in LIBRARY.get(p[0], ()) for p in parts)
+
+
+# Figures -------------------------------------------------------------------------------------------------------------
+
+
+def share_of(
+    what: str, rows: Sequence[Mapping[str, Any]], hit: Any, target: float, at_least: bool = True
+) -> list[Figure]:
+    """A proportion among rows, where there are any."""
+    return [proportion(what, sum(map(hit, rows)), len(rows), target, at_least)] if rows else []
+
+
+def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    """The table of figures: findings by class, probabilities, sets, errors, time."""
+    of = {c: [r for r in rows if r["class"] == c] for c in (*CLASSES, FLOWN)}
+    faults = [r for c in ("wall", "flight", "sensor") for r in of[c]]
+    figures = [*_of_flown(of[FLOWN]), *_of_probabilities(rows), *_of_sets(rows)]
+    for of_class, target in (("one", 0.95), ("two", 0.9), ("three", None), ("table", None), ("unknown", None)):
+        bound = 0.0 if target is None else target
+        figures += share_of(
+            f"right, {of_class}", [r for r in of[of_class] if r.get("size") != "small"], is_right, bound
+        )
+    figures += share_of("right, one, small", [r for r in of["one"] if r.get("size") == "small"], is_right, 0.0)
+    figures += share_of("false findings, null", of["null"], lambda r: verdict(r) in ("wrong", "undecided"), 0.01, False)
+    figures += share_of("right kind, wall, flight, sensor", faults, is_right, 0.6)
+    honest = ("right", "undecided")
+    figures += share_of("right kind or unknown, wall, flight, sensor", faults, lambda r: verdict(r) in honest, 0.9)
+    figures += share_of("stated as an adequate effect, wall, flight, sensor", faults, false_aerothermal, 0.0, False)
+    return [*figures, *_of_errors(of["one"]), *_of_time(rows)]
+
+
+def _of_flown(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    ties = [r for r in rows if not is_right(r) and is_tie(r)]
+    figures = share_of(
+        "sts2, sts4: right, a set with the truth, or a tie", rows, lambda r: is_right(r) or is_tie(r), 0.95
+    )
+    figures += share_of("sts2, sts4: of these by a tie alone", rows, lambda r: r in ties, 1.0, False)
+    figures += share_of("sts2, sts4: named next to the truth and not there", rows, beside, 0.02, False)
+    return figures + share_of("sts2, sts4: not converged", rows, lambda r: not r["converged"], 0.0, False)
+
+
+def is_statement(row: Mapping[str, Any]) -> bool:
+    """Whether a report names something, or states that there is nothing."""
+    return row["finding"] in (*NAMED, "none")
+
+
+def _of_probabilities(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    sure = [r for r in rows if is_statement(r) and r["probability"] >= SURE]
+    figures = share_of(f"stated with {SURE} or more: right", sure, is_right, 0.95)
+    for of_class in (*CLASSES, FLOWN):
+        some = [r for r in sure if r["class"] == of_class]
+        figures += share_of(f"stated with {SURE} or more: right, {of_class}", some, is_right, 0.0)
+        if len(some) >= 40:
+            low = limits(sum(map(is_right, some)), len(some))[0]
+            figures.append(Figure(f"lower 95 % limit of that, {of_class}", low, "", 0.85, True))
+    plain = [r for r in rows if r["class"] == "one" and r.get("separable") and r.get("size") != "small"]
+
+    def told(row: Mapping[str, Any]) -> bool:
+        return is_right(row) and row["probability"] >= SURE
+
+    figures += share_of(f"one effect that can be told: right and stated with {SURE} or more", plain, told, 0.85)
+    judged = [r for r in plain if in_library(r) and r["p_value"] is not None]
+    return figures + share_of(
+        "one effect in a form of the library: adequate", judged, lambda r: r["p_value"] > ADEQUATE, 0.95
+    )
+
+
+def _of_sets(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    named = [r for r in rows if r["finding"] in NAMED]
+    sizes = [len(s) for r in named for s in r["alternatives"] if len(s) > 1]
+    if not named:
+        return []
+    figures = [
+        proportion("findings that are sets", sum(r["finding"] == "one of" for r in named), len(named), 0.15, False)
+    ]
+    if sizes:
+        figures.append(Figure("names in a set, middle", float(np.median(sizes)), "", 2.0))
+        figures.append(Figure("names in a set, most", float(max(sizes)), "", 4.0))
+    return figures
+
+
+def _of_errors(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    figures = []
+    for part in ("fit", "holdout"):
+        both = [
+            r for r in rows
+            if is_right(r) and (r["p_value"] is None or r["p_value"] > ADEQUATE)
+            and part in r.get("after_K", {}) and part in r.get("true_rmse_K", {})
+        ]  # fmt: skip
+        if both:
+            over = [r["after_K"][part] / max(r["true_rmse_K"][part], r.get("known_K", {}).get(part, 0.0)) for r in both]
+            note = f"median {np.median(over):.3f}, largest {max(over):.3f}"
+            what = f"RMSE after within 1.1 of a fit that knows the truth, adequate, {part}"
+            figure = proportion(what, sum(o <= 1.1 for o in over), len(over), 0.95, True)
+            figures.append(Figure(figure.what, figure.value, "", 0.95, True, f"{figure.note}; {note}"))
+    return figures
+
+
+def _of_time(rows: Sequence[dict[str, Any]]) -> list[Figure]:
+    seconds = np.array([r["cpu_s"] for r in rows])
+    if not len(seconds):
+        return []
+    return [
+        Figure("processor time a record, median", float(np.median(seconds)), "s", 10.0),
+        Figure("processor time a record, largest", float(seconds.max()), "s", 90.0),
+    ]
+
+
+def reliability(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Share of right statements by the probability that was stated, with 95 % limits."""
+    found = []
+    for low, high in pairwise(BINS):
+        last = high == BINS[-1]
+        some = [r for r in rows if is_statement(r) and low <= r["probability"] and (r["probability"] < high or last)]
+        if some:
+            hits = sum(map(is_right, some))
+            mean = float(np.mean([r["probability"] for r in some]))
+            found.append({"from": low, "to": high, "mean": mean, "n": len(some), "right": hits / len(some),
+                          "limits": limits(hits, len(some))})  # fmt: skip
+    return found
+
+
+def by_class(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
+    """Class -> verdict -> how many."""
+    verdicts = ("right", "undecided", "missed", "wrong")
+    counted = {c: [verdict(r) for r in rows if r["class"] == c] for c in (*CLASSES, FLOWN)}
+    return {c: {v: found.count(v) for v in verdicts} for c, found in counted.items() if found}
+
+
+def finished() -> list[dict[str, Any]]:
+    """Rows of the finished records."""
+    return [json.loads(path.read_text()) for path in sorted(LEDGER.glob("*.json"))]
+
+
+def figures_and_results(rows: Sequence[dict[str, Any]], name: str = "closure_challenge") -> list[Figure]:
+    """Figures of rows, saved with verdicts by class, the reliability of probabilities, and the rows."""
+    figures = figures_of(rows)
+    more = {"seed": SEED, "by_class": by_class(rows), "reliability": reliability(rows), "records": list(rows)}
+    save(name, figures, more)
+    return figures
+
+
+def run(classes: Sequence[str] = (*CLASSES, FLOWN), share: float = 1.0) -> list[Figure]:
+    """Make and close the records that are not finished, in two processes."""
+    outcome = run_batches(jobs(classes, share), make_and_close, LEDGER, workers=2, progress=_progress)
+    failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
+    rows = [json.loads(path.read_text()) for path in outcome.done.values()]
+    return [failed, *figures_and_results(rows, "closure_challenge" if share == 1.0 else "closure_challenge_share")]
+
+
+def _progress(fraction: float, text: str) -> None:
+    click.echo(f"{fraction:6.1%}  {text}")
+
+
+@click.command(help="Close the loop on the classes of `challenge` and on the project's own flights.")
+@click.option("--share", type=click.FloatRange(0.0, 1.0), default=1.0, show_default=True, help="of every class")
+@click.option("--classes", default="all", help=f"some of {', '.join((*CLASSES, FLOWN))}, with commas")
+@click.option("--figures", is_flag=True, help="of the finished records; none are made")
+def main(share: float, classes: str, figures: bool) -> None:
+    """Run, or print the figures of the finished part."""
+    chosen = (*CLASSES, FLOWN) if classes == "all" else tuple(name.strip() for name in classes.split(","))
+    unknown = [name for name in chosen if name not in (*CLASSES, FLOWN)]
+    if unknown:
+        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join((*CLASSES, FLOWN))}, or all")
+    if figures:
+        rows = [r for r in finished() if r["class"] in chosen]
+        click.echo(table(figures_and_results(rows)))
+    else:
+        click.echo(table(run(chosen, share)))
+        rows = [r for r in finished() if r["class"] in chosen]
+    for of_class, counted in by_class(rows).items():
+        click.echo(f"{of_class:<9}" + "".join(f"{name} {n:<6}" for name, n in counted.items()))
+
+
+if __name__ == "__main__":
+    main()
