@@ -45,7 +45,7 @@ from sim_heating.estimation.record_fit import (
     set_parameters,
 )
 from sim_heating.heating.effects import EffectUse
-from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
 from sim_heating.march.mesh_choice import choose_meshes, meshes_on_flights
@@ -144,7 +144,8 @@ class FitProblem:
         for name in march_names:
             model.definition(name)
         check_one_name(model.name, model.places, march_names)
-        return RecordFit(record, model, mesh, start, conditions_of_record(record), march_names, sensor_names)
+        conditions = conditions_of_record(record, flow_of_record(record, model.effects))
+        return RecordFit(record, model, mesh, start, conditions, march_names, sensor_names)
 
     def _index_parameters(self) -> list[FitParameter]:
         """Index the unknowns of every record in the parameter vector, shared where they are of one control point."""

@@ -117,15 +117,18 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
         sweep_deg=heating.sweep_deg or 0.0,
     )
     return record.conditions.with_columns(
-        **columns, **edge_flow_columns(flow or _flow_of_record(record), record.conditions)
+        **columns, **edge_flow_columns(flow or flow_of_record(record), record.conditions)
     )
 
 
-def _flow_of_record(record: Record) -> EdgeFlow:
-    """What the declared effects of a record ask of the flow at the edge of its point."""
+def flow_of_record(record: Record, effects: Sequence[EffectUse] = ()) -> EdgeFlow:
+    """What the effects of a record ask of the flow at the edge of its point, those that it declares and others.
+
+    effects : others, each in place of a declared one of its name
+    """
     heating = record.declared.heating
     return edge_flow(
-        heating.effects,
+        combined_uses(heating.effects, effects),
         heating.recovery_of_point,
         heating.running_length_m,
         "none" if heating.catalysis is None else heating.catalysis.atoms_of,

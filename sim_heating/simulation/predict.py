@@ -16,7 +16,7 @@ from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.reference.models import beyond_range
-from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature, lags_s
 from sim_heating.march.history import (
@@ -104,7 +104,7 @@ def predict(
 
     record : a flight record, or its directory
     model  : another model than the declared one
-    flow   : what its effects ask of the flow at the edge of the point; by default those that the record declares
+    flow   : what its effects ask of the flow at the edge of the point; by default by what the record declares of it
     skew_s : by how much the thermocouples' clock lags [s];  errors : gain, bias and lag of sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
 
@@ -115,7 +115,7 @@ def predict(
     record = load_record(record)
     model, faults = point_of_record(record) if model is None else model, errors or {}
     model = model.with_lags(lags_s(record.sensors, faults))
-    conditions = conditions_of_record(record, flow)
+    conditions = conditions_of_record(record, flow or flow_of_record(record, model.effects))
     t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
     within = t[(t >= span[0]) & (t <= span[1])]
     if len(within) == 0:

@@ -15,8 +15,10 @@ import numpy as np
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
+from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
+from sim_heating.inputs.points import flow_of_record
 from sim_heating.inputs.record import Record
 
 SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
@@ -84,6 +86,7 @@ def candidates(
     if last_resort:
         chosen = (e for name, e in effects().items() if e.last_resort and name not in taken)
         return [c for e in chosen for c in _effect_candidates(e, record, flown)]
+    flown = _with_criteria(record, flown)
     # The ratio of a point has one lag: a second effect that lags cannot be added.
     lag_taken = any(effects()[name].lags for name in taken if name in effects())
     declared = {used.effect.name for used in record.declared.heating.effects}
@@ -101,6 +104,16 @@ def candidates(
         if name not in taken:
             found += _sensor_candidates(record, name, forms)
     return found
+
+
+def _with_criteria(record: Record, flown: Conditions) -> Conditions:
+    """Conditions with Re_theta / M_e, an onset of transition that may be searched for where the point has an edge."""
+    heating = record.declared.heating
+    known = heating.recovery_of_point.kind != "total" and heating.running_length_m is not None
+    if not known or any(used.effect.name == TRANSITION for used in heating.effects):
+        return flown
+    flow = flow_of_record(record, [use(TRANSITION, {"by_re_theta": 1.0})])
+    return flown.with_columns(log10_re_theta_m=edge_flow_columns(flow, flown)["log10_re_theta_m"])
 
 
 def _declared_candidates(record: Record, flown: Conditions, taken: Sequence[str]) -> list[Candidate]:

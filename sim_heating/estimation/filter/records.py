@@ -25,7 +25,7 @@ from sim_heating.estimation.record_fit import (
     sensor_errors,
     sensor_parameter,
 )
-from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.points import conditions_of_record, flow_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
@@ -150,7 +150,7 @@ def track_of_record(
     Temperatures at the first row are uncertain by 5 [K], all nodes alike. The filter: docs/filter.md, after Kalman
     1960.
     """
-    conditions, t = conditions_of_record(record), record.time_s
+    conditions, t = conditions_of_record(record, flow_of_record(record, model.effects)), record.time_s
     begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
     chosen = (t >= begin) & (t <= end) & ~record.holdout_mask()
     found = fitted_channels(record, t[chosen], chosen)
