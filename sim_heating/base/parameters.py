@@ -142,8 +142,9 @@ SENSOR = {
     "bias": Parameter("bias", "K", 0.0, 5.0, -500.0, 500.0, "what a thermocouple reads too much"),
     "gain": Parameter("gain", "1", 1.0, 0.01, 0.2, 5.0, "indicated over true temperature"),
     "tau_s": Parameter("tau_s", "s", 0.0, 0.5, 0.0, 20.0, "time constant of its first-order lag"),
+    "drift": Parameter("drift", "K/s", 0.0, 3e-3, -2.0, 2.0, "rate of a bias that begins with its first reading"),
 }
-"""Parameters of a thermocouple: `sensor.NAME.bias`, `sensor.NAME.gain` and `sensor.NAME.tau_s`."""
+"""Parameters of a thermocouple: `sensor.NAME.bias`, `sensor.NAME.gain`, `sensor.NAME.tau_s` and `sensor.NAME.drift`."""
 
 MODEL = {p.name: p for p in (*RATIO, *STACK)}
 """All parameters of a control point's model by name, except those of effects, and of layers by their own names."""

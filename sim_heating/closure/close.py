@@ -53,7 +53,7 @@ REPORTED_EXCESS = 0.2
 """Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
-SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s"}
+SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s", "drift": "drift_K_s"}
 """Parameters of a sensor by their names in closure.json."""
 
 

@@ -247,7 +247,8 @@ class FitProblem:
         m = len(self.unknowns)
 
         def one(k: int) -> Evaluation:
-            total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+            total = sum(record_fit.known_log_likelihood for record_fit in self.groups[k])
+            gradient, information = np.zeros(m), np.zeros((m, m))
             for s in self._samples_of_group(k, vector):
                 at = s.record_fit.index
                 of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
@@ -383,7 +384,8 @@ class FitProblem:
         """Log likelihood of the samples of a record; NaN where its march failed."""
         if marched is None:
             return np.nan
-        found, values, total = record_fit.corrected(marched, vector), record_fit.values(vector), 0.0
+        found, values = record_fit.corrected(marched, vector), record_fit.values(vector)
+        total = record_fit.known_log_likelihood
         for c in record_fit.channels:
             mean, _ = indications(c, found, (), values, 0)
             total += scores(c.intervals, mean, record_fit.sigma_K[c.number])[0]

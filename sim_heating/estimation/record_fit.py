@@ -5,9 +5,9 @@ fitted. Records on common times are marched side by side (`lane_groups`).
 
 A sensor indicates
 
-    indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias        (inputs/sensor_model.py)
+    indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias + drift t'       (inputs/sensor_model.py)
 
-so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias - gain dT/dt dskew);
+so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias + t' ddrift - gain dT/dt dskew);
 docs/estimation_statistics.md, equations 1 and 2. Where a thermocouple lags, T is the temperature of the thermocouple,
 and the march is read at its steps as well, since a lag remembers what lies between samples (`RecordFit.sensed`).
 
@@ -84,6 +84,8 @@ class RecordFit:
     correction_K : (sensor, sample) difference [K] of the limit of fine meshes from the march at the thermocouples,
                    which FitProblem.correct_meshes sets
     mesh_warning : warning about the mesh, or empty
+    known_log_likelihood : of readings that are explained without the march and are no samples, such as those of a stuck
+                   thermocouple; added to that of the samples
     """
 
     record: Record
@@ -100,6 +102,7 @@ class RecordFit:
     sigma_K: dict[int, float] = field(default_factory=dict)
     correction_K: FloatArray | float = 0.0
     mesh_warning: str = ""
+    known_log_likelihood: float = 0.0
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -309,12 +312,14 @@ class FittedChannel:
     sensor    : its declaration;  number : its index in the record
     samples   : (sample,) indices in the times that the march reads
     intervals : in which its indications lay [K]
+    since_s   : (sample,) time since the first sample of the record [s]
     """
 
     sensor: Sensor
     number: int
     samples: IntArray
     intervals: ReadingIntervals
+    since_s: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,7 +437,8 @@ def fitted_channels(record: Record, time_s: FloatArray, mask: NDArray[np.bool_])
         fitted = mask & np.isfinite(reading)
         if sensor.used and np.any(fitted):
             indices = np.searchsorted(time_s, record.time_s[fitted])
-            channels.append(FittedChannel(sensor, number, indices, reading_intervals(sensor, reading[fitted])))
+            read, since_s = reading_intervals(sensor, reading[fitted]), record.time_s[fitted] - record.time_s[0]
+            channels.append(FittedChannel(sensor, number, indices, read, since_s))
     return channels
 
 
@@ -441,7 +447,7 @@ def indications(
 ) -> tuple[FloatArray, FloatArray]:
     """Indications of a channel and their sensitivities to the parameters.
 
-        indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias
+        indicated = c0 + c1 T' + ...,   T' = gain T(t - skew) + bias + drift t'
 
     march   : temperatures of the thermocouples [K], sensitivities and rates [K/s]
     names   : (parameter,) of the record: first the columns of the march, then clock and sensors
@@ -464,25 +470,29 @@ def indications(
             jacobian[:, k] = 1.0
         elif name == sensor_parameter(sensor, "gain"):
             jacobian[:, k] = T
+        elif name == sensor_parameter(sensor, "drift"):
+            jacobian[:, k] = channel.since_s
         elif name in (COMMON_LAG.name, sensor_parameter(sensor, "tau_s")):
             jacobian[:, k] = errors.gain * march.per_lag_K_s[channel.number, channel.samples]
     # most sensors have no curve: this saves a polynomial for every sample of every evaluation
+    wrong = errors.gain * T + errors.bias_K + errors.drift_K_s * channel.since_s
     if sensor.calibration is None:
-        return errors.gain * T + errors.bias_K, jacobian
-    calibration = np.polynomial.Polynomial(sensor.calibration)
-    slope = calibration.deriv()(errors.gain * T + errors.bias_K)
-    return indicated_temperature(sensor, T, errors), slope[:, np.newaxis] * jacobian
+        return wrong, jacobian
+    slope = np.polynomial.Polynomial(sensor.calibration).deriv()(wrong)
+    return indicated_temperature(sensor, T, errors, channel.since_s), slope[:, np.newaxis] * jacobian
 
 
 def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
-    """Bias [K], gain [-] and lag [s] of a sensor at parameter values; 0, 1 and as declared where these lack them.
+    """Errors of a sensor at parameter values; bias and drift 0, gain 1, the declared lag where these lack them.
 
     values : dotted name -> value
 
     Used in docs/estimation_statistics.md, equation 1.
     """
-    bias, gain = (values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain"))
-    return SensorErrors(bias, gain, lag_s(sensor, values))
+    bias, gain, drift = (
+        values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain", "drift")
+    )
+    return SensorErrors(bias, gain, lag_s(sensor, values), drift)
 
 
 def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
@@ -496,7 +506,7 @@ def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
 
 
 def sensor_parameter(sensor: Sensor, what: str) -> str:
-    """Dotted name of a parameter of a sensor: `sensor.NAME.bias` [K], `sensor.NAME.gain` [-], `sensor.NAME.tau_s` [s].
+    """Dotted name of a parameter of a sensor, as `sensor.NAME.bias` [K]; the others are those of parameters.SENSOR.
 
     Parameters b, g and tau of docs/estimation_statistics.md, equation 1.
     """
@@ -506,7 +516,7 @@ def sensor_parameter(sensor: Sensor, what: str) -> str:
 def sensor_definition(record: Record, name: str) -> Parameter | None:
     """Definition of a parameter of a clock or sensor by its dotted name; None for any other name.
 
-    returns : prior, bounds and unit (skew [s], bias [K], gain [-], lag [s])
+    returns : prior, bounds and unit (skew [s], bias [K], gain [-], lag [s], drift [K/s])
     raises  : InputError where the record has no such sensor, or a sensor no such parameter
 
     Parameters s, b and g of docs/estimation_statistics.md, equation 1.

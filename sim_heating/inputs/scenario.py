@@ -106,11 +106,12 @@ class ScenarioEffect(Declared):
 
 
 class SensorFault(Declared):
-    """A sensor's offset, gain error, and a lag that is not the declared one."""
+    """A sensor's offset, gain error, drift, and a lag that is not the declared one."""
 
     sensor: str
     bias_K: float = 0.0
     gain: float = Field(default=1.0, gt=0.0, description="gain, above 0")
+    drift_K_s: float = Field(default=0.0, description="rate of a bias that begins with the first sample in K/s")
     tau_s: float | None = Field(default=None, ge=0.0, description="true time constant in s, in place of the declared")
 
 

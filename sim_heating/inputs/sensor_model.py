@@ -1,9 +1,10 @@
 """Sensor model: from the temperature at a thermocouple to the reading that its recorder stores.
 
-    T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T_tc + bias,   dT_tc/dt = (T - T_tc) / tau at t - skew,
+    T_ind = c0 + c1 T' + c2 T'^2 + ...,   T' = gain T_tc + bias + drift t',   dT_tc/dt = (T - T_tc) / tau at t - skew,
 
-T the temperature at the sensor, then Gaussian noise, then the recorder word: codes 0 .. 2^bits - 1 over range_K,
-rounded to the nearest and clipped at the ends. The lag is applied where temperatures are marched (march/history.py).
+T the temperature at the sensor, t' the time since the first sample of the record, then Gaussian noise, then the
+recorder word: codes 0 .. 2^bits - 1 over range_K, rounded to the nearest and clipped at the ends. The lag is applied
+where temperatures are marched (march/history.py).
 Equations: docs/equations.md, section 5.
 """
 
@@ -23,32 +24,37 @@ from sim_heating.thermal.stack import Sensor
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Systematic errors of one sensor, in addition to its noise: T' = gain T_tc + bias, T_tc behind a lag.
+    """Systematic errors of one sensor, in addition to its noise: T' = gain T_tc + bias + drift t', T_tc behind a lag.
 
     bias_K : added to the temperature, positive where the sensor reads too high [K]
     gain   : indicated over true temperature, 1 without error [-]
     tau_s  : time constant of its first-order lag [s]; None for the declared one
+    drift_K_s : rate of a bias that grows from 0 at the first sample of the record [K/s]
     """
 
     bias_K: float = 0.0
     gain: float = 1.0
     tau_s: float | None = None
+    drift_K_s: float = 0.0
 
 
-def indicated_temperature(sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None) -> FloatArray:
+def indicated_temperature(
+    sensor: Sensor, temperature_K: FloatArray, errors: SensorErrors | None = None, since_s: FloatArray | float = 0.0
+) -> FloatArray:
     """Indicated temperature of a sensor before noise and quantisation, T_ind = c0 + c1 T' + c2 T'^2 + ...
 
     temperature_K : (sample,) temperature of the thermocouple [K], behind its lag, at the sample times less the clock
                     skew
-    errors        : bias [K] and gain [-] in T' = gain T + bias; none by default
+    errors        : gain [-], bias [K] and drift [K/s] in T' = gain T + bias + drift t'; none by default
+    since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
     returns       : (sample,) indicated temperature [K]
 
     Source: docs/equations.md, section 5.
     """
     wrong = errors or SensorErrors()
-    return indicated_kernel(
-        np.asarray(temperature_K, dtype=float), wrong.gain, wrong.bias_K, calibration_coefficients(sensor)
-    )
+    # A sum and not the argument of the kernel, which would be compiled for arrays a second time.
+    drifted = np.asarray(temperature_K, dtype=float) + wrong.drift_K_s / wrong.gain * since_s
+    return indicated_kernel(drifted, wrong.gain, wrong.bias_K, calibration_coefficients(sensor))
 
 
 def lags_s(sensors: Sequence[Sensor], errors: Mapping[str, SensorErrors]) -> tuple[float, ...]:
@@ -136,18 +142,20 @@ def measure(
     rng: np.random.Generator,
     errors: SensorErrors | None = None,
     lost: NDArray[np.bool_] | None = None,
+    since_s: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Readings of a thermocouple: calibration with systematic errors, Gaussian noise, recorder word, lost samples.
 
     temperature_K : (sample,) temperature of the thermocouple, behind its lag, at the sample times [K]
     rng           : generator of the noise, of standard deviation noise_sigma_K [K] (0 where none is declared)
-    errors        : bias and gain of the sensor; none by default
+    errors        : bias, gain and drift of the sensor; none by default
     lost          : (sample,) which samples the telemetry loses
+    since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
     returns       : (sample,) readings [K], NaN where lost
 
     Source: docs/equations.md, section 5.
     """
-    indicated = indicated_temperature(sensor, temperature_K, errors)
+    indicated = indicated_temperature(sensor, temperature_K, errors, since_s)
     # Noise is drawn for lost samples as well: losing one leaves the noise of the others unchanged.
     noisy = indicated + rng.normal(0.0, sensor.noise_sigma_K or 0.0, len(indicated))
     read = quantise(sensor, noisy)

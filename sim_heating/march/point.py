@@ -267,9 +267,10 @@ class PointModel:
         if found is None or found[1] is not LAYER[0]:
             return -np.inf  # derivatives of the ratio may be negative
         own, faces, parts = found[0], stack.interfaces_m, [0.0]
+        slack = 1e-9 * stack.thickness_m  # a depth in a file is that of a face to rounding
         for i, of_layer in enumerate(stack.layer_names):
             if of_layer == own or (i == 0 and f"{STACK_PREFIX}{own}." == COATING_PREFIX):
-                within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1]]
+                within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1] - slack]
                 parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in within]
         return max(parts)
 

@@ -105,7 +105,7 @@ def predict(
     record : a flight record, or its directory
     model  : another model than the declared one
     flow   : what its effects ask of the flow at the edge of the point; by default by what the record declares of it
-    skew_s : by how much the thermocouples' clock lags [s];  errors : gain, bias and lag of sensors, by name
+    skew_s : by how much the thermocouples' clock lags [s];  errors : gain, bias, lag and drift of sensors, by name
     raises : InputError where no sample lies within the conditions, RunError where a step did not converge
 
     >>> import sim_heating as sh
@@ -122,8 +122,8 @@ def predict(
         raise InputError(f"{record.name}: no measurement lies within the conditions ({span[0]:g} to {span[1]:g} s)")
     marched = march_points([model], [conditions], extra_times_s=within)[0]
     history = replace(_resampled(marched, t), time_s=record.time_s)
-    pairs = zip(record.sensors, history.sensors_K, strict=True)
-    indicated = np.array([indicated_temperature(sensor, values, faults.get(sensor.name)) for sensor, values in pairs])
+    pairs, since_s = zip(record.sensors, history.sensors_K, strict=True), record.time_s - record.time_s[0]
+    indicated = np.array([indicated_temperature(s, values, faults.get(s.name), since_s) for s, values in pairs])
     residual = record.temperatures_K() - indicated
     return Prediction(record, history, indicated, residual, tuple(table_excursions(model, conditions)))
 

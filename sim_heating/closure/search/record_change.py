@@ -37,6 +37,8 @@ DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
+GROSS_EXCESS = 10.0
+"""Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
@@ -56,7 +58,9 @@ class RecordChange:
                 between other altitudes; by default `what`
     near      : changes of the same form whose ends in time or altitude are moved by a fraction of its span; None where
                 it has no ends. Both ends are searched, and count as unknowns
-    in_model  : whether the unknown is a parameter of the point's model by its dotted name, such as
+    known_log_likelihood : of readings that the changed record lacks because the change explains them by itself, such as
+                those of a stuck thermocouple: of fitted ones, and of those held out
+    in_model  : whether the unknown is a parameter of the point's model or of a sensor by its dotted name, such as
                 `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
     """
 
@@ -70,6 +74,7 @@ class RecordChange:
     name: str = ""
     form: str = ""
     near: Callable[[float], Sequence[RecordChange]] | None = None
+    known_log_likelihood: tuple[float, float] = (0.0, 0.0)
 
     @property
     def neutral(self) -> float:
@@ -125,6 +130,9 @@ class _ChangedModel:
     raises : InputError where the change has a parameter without a finite standard deviation
     """
 
+    exact = False
+    """Whether the sensitivity to the unknown is exact."""
+
     def __init__(self, base: TrialFit, change: RecordChange) -> None:
         self.base, self.change = base, change
         self.parameters, self.step = list(base.problem.parameters), 0.0
@@ -136,9 +144,10 @@ class _ChangedModel:
         self._problems: dict[float, FitProblem] = {}
         self._moved = base.problem
 
-    def start(self, value: float) -> FloatArray:
-        """Vector of the base's estimates and a value of the change."""
-        return self.base.fit.values if self.change.parameter is None else np.append(self.base.fit.values, value)
+    def start(self, value: float, *, declared: bool = False) -> FloatArray:
+        """Vector of the base's estimates, or of its declared values, and a value of the change."""
+        own = np.array([p.value for p in self.base.problem.parameters]) if declared else self.base.fit.values
+        return own if self.change.parameter is None else np.append(own, value)
 
     def problem(self, value: float) -> FitProblem:
         """The base's problem on the record changed by a value."""
@@ -146,7 +155,9 @@ class _ChangedModel:
             return self.base.problem
         if value not in self._problems:
             part = self.base.problem.record_fits[0]
-            self._problems[value] = _problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            problem = _problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
+            self._problems[value] = problem
         return self._problems[value]
 
     def split(self, vector: FloatArray) -> tuple[FloatArray, float]:
@@ -179,7 +190,8 @@ class _ChangedModel:
         stepped, moved = self._stepped(value), samples
         if self.change.parameter is not None:
             moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
-        total, gradient, information = 0.0, np.zeros(m), np.zeros((m, m))
+        total = self.problem(value).record_fits[0].known_log_likelihood
+        gradient, information = np.zeros(m), np.zeros((m, m))
         for s, t in zip(samples, moved, strict=True):
             own = np.zeros((len(s.mean_K), m))
             own[:, s.record_fit.index] = s.sensitivity
@@ -202,22 +214,24 @@ class _ChangedModel:
         if self.base.held_out is not None:
             part = self.base.held_out.record_fits[0]
             held_out = _problem_over(self.base, part, self.change.apply(part.record, value), part.names, held_out=True)
+            held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
         kept = np.arange(len(values))
         return replace(self.base, problem=self.problem(value), held_out=held_out, fit=_selected(fit, kept))
 
 
 class _EstimatedModel(_ChangedModel):
-    """A change that is a parameter of the point's model: the march has its sensitivity."""
+    """A change that is a parameter of the point's model or of a sensor: the problem has its sensitivity."""
+
+    exact = True
 
     def __init__(self, base: TrialFit, change: RecordChange) -> None:
         super().__init__(base, change)
         part = base.problem.record_fits[0]
-        # the parameter of the change is the last of the march; those of clock and sensors follow
+        # a parameter of the march is the last of these; those of clock and sensors follow
         self._names = (*part.names, self.parameters[-1].name)
-        m, at = len(self.parameters), len(part.march_names)
-        self._order = np.insert(np.arange(m - 1), at, m - 1)
-        self._place = np.argsort(self._order)
         self._problem = _problem_over(base, part, part.record, self._names)
+        self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
+        self._place = np.argsort(self._order)
 
     def marches(self, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]]:
         """The one problem, with its vector."""
@@ -283,15 +297,16 @@ def _failed(parameters: int) -> Evaluation:
     return Evaluation(np.nan, np.zeros(parameters), np.zeros((parameters, parameters)))
 
 
-def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[float]:
-    """Log likelihood that one Gauss-Newton step from a vector predicts for each model; minus infinity where a march
-    failed."""
+def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[tuple[float, float]]:
+    """Log likelihood that one Gauss-Newton step from a vector predicts for each model, and that at the vector itself;
+    minus infinity where a march failed."""
     found = []
     for model, at, here in zip(models, vectors, _evaluate_together(models, vectors), strict=True):
         prior = np.array([p.sigma**-2.0 for p in model.parameters])
         towards = prior * (np.array([p.value for p in model.parameters]) - at)
         step = predicted_gain(here.gradient + towards, covariance(here.information + np.diag(prior)))
-        found.append(here.log_likelihood + step if np.isfinite(here.log_likelihood) else -np.inf)
+        reached = here.log_likelihood
+        found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
     return found
 
 
@@ -302,13 +317,28 @@ def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> l
     returns : by change, gain [-] and start: the best of the neutral value and its starts; minus infinity where the
               changed record cannot be marched
     """
+    return [(gain, model.split(vector)[1]) for gain, model, vector in _best_starts(base, changes)]
+
+
+def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, _ChangedModel, FloatArray]]:
+    """Predicted gain, model and vector to start from of each change."""
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     models = [_model(base, changes[k]) for k, _ in starts]
-    reached = _predicted(models, [m.start(value) for m, (_, value) in zip(models, starts, strict=True)])
-    best = [(-np.inf, change.neutral) for change in changes]
-    for (k, value), likelihood in zip(starts, reached, strict=True):
-        best[k] = max(best[k], (likelihood - base.fit.log_likelihood, value))
-    return best
+    vectors = [m.start(value) for m, (_, value) in zip(models, starts, strict=True)]
+    predicted = _predicted(models, vectors)
+    # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
+    gross = [
+        i for i, m in enumerate(models) if base.excess_chi2 > GROSS_EXCESS and m.change.kind == "sensor" and not m.exact
+    ]
+    others = [models[i].start(starts[i][1], declared=True) for i in gross]
+    for i, vector, own in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
+        if own[1] > predicted[i][1]:
+            vectors[i], predicted[i] = vector, own
+    best: dict[int, int] = {}
+    for i, (k, _) in enumerate(starts):
+        if k not in best or predicted[i][0] > predicted[best[k]][0]:
+            best[k] = i
+    return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for _, i in sorted(best.items())]
 
 
 def fit_changes(base: TrialFit, changes: Sequence[RecordChange], best_gain: float = 0.0) -> list[ChangeFit]:
@@ -320,17 +350,17 @@ def fit_changes(base: TrialFit, changes: Sequence[RecordChange], best_gain: floa
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
-    predicted = predicted_change_gains(base, changes)
-    n, least = sample_count(base.problem), MIN_GAIN_SHARE * max([best_gain, *(gain for gain, _ in predicted)])
-    best: dict[str, tuple[float, float, RecordChange]] = {}
-    for change, (gain, start) in zip(changes, predicted, strict=True):
+    predicted = _best_starts(base, changes)
+    n, least = sample_count(base.problem), MIN_GAIN_SHARE * max([best_gain, *(gain for gain, _, _ in predicted)])
+    best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
+    for change, (gain, model, start) in zip(changes, predicted, strict=True):
         form = change.form or change.what
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):
-            best[form] = gain, start, change
-    models = [_model(base, change) for _, _, change in best.values()]
-    fits = _maximise(models, [m.start(start) for m, (_, start, _) in zip(models, best.values(), strict=True)])
+            best[form] = gain, model, start
+    models = [model for _, model, _ in best.values()]
+    fits = _maximise(models, [start for _, _, start in best.values()])
     reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
         if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > MIN_GAIN_SHARE * reached:
@@ -345,7 +375,7 @@ def _with_best_ends(model: _ChangedModel, fit: Fit) -> tuple[_ChangedModel, Fit]
     for fraction in ENDS_MOVED:
         moved = [] if best.change.near is None else list(best.change.near(fraction))
         models = [_model(model.base, change) for change in moved]
-        predicted = _predicted(models, [at] * len(models))
+        predicted = [gain for gain, _ in _predicted(models, [at] * len(models))]
         k = int(np.argmax(predicted))
         if predicted[k] > reached:
             best, reached = models[k], predicted[k]

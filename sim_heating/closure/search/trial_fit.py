@@ -221,8 +221,12 @@ def candidate_problem(
     problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
-    problem.record_fits[0].sigma_K.update(part.sigma_K)
-    problem.record_fits[0].correction_K = part.correction_K
+    own = problem.record_fits[0]
+    own.sigma_K.update(part.sigma_K)
+    own.known_log_likelihood = part.known_log_likelihood
+    # a record without the readings of a broken sensor may have fewer times
+    correction = np.broadcast_to(part.correction_K, (len(part.record.sensors), len(part.sample_s)))
+    own.correction_K = correction[:, np.isin(part.sample_s, own.sample_s)]
     return problem
 
 

@@ -72,7 +72,7 @@ def filter_samples(
     time_s  : (sample,) times that the channels' places refer to [s]
     mesh    : whose sensors are nodes
     sigma_K : noise [K] by the number of the sensor
-    values  : parameters of clock and sensors (bias, gain)
+    values  : parameters of clock and sensors (bias, gain, drift)
     added_K : (sensor, sample) correction on top of the march [K], 0 by default
     names   : parameters of the filter, of which clock and sensors act on the readings themselves
     lag     : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
@@ -90,8 +90,8 @@ def filter_samples(
         middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
         slope, constant = calibration_line(channel.sensor, middle)
         wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
-        constant = constant + slope * (wrong.gain * own + wrong.bias_K)
-        direct.append(_direct(channel.sensor, names, slope, wrong.gain, own))
+        constant = constant + slope * (wrong.gain * own + wrong.bias_K + wrong.drift_K_s * channel.since_s)
+        direct.append(_direct(channel, names, slope, wrong.gain, own))
         if lag is not None:
             direct[-1][..., CONSTANT] += (slope * wrong.gain)[:, np.newaxis] * _through_lag(channel, names, lag)
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
@@ -106,17 +106,21 @@ def filter_samples(
     return samples, order
 
 
-def _direct(sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray) -> FloatArray:
+def _direct(
+    channel: FittedChannel, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray
+) -> FloatArray:
     """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
 
     Equation 2 of docs/estimation_statistics.md, split into parts that are constant, per temperature and per rate.
     """
-    found = np.zeros((len(slope), len(names), 3))
+    found, sensor = np.zeros((len(slope), len(names), 3)), channel.sensor
     for k, name in enumerate(names):
         if name == CLOCK_SKEW.name:
             found[:, k, PER_RATE] = -slope * gain
         elif name == sensor_parameter(sensor, "bias"):
             found[:, k, CONSTANT] = slope
+        elif name == sensor_parameter(sensor, "drift"):
+            found[:, k, CONSTANT] = slope * channel.since_s
         elif name == sensor_parameter(sensor, "gain"):
             found[:, k, CONSTANT], found[:, k, PER_TEMPERATURE] = slope * added_K, slope
     return found

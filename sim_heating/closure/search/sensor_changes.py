@@ -1,0 +1,338 @@
+"""Changes of the sensors that no effect is: swapped, in another unit, stuck, clipped, drifting, misplaced or broken.
+
+Bias, gain and lag of a thermocouple are effects by name (candidates.py). What a cheap look at the readings and at the
+fit without the change rules out is not offered: a sensor at its noise is not broken, two such sensors are not swapped.
+
+Readings that a change makes worthless are taken out of the record, but not for nothing. Those of a stuck or clipped
+thermocouple have the likelihood of readings that are met exactly. Those of a broken one are scattered about the
+prediction of the model with their own root mean square,
+
+    log L = sum_i log N(y_i; m_i, s^2),   s^2 = mean (y_i - m_i)^2
+
+so that any cause that explains them is likelier. What is read off the readings counts as estimated: log(n) / 2 each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.parameters import SENSOR, Parameter
+from sim_heating.closure.clues.residual_heating import residual_heating
+from sim_heating.closure.fit_checks import CONTRADICTION_FLOORS, MAX_OMITTED
+from sim_heating.closure.record_checks import AT_NOISE
+from sim_heating.closure.search.record_change import RecordChange
+from sim_heating.closure.search.trial_fit import TrialFit, sample_count
+from sim_heating.estimation.inference.likelihood import reading_intervals, scores
+from sim_heating.estimation.inference.observability import STUCK
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.record_fit import PredictedSamples, sensor_parameter
+from sim_heating.inputs.record import Record
+from sim_heating.thermal.stack import Sensor
+
+CELSIUS_0_K, KELVIN_PER_FAHRENHEIT, FAHRENHEIT_0 = 273.15, 5.0 / 9.0, 459.67
+UNITS: Mapping[str, tuple[float, float]] = {
+    "in degC, read as K": (-CELSIUS_0_K, 1.0),
+    "in degF, read as K": (-FAHRENHEIT_0, 1.0 / KELVIN_PER_FAHRENHEIT),
+    "in K, read as degC": (CELSIUS_0_K, 1.0),
+    "in K, read as degF": (FAHRENHEIT_0 * KELVIN_PER_FAHRENHEIT, KELVIN_PER_FAHRENHEIT),
+}
+"""Recorded over true temperature, c0 [K] and c1 [-], of a column in another unit or converted from one by mistake."""
+MIN_UNIT_ERROR_K, UNIT_SHARE = 20.0, 0.25
+"""Least distance of the first reading from the declared start that another unit is tried for [K], and the part of it
+that may remain with the other unit [-]."""
+MISFIT = 2.0
+"""RMS of the normalised residuals of a sensor from which on it may be swapped, misplaced or broken."""
+MIN_CONSTANT = 30
+"""Readings that are equal one after the other from which on a sensor may be stuck or clipped."""
+DEPTH_SIGMA_M, FARTHEST_M = 5e-4, 0.01
+"""Usual error of the depth of a thermocouple, and the largest that is tried [m]."""
+MAX_DRIFT = 10.0
+"""Largest drift that is tried, over the usual one [-]."""
+MAX_BROKEN = 2
+"""Sensors that are left out together, where none alone makes the others agree."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """A used sensor and the RMS of its normalised residuals over the fitted samples [-]."""
+
+    sensor: Sensor
+    rms: float
+
+
+def sensor_changes(base: TrialFit) -> list[RecordChange]:
+    """The changes of the sensors of a record that the model fitted to it does not rule out.
+
+    base : the model, fitted to the record as declared
+
+    Units, and readings that do not change, are seen in the readings themselves: a sensor with these is not examined
+    further.
+    """
+    channels = [_Channel(s.channel.sensor, _rms(s)) for s in base.problem.samples(base.fit.values)]
+    seen = {**unit_changes(base), **constant_readings(base)}
+    others = [c for c in channels if not any(c.sensor.name in names for names in seen)]
+    misfits = [c.sensor for c in others if c.rms > MISFIT]
+    record = base.problem.record_fits[0].record
+    return [
+        *(change for changes in seen.values() for change in changes),
+        *(swap(a, b) for a, b in combinations(misfits, 2)),
+        *(drift(record, c.sensor) for c in others if len(channels) > 1),
+        *(depth(record, s) for s in misfits),
+        *(broken_sensors(base) if misfits and len(others) == len(channels) > 1 else []),
+    ]
+
+
+def _rms(s: PredictedSamples) -> float:
+    """RMS of the normalised residuals of a channel."""
+    residual_K, floor_K = _residual_K(s), s.channel.sensor.noise_floor_K(s.sigma_K)
+    return float(np.sqrt(np.mean((residual_K / floor_K) ** 2))) if len(residual_K) else 0.0
+
+
+def _residual_K(s: PredictedSamples) -> FloatArray:
+    """Readings less predictions of a channel [K], without those at an end of the recorder's range."""
+    within = s.channel.intervals.is_finite
+    middle = 0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K)[within]
+    return np.asarray(middle - s.mean_K[within])
+
+
+# Swap, unit, drift, depth ---------------------------------------------------------------------------------------------
+
+
+def _with_sensors(record: Record, changed: Callable[[Sensor], dict[str, object]]) -> Record:
+    """The record with other declarations of its sensors."""
+    sensors = [s.model_copy(update=changed(s)) for s in record.sensors]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+
+
+def swap(a: Sensor, b: Sensor) -> RecordChange:
+    """Each of two thermocouples is where the other is declared; recorders and columns stay as they are."""
+
+    def apply(record: Record, _: float) -> Record:
+        places = {a.name: b, b.name: a}
+
+        def changed(s: Sensor) -> dict[str, object]:
+            other = places.get(s.name)
+            return {} if other is None else {"depth_m": other.depth_m, "tau_s": other.tau_s}
+
+        return _with_sensors(record, changed)
+
+    text = f"{a.name} and {b.name} swapped"
+    return RecordChange("sensor", text, None, apply, lambda _: text)
+
+
+def unit_changes(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
+    """Columns in another unit, by the names of their sensors: of all where all first readings say so, else of each."""
+    record = base.problem.record_fits[0].record
+    used, found = record.used_sensors, dict[frozenset[str], list[RecordChange]]()
+    for text, line in UNITS.items():
+        suspects = [s for s in used if _starts_nearer(record, s, line)]
+        whole = len(suspects) == len(used) > 1
+        for sensors in [suspects] if whole else [[s] for s in suspects]:
+            names = "all thermocouples" if whole else sensors[0].name
+            found.setdefault(frozenset(s.name for s in sensors), []).append(unit(base, sensors, names, text, line))
+    return found
+
+
+def _starts_nearer(record: Record, sensor: Sensor, line: tuple[float, float]) -> bool:
+    """Whether the first reading of a sensor is much nearer to the declared start in another unit."""
+    stack, read = record.declared.stack, record.thermocouples[sensor.column]
+    first = read[np.isfinite(read)][:1]
+    if len(first) == 0:
+        return False
+    start_K = stack.initial_K
+    if stack.initial_profile is not None:
+        start_K = float(np.interp(sensor.depth_m, *np.array(stack.initial_profile).T))
+    declared = sensor.calibration or [0.0, 1.0]
+    expected = float(np.polynomial.Polynomial(declared)(start_K or 0.0))
+    error_K = abs(float(first[0]) - expected)
+    remaining_K = abs((float(first[0]) - line[0]) / line[1] - expected)
+    return error_K > MIN_UNIT_ERROR_K and remaining_K < UNIT_SHARE * error_K
+
+
+def unit(base: TrialFit, sensors: Sequence[Sensor], names: str, text: str, line: tuple[float, float]) -> RecordChange:
+    """Columns of sensors that hold c0 + c1 T.
+
+    sensors : of the columns;  names : of them, in words;  text : the unit in words;  line : c0 [K] and c1 [-]
+    """
+    own, (c0, c1) = {s.name for s in sensors}, line
+
+    def apply(record: Record, _: float) -> Record:
+        read = {s.column: (record.thermocouples[s.column] - c0) / c1 for s in record.sensors if s.name in own}
+        return replace(record, thermocouples={**record.thermocouples, **read})
+
+    def scale(problem: FitProblem | None) -> float:
+        """Log of the density of unrounded readings in their own unit over that in K."""
+        channels = problem.record_fits[0].channels if problem else []
+        count = sum(len(c.samples) for c in channels if c.sensor.name in own and c.sensor.bits is None)
+        return -count * math.log(c1)
+
+    what, known = f"{names} {text}", (scale(base.problem), scale(base.held_out))
+    return RecordChange("sensor", what, None, apply, lambda _: what, known_log_likelihood=known)
+
+
+def drift(record: Record, sensor: Sensor) -> RecordChange:
+    """A bias that grows from the first sample on, at a rate in K/s."""
+    span_s = float(np.ptp(record.time_s))
+
+    def apply(given: Record, rate_K_s: float) -> Record:
+        read = given.thermocouples[sensor.column] - rate_K_s * (given.time_s - given.time_s[0])
+        changed = replace(given, thermocouples={**given.thermocouples, sensor.column: read})
+        return _with_sensors(changed, lambda s: {"bits": None} if s.name == sensor.name else {})
+
+    own = replace(SENSOR["drift"], name=sensor_parameter(sensor, "drift"))
+    own = replace(own, lower=-MAX_DRIFT * own.sigma, upper=MAX_DRIFT * own.sigma)
+    return RecordChange(
+        "sensor", f"drift of {sensor.name}", own, apply,
+        lambda rate: f"{sensor.name} drifts by {rate * span_s:+.2g} K in {span_s:.0f} s", in_model=True,
+    )  # fmt: skip
+
+
+def depth(record: Record, sensor: Sensor) -> RecordChange:
+    """A thermocouple that is deeper than declared, or less deep, in m."""
+    behind_m = record.declared.stack.thickness_m - sensor.depth_m
+    own = Parameter(
+        "depth_error_m", "m", 0.0, DEPTH_SIGMA_M, -min(sensor.depth_m, FARTHEST_M), min(behind_m, FARTHEST_M),
+        "true depth less the declared one",
+    )  # fmt: skip
+
+    def apply(given: Record, error_m: float) -> Record:
+        return _with_sensors(given, lambda s: {"depth_m": s.depth_m + error_m} if s.name == sensor.name else {})
+
+    def describe(error_m: float) -> str:
+        return f"{sensor.name} {1e3 * abs(error_m):.2g} mm {'deeper' if error_m > 0.0 else 'less deep'} than declared"
+
+    return RecordChange("sensor", f"depth of {sensor.name}", own, apply, describe, starts=_depth_starts(own))
+
+
+def _depth_starts(own: Parameter) -> tuple[float, ...]:
+    """Errors of a depth that a fit may start from [m]."""
+    return tuple(x for x in (-4e-3, -1.5e-3, 1.5e-3, 4e-3) if own.lower < x < own.upper)
+
+
+# Readings that are worthless ------------------------------------------------------------------------------------------
+
+
+def constant_readings(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
+    """Sensors whose readings are equal for long while the declared model changes by many of their steps.
+
+    returns : by name of the sensor; it is clipped at a range that is not declared where these are its largest readings
+              and others follow, else stuck
+    """
+    record, found = base.problem.record_fits[0].record, dict[frozenset[str], list[RecordChange]]()
+    # The fitted model may follow readings that do not change.
+    declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
+    for s in declared:
+        sensor, t, read = s.channel.sensor, record.time_s, record.thermocouples[s.channel.sensor.column]
+        run = _longest_constant(read)
+        at_K, inside = read[run[0]], s.mean_K[(s.time_s >= t[run[0]]) & (s.time_s <= t[run[-1]])]
+        unclipped = reading_intervals(sensor, read[run[:1]]).is_finite[0]
+        changes = len(inside) > 1 and np.ptp(inside) > STUCK * max(sensor.lsb_K, s.sigma_K)
+        if len(run) < MIN_CONSTANT or not unclipped or not changes:
+            continue
+        recovers = run[-1] < np.flatnonzero(np.isfinite(read))[-1]
+        if at_K >= np.nanmax(read) and recovers:
+            lost, text = read >= at_K, f"{sensor.name} clipped at {at_K:.0f} K, which is no declared end of its range"
+        else:
+            lost = np.isin(np.arange(len(read)), run)
+            text = f"{sensor.name} stuck at {at_K:.1f} K from {t[run[0]]:.0f} to {t[run[-1]]:.0f} s"
+        found[frozenset({sensor.name})] = [_without(base, {sensor.name: lost}, text, met_exactly=True)]
+    return found
+
+
+def _longest_constant(read: FloatArray) -> IntArray:
+    """(run,) indices of the longest run of equal readings; lost ones within it do not end it."""
+    known = np.flatnonzero(np.isfinite(read))
+    ends = np.append(np.flatnonzero(np.diff(read[known]) != 0.0), len(known) - 1)
+    begins = np.append(0, ends[:-1] + 1)
+    k = int(np.argmax(ends - begins))
+    return np.asarray(known[begins[k] : ends[k] + 1])
+
+
+def broken_sensors(base: TrialFit) -> list[RecordChange]:
+    """Readings that carry no information: of each sensor without which some heating explains the others, else of two.
+
+    None where some heating explains all sensors: that is a missing effect and no broken sensor.
+    """
+    residual = residual_heating(base.problem, base.fit.values)
+    suspects = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)[:MAX_OMITTED]
+    if not suspects or suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
+        return []
+    alone = [s.sensor for s in suspects if _others_agree(base, s.sensor)]
+    chosen: list[tuple[Sensor, ...]] = [(s,) for s in alone]
+    if not chosen and len(residual.sensors) > MAX_BROKEN:
+        chosen = list(combinations([s.sensor for s in suspects], MAX_BROKEN))
+    return [_without(base, {s.name: None for s in c}, f"{' and '.join(s.name for s in c)} broken") for c in chosen]
+
+
+def _others_agree(base: TrialFit, sensor: Sensor) -> bool:
+    """Whether a heating explains all other sensors to their noise."""
+    others = residual_heating(base.problem, base.fit.values, without=sensor.name).sensors
+    return all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others)
+
+
+def _without(
+    base: TrialFit, lost: Mapping[str, NDArray[np.bool_] | None], text: str, *, met_exactly: bool = False
+) -> RecordChange:
+    """Readings that are taken out of the record.
+
+    lost        : by name of the sensor, (sample,) which of its readings; None for all
+    met_exactly : whether they have the likelihood of readings that are met exactly, else that of scatter about the
+                  model fitted to the record as declared
+    """
+
+    def apply(record: Record, _: float) -> Record:
+        read = dict(record.thermocouples)
+        for s in record.sensors:
+            if s.name in lost:
+                own = lost[s.name]
+                read[s.column] = np.full(len(read[s.column]), np.nan) if own is None else _blanked(read[s.column], own)
+        return replace(record, thermocouples=read)
+
+    rms_K = {} if met_exactly else _scatter_K(base)
+    known = [
+        0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K)
+        for problem in (base.problem, base.held_out)
+    ]
+    cost = 0.5 * math.log(sample_count(base.problem)) * (2 if met_exactly else len(lost))
+    return RecordChange("sensor", text, None, apply, lambda _: text, known_log_likelihood=(known[0] - cost, known[1]))
+
+
+def _blanked(read: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
+    return np.where(lost, np.nan, read)
+
+
+def _scatter_K(base: TrialFit) -> dict[str, float]:
+    """RMS of the residuals of each sensor [K], by its name."""
+    return {
+        s.channel.sensor.name: float(np.sqrt(np.mean(_residual_K(s) ** 2)))
+        for s in base.problem.samples(base.fit.values)
+    }
+
+
+def _log_likelihood_of(
+    problem: FitProblem, values: FloatArray, lost: Mapping[str, NDArray[np.bool_] | None], rms_K: Mapping[str, float]
+) -> float:
+    """Log likelihood of the readings of a problem that a change takes out, at the estimates.
+
+    rms_K : scatter about the predictions by sensor; a sensor without one is met exactly
+    """
+    total, record = 0.0, problem.record_fits[0].record
+    for s in problem.samples(values):
+        name = s.channel.sensor.name
+        if name not in lost:
+            continue
+        own = lost[name]
+        at = np.isin(s.time_s, record.time_s if own is None else record.time_s[own])
+        intervals = s.channel.intervals.select(at)
+        middle = 0.5 * (intervals.lower_K + intervals.upper_K)
+        mean_K = s.mean_K[at] if name in rms_K else np.where(np.isfinite(middle), middle, s.mean_K[at])
+        total += scores(intervals, mean_K, rms_K.get(name, s.sigma_K))[0]
+    return total

@@ -1,0 +1,103 @@
+"""Thermocouples that are other than declared: swapped, in another unit, stuck, clipped, drifting, misplaced, broken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_heating.closure.search.record_change import ChangeFit, fit_changes
+from sim_heating.closure.search.sensor_changes import sensor_changes
+from sim_heating.closure.search.trial_fit import base_trial
+from sim_heating.estimation.fit import estimate
+from sim_heating.inputs.record import Record, load_record
+from tests.support.paths import PRACTICE
+from tests.support.walls import practice_record
+
+
+def shortened(record: Record) -> Record:
+    """The record up to 900 s, the last 150 s of which are held out."""
+    segments = record.declared.segments.model_copy(update={"fit": [[200.0, 750.0]], "holdout": [[750.5, 900.0]]})
+    return replace(record, declared=record.declared.model_copy(update={"segments": segments}))
+
+
+TILE = shortened(practice_record("p06")[0])
+"""Flown without an effect; thermocouples under the coating and on the skin."""
+SURFACE, BOND = TILE.sensors
+READ = {s.name: TILE.thermocouples[s.column] for s in TILE.sensors}
+TIME_S = TILE.time_s
+DRIFT_K_S = 5e-3
+
+
+def with_readings(words: bool = False, **read: np.ndarray) -> Record:
+    """The record with other readings of some sensors; without recorder words, whose spans need not hold them."""
+    columns = {s.column: read[s.name] for s in TILE.sensors if s.name in read}
+    record = replace(TILE, thermocouples={**TILE.thermocouples, **columns})
+    return record if words else with_sensors(record, {s.name: {"bits": None, "range_K": None} for s in TILE.sensors})
+
+
+def with_sensors(record: Record, changed: dict[str, dict[str, object]]) -> Record:
+    sensors = [s.model_copy(update=changed.get(s.name, {})) for s in record.sensors]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+
+
+def found_in(record: Record) -> list[ChangeFit]:
+    base = base_trial(estimate([record]))
+    return fit_changes(base, sensor_changes(base))
+
+
+def stuck() -> np.ndarray:
+    at = int(np.searchsorted(TIME_S, 230.0))
+    return np.where(TIME_S < 230.0, READ["LS_surface"], READ["LS_surface"][at])
+
+
+@pytest.mark.parametrize(
+    ("record", "what"),
+    [
+        (with_readings(LS_surface=READ["LS_bond"], LS_bond=READ["LS_surface"]), "LS_surface and LS_bond swapped"),
+        (with_readings(LS_surface=READ["LS_surface"] - 273.15), "LS_surface in degC, read as K"),
+        (
+            with_readings(LS_surface=READ["LS_surface"] + 273.15, LS_bond=READ["LS_bond"] + 273.15),
+            "all thermocouples in K, read as degC",
+        ),
+        (with_readings(words=True, LS_surface=stuck()), "LS_surface stuck at"),
+        (
+            with_readings(words=True, LS_surface=np.minimum(READ["LS_surface"], 1092.0)),
+            "LS_surface clipped at 1092 K, which is no declared end of its range",
+        ),
+        (with_readings(words=True, LS_bond=READ["LS_bond"] + 15.0 * np.sin(TIME_S / 97.0)), "LS_bond broken"),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "",
+)
+def test_a_wrong_thermocouple_is_recognised(record, what):
+    found = found_in(record)
+    assert what in found[0].describe()
+    assert found[0].delta_bic < found[1].delta_bic - 100.0 if len(found) > 1 else found[0].delta_bic < -100.0
+
+
+def test_a_drift_is_recognised_with_its_rate():
+    best = found_in(with_readings(words=True, LS_bond=READ["LS_bond"] + DRIFT_K_S * (TIME_S - TIME_S[0])))[0]
+    assert best.change.what == "drift of LS_bond"
+    assert best.value == pytest.approx(DRIFT_K_S, abs=4.0 * best.sigma)
+
+
+@pytest.mark.parametrize("sensor", [SURFACE, BOND], ids=lambda s: s.name)
+def test_a_depth_that_is_declared_wrong_by_two_millimetres_is_recognised(sensor):
+    wrong_m = 2e-3 if sensor is SURFACE else -2e-3
+    best = found_in(with_sensors(TILE, {sensor.name: {"depth_m": sensor.depth_m + wrong_m}}))[0]
+    assert best.change.what == f"depth of {sensor.name}"
+    assert best.value == pytest.approx(-wrong_m, abs=3e-4)  # through a layer of adhesive, nearly isothermal
+
+
+@pytest.mark.parametrize("name", ["p06", "p08"])
+def test_a_record_with_sound_thermocouples_has_no_other_ones(name):
+    record = load_record(PRACTICE / name)
+    assert all(f.delta_bic > -5.0 for f in found_in(record))
+
+
+def test_an_unknown_effect_is_no_broken_thermocouple():
+    unknown = load_record(PRACTICE / "p02")  # a sine of the heating ratio: 90 times the noise
+    base = base_trial(estimate([unknown]))
+    assert not [c.what for c in sensor_changes(base) if "broken" in c.what or "swapped" in c.what]
