@@ -105,11 +105,11 @@ def exceeds(after: Mapping[str, float], other: Mapping[str, float]) -> bool:
 
 def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
     """The search with the candidates of one effect alone, its best form fitted to convergence."""
-    from sim_heating.closure.search.candidates import LAG_EFFECT, SENSOR_EFFECT
     from sim_heating.closure.search.hypothesis import Conclusion, hypothesis
     from sim_heating.closure.search.refine import refine
     from sim_heating.closure.search.search import search_round
-    from sim_heating.closure.search.trial_fit import base_trial
+    from sim_heating.closure.search.trials.candidates import LAG_EFFECT, SENSOR_EFFECT
+    from sim_heating.closure.search.trials.trial_fit import base_trial
     from sim_heating.heating.effects import effects
 
     others = {*effects(), SENSOR_EFFECT, LAG_EFFECT} - {effect}

@@ -25,7 +25,7 @@ from sim_heating.closure.report import CandidateScore, Closure, Finding, false_a
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
-from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
+from sim_heating.closure.search.trials.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
 from sim_heating.closure.table_prior.prior import table_prior

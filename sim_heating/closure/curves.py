@@ -14,10 +14,10 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import write_csv
-from sim_heating.closure.search.candidates import Candidate, candidates
 from sim_heating.closure.search.ranking import delta_bic
-from sim_heating.closure.search.screening import fit_in_stages, predicted_gains
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains
+from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     fitted_values,
     held_out_problem_with,

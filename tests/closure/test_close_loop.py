@@ -22,10 +22,10 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import files_written
 from sim_heating.cli import cli
 from sim_heating.closure.close import FILES, close_loop
-from sim_heating.closure.search.candidates import candidates
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.search import search_effects, search_round
-from sim_heating.closure.search.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
+from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record

@@ -9,7 +9,7 @@ import pytest
 
 from sim_heating.base.files import read_csv_columns
 from sim_heating.closure.curves import curve_of, curve_trials, curve_words, write_curve
-from sim_heating.closure.search.trial_fit import base_trial, declared_fit, fitted_effects
+from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, fitted_effects
 from sim_heating.heating.effects import use
 from sim_heating.heating.effects.curve import TIME, VALUES
 from sim_heating.inputs.record import load_record

@@ -11,8 +11,13 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search import flight_changes as flight
-from sim_heating.closure.search.record_change import ChangeFit, RecordChange, fit_changes, predicted_change_gains
-from sim_heating.closure.search.trial_fit import TrialFit, base_trial
+from sim_heating.closure.search.changes.record_change import (
+    ChangeFit,
+    RecordChange,
+    fit_changes,
+    predicted_change_gains,
+)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, load_record

@@ -7,7 +7,7 @@ import pytest
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
-from sim_heating.closure.search.flight_changes import density_layer, velocity_drift
+from sim_heating.closure.search.changes.flight_changes import density_layer, velocity_drift
 from sim_heating.inputs.record import load_record
 from tests.support.paths import PRACTICE, RECORDS
 from tests.support.walls import practice_record

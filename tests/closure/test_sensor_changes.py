@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.record_change import ChangeFit, fit_changes
-from sim_heating.closure.search.sensor_changes import sensor_changes
-from sim_heating.closure.search.trial_fit import base_trial
+from sim_heating.closure.search.changes.record_change import ChangeFit, fit_changes
+from sim_heating.closure.search.changes.sensor_changes import sensor_changes
+from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import Record, load_record
 from tests.support.paths import PRACTICE

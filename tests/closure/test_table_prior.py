@@ -12,7 +12,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.table_candidates import table_candidates, table_finding
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     TrialFit,
     base_trial,

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.record_change import fit_changes
-from sim_heating.closure.search.trial_fit import TrialFit, base_trial
-from sim_heating.closure.search.wall_changes import layer_changes, material_changes, wall_changes
+from sim_heating.closure.search.changes.record_change import fit_changes
+from sim_heating.closure.search.changes.wall_changes import layer_changes, material_changes, wall_changes
+from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.estimation.filter.innovations import Innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.fit import estimate

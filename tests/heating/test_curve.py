@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from sim_heating.base.errors import InputError
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.curve import KNOTS, VALUES, VARIABLES, curve_band
 from sim_heating.inputs.points import conditions_of_record

@@ -17,7 +17,7 @@ from benchmarks.draw_effects import page
 from benchmarks.verification.exact import SIGMA
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import EFFECT_SLOTS
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.heating import flight_variables

@@ -10,7 +10,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import (

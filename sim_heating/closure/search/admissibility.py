@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
-from sim_heating.closure.search.candidates import Candidate
-from sim_heating.closure.search.trial_fit import TrialFit, fitted_values
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects

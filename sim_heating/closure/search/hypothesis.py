@@ -17,10 +17,10 @@ import numpy as np
 
 from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, SETTLED, objections
+from sim_heating.closure.search.changes.record_change import ChangeFit
 from sim_heating.closure.search.ranking import model_bic, prior_penalty
-from sim_heating.closure.search.record_change import ChangeFit
 from sim_heating.closure.search.table_candidates import TABLE
-from sim_heating.closure.search.trial_fit import TrialFit, sample_count
+from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.inference.newton import Status
 
 MIN_BIC_GAIN = 10.0

@@ -21,8 +21,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, is_of_table, sample_count, table_log_prior
+from sim_heating.closure.search.trials.candidates import Candidate, Form
+from sim_heating.closure.search.trials.trial_fit import (
+    TrialFit,
+    fitted_values,
+    is_of_table,
+    sample_count,
+    table_log_prior,
+)
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.candidates import Candidate
 from sim_heating.closure.search.ranking import delta_bic
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     TrialFit,
     fitted_values,

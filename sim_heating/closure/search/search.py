@@ -22,8 +22,10 @@ import numpy as np
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.candidates import Candidate, candidates
-from sim_heating.closure.search.flight_changes import flight_changes
+from sim_heating.closure.search.changes.flight_changes import flight_changes
+from sim_heating.closure.search.changes.record_change import fit_changes, predicted_change_gains
+from sim_heating.closure.search.changes.sensor_changes import sensor_changes
+from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
     MIN_BIC_GAIN,
     Conclusion,
@@ -34,11 +36,11 @@ from sim_heating.closure.search.hypothesis import (
     scored,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
-from sim_heating.closure.search.record_change import fit_changes, predicted_change_gains
 from sim_heating.closure.search.refine import CONVERGE, Contender, refine
-from sim_heating.closure.search.screening import fit_in_stages, predicted_gains, select_candidates
 from sim_heating.closure.search.table_candidates import table_candidates
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains, select_candidates
+from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     base_trial,
     declared_fit,
@@ -48,7 +50,6 @@ from sim_heating.closure.search.trial_fit import (
     sample_count,
     start_values,
 )
-from sim_heating.closure.search.wall_changes import wall_changes
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
@@ -154,7 +155,7 @@ def _changes(
     """Hypotheses that the record's flight, wall or sensors are other than declared."""
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
-    changes = [*flight_changes(record, discrepancies), *wall_changes(record)]
+    changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     predicted = [gain for gain, _ in predicted_change_gains(base, changes)]
     least = CHANGE_SHARE * max([best, *predicted])

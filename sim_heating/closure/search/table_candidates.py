@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from sim_heating.base.parameters import MODEL
-from sim_heating.closure.search.candidates import Candidate
-from sim_heating.closure.search.trial_fit import TrialFit, fitted_values, is_of_table
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, is_of_table
 from sim_heating.closure.table_prior.findings import TableFinding, table_error
 from sim_heating.closure.table_prior.prior import undeclared_derivatives
 from sim_heating.estimation.inference.observability import constant_variables, default_names

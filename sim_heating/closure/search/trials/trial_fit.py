@@ -19,7 +19,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
-from sim_heating.closure.search.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.table_prior.prior import table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import FitResult, estimate, lag1_autocorrelation, predict_fit, rms_normalised_residual
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings

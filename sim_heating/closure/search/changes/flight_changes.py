@@ -22,7 +22,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy
-from sim_heating.closure.search.record_change import RecordChange
+from sim_heating.closure.search.changes.record_change import RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
 from sim_heating.inputs.record import Record

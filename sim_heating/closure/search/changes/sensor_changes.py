@@ -27,8 +27,8 @@ from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.fit_checks import CONTRADICTION_FLOORS, MAX_OMITTED
 from sim_heating.closure.record_checks import AT_NOISE
-from sim_heating.closure.search.record_change import RecordChange
-from sim_heating.closure.search.trial_fit import TrialFit, sample_count
+from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.inference.likelihood import reading_intervals, scores
 from sim_heating.estimation.inference.observability import STUCK
 from sim_heating.estimation.problem import FitProblem

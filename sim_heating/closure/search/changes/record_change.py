@@ -22,9 +22,9 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.candidates import Candidate
-from sim_heating.closure.search.screening import GAIN_MARGIN, MIN_GAIN_SHARE
-from sim_heating.closure.search.trial_fit import QUICK, WIDENED, TrialFit, candidate_problem, sample_count
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE
+from sim_heating.closure.search.trials.trial_fit import QUICK, WIDENED, TrialFit, candidate_problem, sample_count
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation, Fit, iteration

@@ -14,8 +14,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import EFFECT_PREFIX
-from sim_heating.closure.search.candidates import Candidate, Form
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.candidates import Candidate, Form
+from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     TrialFit,
     candidate_problem,
