@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.candidates import candidates
+from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
