@@ -22,7 +22,7 @@ import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise, permutations
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -33,6 +33,9 @@ from benchmarks.closure import limits, proportion, rmse_K, search_of_effect
 from benchmarks.measure import Figure, save, table
 from sim_heating.base.errors import InputError
 from sim_heating.base.parallel import Job, run_batches
+
+if TYPE_CHECKING:
+    from sim_heating.closure.search.search import SearchResult
 
 SEED = 22
 SEEDS = 20
@@ -57,6 +60,9 @@ LIBRARY = {
     "radiative-conduction": ("cubic", "cubic-above"),
 }  # fmt: skip
 """Forms of the generator that the package has, by effect."""
+REFUSED = {"finding": "refused", "alternatives": [], "probability": 0.0, "calibrated": False, "not_effects": [],
+           "p_value": None, "converged": True}  # fmt: skip
+"""What is kept of a record that is not read."""
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Limits of the probabilities that are counted together."""
 
@@ -120,9 +126,9 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
         record = load_record(directory)
         loop = close_loop(record)
     except InputError as refusal:
-        return row | stated({}) | {"finding": "refused", "message": str(refusal), "cpu_s": time.process_time() - begun}
+        return row | REFUSED | {"message": str(refusal), "cpu_s": time.process_time() - begun}
     report = closure_json(loop.report)
-    row |= stated(report) | {"cpu_s": time.process_time() - begun}
+    row |= stated(report) | used_for_probability(loop.search) | {"cpu_s": time.process_time() - begun}
     after = {part: e["rmse_K"] for part, e in report["after"].items() if e}
     row["after_K"] = after
     truth = row.get("true_rmse_K", {})
@@ -134,22 +140,32 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def stated(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The statements of a closure report that are judged; of closure-report/1 what it has of them."""
-    effect = report.get("effect", {"name": "none", "posterior": 0.0})
-    names = [e["name"] for e in report.get("effects", [effect])]
-    plain = {"none": "none", "unknown": "unknown"}.get(names[0], "found")
-    adequacy = report.get("adequacy") or {}
+    """The statements of a closure report that are judged; its posterior where no probability is calibrated."""
+    adequacy, probability = report["adequacy"] or {"p_value": None}, report["probability"]
     return {
-        "finding": report.get("finding", plain),
-        "alternatives": report.get("alternatives", [[name] for name in names if name not in ("none", "unknown")]),
-        "probability": report.get("probability", effect["posterior"]),
-        "not_effects": [
-            {key: entry[key] for key in ("kind", "what", "probability") if key in entry}
-            for entry in report.get("not_effects", [])
-        ],
-        "p_value": adequacy.get("p_value"),
-        "converged": report.get("converged", True),
+        "finding": report["finding"],
+        "alternatives": report["alternatives"],
+        "probability": report["effect"]["posterior"] if probability is None else probability,
+        "calibrated": probability is not None,
+        "not_effects": [{"kind": entry["kind"], "what": entry["what"]} for entry in report["not_effects"]],
+        "p_value": adequacy["p_value"],
+        "converged": report["converged"],
     }
+
+
+def used_for_probability(found: SearchResult) -> dict[str, Any]:
+    """What a calibration of the probability may use; causes that are no effect, in words, by kind."""
+    conclusion = found.conclusion
+    causes = {h.names[0]: h.kind for h in found.hypotheses if h.kind not in ("", "effect")}
+    kinds = {h.change.describe(): h.kind for h in found.hypotheses if h.change is not None}
+    return {
+        "rival": conclusion.rival, "explained": conclusion.explained, "statistic": conclusion.best.adequacy.statistic,
+        "none_statistic": found.none.adequacy.statistic, "kinds": causes | kinds,
+        "hypotheses": [
+            [" + ".join(h.names), h.score, h.excess_chi2, h.adequacy.statistic, list(h.objections)]
+            for h in found.hypotheses[:5]
+        ],
+    }  # fmt: skip
 
 
 def bic_of_truth_above(record: Any, answer: Mapping[str, Any], found: Any, problem: Any) -> float | None:
@@ -200,26 +216,44 @@ def explains(sets: Sequence[Sequence[str]], truth: Sequence[Sequence[str]]) -> b
     return False
 
 
+def things(row: Mapping[str, Any]) -> list[list[str]]:
+    """What is named: each set of names that cannot be told apart; a cause that is no effect is `kind:` and its kind."""
+    kinds = row.get("kinds", {})
+
+    def name(word: str) -> str:
+        return word if word in LIBRARY else f"kind:{kinds.get(word, 'table')}"
+
+    sets = [[name(word) for word in words] for words in row["alternatives"]] if row["finding"] in NAMED else []
+    said = {word for words in sets for word in words}
+    for kind in dict.fromkeys(f"kind:{entry['kind']}" for entry in row["not_effects"]):
+        if kind not in said:
+            sets.append([kind])
+    return sets
+
+
+def truth_of(row: Mapping[str, Any]) -> list[list[str]]:
+    """For each thing that is true the names that count as right; a table's error has to be named."""
+    if row["class"] not in KINDS:
+        return list(row["accepted"])
+    own = [name for name in row["accepted"][0] if row["class"] != "table" or name != "none"]
+    return [[f"kind:{row['kind']}", *own]]
+
+
 def verdict(row: Mapping[str, Any]) -> str:
     """`right`, `undecided` (unknown, partly), `missed` (none where something is) or `wrong`."""
-    finding, kinds = row["finding"], {entry["kind"] for entry in row["not_effects"]}
-    sets = row["alternatives"] if finding in NAMED else []
-    truth = row["accepted"]
-    undecided = finding in ("unknown", "partly")
-    if finding == "refused":
+    found, truth = things(row), truth_of(row)
+    if row["finding"] == "refused":
         return "right" if row["class"] == "sensor" else "wrong"
+    undecided = row["finding"] in ("unknown", "partly")
     if row["class"] == "unknown":
-        right = undecided or ("none" in truth[0] and not sets and not kinds)
-    elif row["class"] in KINDS:
-        covered = explains(sets, truth) and bool(sets or row["class"] != "table")
-        right = covered and not undecided if row["kind"] not in kinds or sets else kinds == {row["kind"]}
+        right = undecided or ("none" in truth[0] and not found)
     else:
-        right = not kinds and not undecided and explains(sets, truth)
+        right = not undecided and explains(found, truth)
     if right:
         return "right"
     if undecided:
         return "undecided"
-    return "wrong" if sets or kinds else "missed"
+    return "wrong" if found else "missed"
 
 
 def is_right(row: Mapping[str, Any]) -> bool:
@@ -234,16 +268,16 @@ def is_tie(row: Mapping[str, Any]) -> bool:
 
 
 def beside(row: Mapping[str, Any]) -> bool:
-    """Whether something is named next to the truth that is not there."""
-    sets = row["alternatives"] if row["finding"] in NAMED else []
-    names = {name for accepted in row["accepted"] for name in accepted}
-    return any(not set(found) & names for found in sets) or len(sets) > max(len(row["accepted"]), 0)
+    """Whether something is named that is not there."""
+    names = {name for accepted in truth_of(row) for name in accepted}
+    found = things(row)
+    return len(found) > len(truth_of(row)) or any(not set(words) & names for words in found)
 
 
 def false_aerothermal(row: Mapping[str, Any]) -> bool:
     """Whether a fault is stated as an effect that does not report it, by a model that is called adequate."""
     adequate = row["p_value"] is None or row["p_value"] > ADEQUATE
-    return row["finding"] in NAMED and adequate and not explains(row["alternatives"], row["accepted"])
+    return row["finding"] in NAMED and adequate and beside(row)
 
 
 def in_library(row: Mapping[str, Any]) -> bool:

@@ -346,7 +346,7 @@ def _oscillation(history: History, form: str, p: Parameters) -> Deviation:
     return Deviation(multiply=1.0 + p["amplitude"] * np.sin(2.0 * np.pi * t / period * faster + p["phase"]))
 
 
-AROUND_1 = {"factor": (1.0, 0.4, 2.5)}
+AROUND_1 = {"factor": (1.0, 0.5, 2.0)}
 AMPLITUDE = {"amplitude": (0.0, 0.0, 0.45)}
 
 FAULTS: dict[str, tuple[Family, ...]] = {

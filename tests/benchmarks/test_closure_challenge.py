@@ -58,6 +58,7 @@ def test_each_set_holds_a_true_effect_and_each_true_effect_is_in_one(sets, truth
         (row("wall", [[]], "unknown"), "undecided"),
         (row("wall", [[]], "found", alternatives=[["moisture"]]), "wrong"),
         (row("wall", [[]], "found", alternatives=[["moisture"]], not_effects=kinds("wall")), "wrong"),
+        (row("wall", [[]], "found", alternatives=[["skin"]], kinds={"skin": "wall"}), "right"),
         (row("wall", [["heat-capacity"]], "found", alternatives=[["heat-capacity"]]), "right"),
         (row("flight", [["none"]]), "right"),
         (row("flight", [["time-skew"]], "found", alternatives=[["time-skew"]]), "right"),
@@ -75,12 +76,20 @@ def test_verdict(stated_row, expected):
     assert verdict(stated_row) == expected
 
 
-def test_an_earlier_report_states_its_effects_one_by_one_with_their_posterior():
-    effects = [{"name": "catalysis", "posterior": 0.9}, {"name": "emissivity", "posterior": 0.8}]
-    found = stated({"effect": effects[0], "effects": effects})
-    assert (found["finding"], found["alternatives"]) == ("found", [["catalysis"], ["emissivity"]])
-    assert found["probability"] == 0.9
-    assert stated({"effect": {"name": "unknown", "posterior": 1.0}})["alternatives"] == []
+def test_a_report_without_a_calibration_states_its_posterior():
+    effect = {"name": "catalysis", "posterior": 0.9}
+    report = {"finding": "found", "alternatives": [["catalysis"]], "effect": effect, "adequacy": {"p_value": 0.3},
+              "probability": None, "not_effects": [], "converged": True}  # fmt: skip
+    assert (stated(report)["probability"], stated(report)["calibrated"]) == (0.9, False)
+    assert stated(report | {"probability": 0.7})["probability"] == 0.7
+
+
+def test_a_set_of_a_cause_and_an_effect_holds_the_truth_where_either_is_true():
+    words = "thickness of layer skin"
+    both = {"alternatives": [["heat-capacity", words]], "kinds": {words: "wall"}, "not_effects": kinds("wall")}
+    assert verdict(row("wall", [[]], "one of", **both)) == "right"
+    assert verdict(row("one", [["heat-capacity"]], "one of", **both)) == "right"
+    assert verdict(row("sensor", [[]], "one of", **both)) == "wrong"
 
 
 def test_a_share_of_the_set_has_that_share_of_every_class():
