@@ -151,3 +151,16 @@ def test_an_estimate_that_returns_to_its_table_gains_the_prior_density() -> None
     assert away == pytest.approx(expected)
     returned = replace(base.fit, values=np.zeros_like(base.fit.values))
     assert delta_bic(base, returned, base.candidate, 1.0) == pytest.approx(2.0 * away)
+
+
+def test_what_is_missing_does_not_drive_the_base_away_from_its_table() -> None:
+    """A transition of a factor 3 leaves residuals of many noise levels, which flat priors fit with no table.s slopes."""
+    declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0], "beta_deg": [-4.0, 4.0]}, sigma=0.1)
+    transition = use("transition", {"log10_re_onset": 6.0, "alpha_sens": 0.03, "width": 0.03, "factor": 3.0})
+    before = declared_fit(record_with([transition], 4, declared=declared)[0])
+    base = base_trial(before)
+    assert base.excess_chi2 > 100.0
+    wide = {p.name: p.sigma for p in base.problem.parameters if p.name.startswith("ratio.")}
+    far = max(abs(before.parameters[n][0]) / s for n, s in wide.items() if n in before.parameters)
+    near = max(abs(fitted_values(base)[n]) / s for n, s in wide.items())
+    assert near < 3.0 < far

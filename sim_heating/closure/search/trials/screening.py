@@ -76,8 +76,8 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
         # a parameter of the base that a candidate frees of its prior is the candidate's own
         inner = [k for k, n in enumerate(part.names) if n not in part.sensor_names and n not in candidate.active]
         prior = _KnownPart(known[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
-        reached = _predicted_likelihood(problem, first, prior, scored) if done else -np.inf
-        gains.append(min(reached - base.fit.log_likelihood, limit))
+        begin, reached = _predicted_likelihoods(problem, first, prior, scored) if done else (-np.inf, -np.inf)
+        gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))
     return gains
 
 
@@ -85,7 +85,8 @@ def _largest_gain(base: TrialFit) -> float:
     """Gain in log likelihood of a model that leaves noise alone: more is predicted only beyond the linear range.
 
     A declared transition is started from onsets all over the flight, where it may change temperatures by hundreds of
-    kelvin; the prediction of such a start knows no bounds.
+    kelvin; the prediction of such a start knows no bounds. What a start loses is taken off as well, so that of many
+    such starts those near the readings are fitted.
     """
     return max(0.5 * sample_count(base.problem) * base.excess_chi2, 0.0) + GAIN_MARGIN
 
@@ -110,8 +111,10 @@ class _ScoreCache(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]])
         return self[key]
 
 
-def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: _KnownPart, scored: _ScoreCache) -> float:
-    """Log likelihood after a Gauss-Newton step, and what the base gains of its prior density by that step."""
+def _predicted_likelihoods(
+    problem: FitProblem, first: FloatArray, known: _KnownPart, scored: _ScoreCache
+) -> tuple[float, float]:
+    """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
     channel_scores = [scored.score(s) for s in channels]
     score, weight = np.concatenate([f[1] for f in channel_scores]), np.concatenate([f[2] for f in channel_scores])
@@ -126,7 +129,8 @@ def _predicted_likelihood(problem: FitProblem, first: FloatArray, known: _KnownP
     count = len(known.prior_information)
     M[range(count), range(count)] += known.prior_information
     g[:count] += known.prior_information * known.to_mean
-    return sum(f[0] for f in channel_scores) + predicted_gain(g, covariance(M))
+    begin = sum(f[0] for f in channel_scores)
+    return begin, begin + predicted_gain(g, covariance(M))
 
 
 def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:

@@ -40,6 +40,9 @@ WIDENED = 3.0
 of the declared table, which are part of the model."""
 OF_TABLE = tuple(p.name for p in RATIO)
 """Magnitude and derivatives: parameters that a declared table has a prior for."""
+CHI2_ROUNDS, CHI2_CHANGE = 3, 1.2
+"""Most fits of the base with the reduced chi-square of the one before, and the factor by which it has to grow for
+another."""
 NODE_FRACTION, MIN_NODES = 1.0 / 3.0, 14
 """Nodes of the search over those of a fit, and their least number."""
 QUICK = NewtonSettings(
@@ -120,12 +123,22 @@ def declared_fit(record: Record) -> FitResult:
 def base_trial(before: FitResult) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
-    Magnitude and derivatives have the prior of the declared table, as wide as it is.
+    Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
+
+        log L / c + log p
+
+    with c its own reduced chi-square, at least 1: where something is missing, every reading counts as less than it
+    would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
+    derivatives of a table into ones that no table has, from where no candidate finds its way.
     """
     whole = before.problem.record_fits[0]
     prior = table_prior(whole.record, whole.names, before.problem.reference)
     priors = {} if prior is None else prior.parameters()
-    start = {**dict(zip(whole.names, before.fit.values, strict=True)), CLOCK_SKEW.name: 0.0}
+    declared = {**{n: p.value for n, p in priors.items()}, CLOCK_SKEW.name: 0.0}
+    # Far from the truth a fit with flat priors may end anywhere, and what it ends at is no place to start from.
+    start = (dict(zip(whole.names, before.fit.values, strict=True)) if before.fit.converged else {}) | {
+        CLOCK_SKEW.name: 0.0
+    }
     fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
     thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
@@ -133,8 +146,9 @@ def base_trial(before: FitResult) -> TrialFit:
     thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = _thinning_error(full, thinned, start)
 
-    def problem_over(chosen: NDArray[np.bool_]) -> FitProblem:
-        problem = _declared_problem(before, thin, priors, chosen, **THINNED_STEPS)
+    def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
+        weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
+        problem = _declared_problem(before, thin, weighed, chosen, **THINNED_STEPS)
         part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
         return problem
@@ -144,7 +158,17 @@ def base_trial(before: FitResult) -> TrialFit:
         held_out_problem = problem_over(held_out) if np.any(held_out) else None
     except InputError:  # nothing was measured there
         held_out_problem = None
-    fit = maximise_together([problem], [start_values(problem, start)], QUICK)[0]
+    fit, c = maximise_together([problem], [start_values(problem, start)], QUICK)[0], 1.0
+    for _ in range(CHI2_ROUNDS if priors else 0):
+        before_c, c = c, max(1.0, rms_normalised_residual(problem.samples(fit.values)) ** 2)
+        if c < CHI2_CHANGE * before_c:
+            break
+        weighed = problem_over(fitted, c)
+        at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
+        fit = maximise_together([weighed], [start_values(weighed, at)], QUICK)[0]
+    own = np.array([p.sigma**-2.0 for p in problem.parameters])
+    fit = replace(fit, prior_information=own, log_posterior=fit.log_likelihood)
+    fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
     return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
 
 
