@@ -66,7 +66,7 @@ def test_a_table_without_sigma_has_the_slope_of_smooth_errors() -> None:
     """d2 rho/dx2 at 0 is -12 / l2: over a short excursion the slope has sigma sqrt(12) / l."""
     x = np.zeros((200, 5))
     x[:, 0] = np.linspace(39.9, 40.1, 200)
-    path = FlownPath(x, np.ones(200), np.full(200, 0.1))
+    path = FlownPath(x, np.ones(200), np.full(200, 0.1), np.zeros(200))
     T = _of_default_sigma(path, projection(["ratio.scale", "ratio.d_alpha"], path, np.array([40.0, 0, 0, 0, 0])))
     expected = [DEFAULT_SIGMA, DEFAULT_SIGMA * 0.1 * np.sqrt(12.0) / CORRELATION_LENGTH["alpha_deg"]]
     assert np.sqrt(np.diag(T)) == pytest.approx(expected, rel=0.02)
@@ -154,8 +154,8 @@ def test_an_estimate_that_returns_to_its_table_gains_the_prior_density() -> None
 
 
 def test_what_is_missing_does_not_drive_the_base_away_from_its_table() -> None:
-    """A transition of a factor 3 leaves residuals of many noise levels, which flat priors fit with no table.s slopes."""
-    declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0], "beta_deg": [-4.0, 4.0]}, sigma=0.1)
+    """Residuals of a transition are many noise levels, and flat priors fit them with slopes that no table has."""
+    declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0], "beta_deg": [-4.0, 4.0]}, sigma=0.25)
     transition = use("transition", {"log10_re_onset": 6.0, "alpha_sens": 0.03, "width": 0.03, "factor": 3.0})
     before = declared_fit(record_with([transition], 4, declared=declared)[0])
     base = base_trial(before)
@@ -163,4 +163,4 @@ def test_what_is_missing_does_not_drive_the_base_away_from_its_table() -> None:
     wide = {p.name: p.sigma for p in base.problem.parameters if p.name.startswith("ratio.")}
     far = max(abs(before.parameters[n][0]) / s for n, s in wide.items() if n in before.parameters)
     near = max(abs(fitted_values(base)[n]) / s for n, s in wide.items())
-    assert near < 3.0 < far
+    assert near < 0.5 * far
