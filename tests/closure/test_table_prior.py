@@ -11,23 +11,17 @@ import pytest
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.search import search_effects
-from sim_heating.closure.search.table_candidates import table_candidates, table_finding
 from sim_heating.closure.search.trials.trial_fit import (
-    QUICK,
-    TrialFit,
     base_trial,
     declared_fit,
     fitted_values,
-    problem_with,
-    start_values,
     table_log_prior,
 )
-from sim_heating.closure.table_prior.findings import collinear_directions, table_findings
+from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
 from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.table_prior.prior import DEFAULT_SIGMA, _of_default_sigma, table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import joint_reference
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, correlation
@@ -88,14 +82,13 @@ def test_the_path_of_a_record_without_sigma_is_that_of_its_fitted_samples() -> N
 def test_a_wrong_alpha_derivative_is_named_with_its_value_and_a_right_table_is_not() -> None:
     declared = flown_with({"alpha_deg": ALPHA, "elevon_deg": [-10.0, 15.0]}, sigma=0.02)
     wanted, off = ["ratio.scale", "ratio.d_alpha"], 6e-4
-    for error, count in ((off, 1), (0.0, 0)):
-        record = record_with([], 4, declared=declared, ratio__d_alpha=error)[0]
-        fit = estimate([record], wanted)
-        found = table_findings(fit, table_prior(record, wanted, fit.problem.reference))
-        assert len(found) == count
-    record = record_with([], 4, declared=declared, ratio__d_alpha=off)[0]
-    fit = estimate([record], wanted)
-    first = table_findings(fit, table_prior(record, wanted, fit.problem.reference))[0]
+    wrong, right = (
+        table_findings(fit, table_prior(record, wanted, fit.problem.reference))
+        for record in (record_with([], 4, declared=declared, ratio__d_alpha=error)[0] for error in (off, 0.0))
+        for fit in [estimate([record], wanted)]
+    )
+    assert right == []
+    (first,) = wrong
     value, sigma = first.parameters["ratio.d_alpha"]
     assert value == pytest.approx(off, abs=4.0 * sigma)
     assert first.what.startswith("the table's alpha derivative is too low by 0.0006/deg")
@@ -128,18 +121,17 @@ def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_e
     assert values["effect.impingement-onset.alpha_onset_deg"] == pytest.approx(42.0, abs=0.5)
 
 
-def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_a_candidate_that_explains_it() -> None:
+def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_found_as_an_error_of_the_table() -> None:
     declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0]}, sigma=0.25)
-    base = base_trial(declared_fit(record_with([], 4, declared=declared, ratio__d_elevon=5e-4)[0]))
-    candidate = next(c for c in table_candidates(base) if c.names == ("ratio.d_elevon",))
-    problem = problem_with(base, candidate)
-    fit = maximise_together([problem], [start_values(problem, fitted_values(base))], QUICK)[0]
-    trial = TrialFit("table", candidate, problem, None, fit)
-    assert delta_bic(base, fit, candidate, 1.0) < -100.0
-    assert trial.excess_chi2 == pytest.approx(0.0, abs=0.15)
-    value, sigma = table_finding(base, trial).parameters["ratio.d_elevon"]
-    assert value == pytest.approx(5e-4, abs=4.0 * sigma)
-    assert "the table's elevon derivative is too low by 0.0005/deg" in table_finding(base, trial).what
+    found = search_effects(record_with([], 4, declared=declared, ratio__d_elevon=5e-4)[0])
+    best = found.conclusion.best
+    assert best.kind == "table"
+    value, sigma = (
+        fitted_values(best.last)["ratio.d_elevon"],
+        dict(zip(best.last.fit.names, best.last.fit.sigma, strict=True)),
+    )
+    assert value == pytest.approx(5e-4, abs=4.0 * sigma["ratio.d_elevon"])
+    assert table_error("ratio.d_elevon", value) == f"the table's elevon derivative is too low by {value:.2g}/deg"
 
 
 def test_an_estimate_that_returns_to_its_table_gains_the_prior_density() -> None:

@@ -7,12 +7,9 @@ not taken for an effect, and what an effect explains better is not taken for a w
 
 from __future__ import annotations
 
-import math
-
 from sim_heating.base.parameters import MODEL
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, is_of_table
-from sim_heating.closure.table_prior.findings import TableFinding, table_error
 from sim_heating.closure.table_prior.prior import undeclared_derivatives
 from sim_heating.estimation.inference.observability import constant_variables, default_names
 
@@ -36,18 +33,3 @@ def table_candidates(base: TrialFit) -> list[Candidate]:
         Candidate(TABLE, (), (n,), {n: values.get(n, 0.0)}, active=(n,), with_prior=(), priors={n: MODEL[n]})
         for n in (*(n for n in excluded if n not in constant), *off)
     ]
-
-
-def table_finding(base: TrialFit, trial: TrialFit) -> TableFinding:
-    """What a fitted candidate of the table says, in words with its value and sigma.
-
-    base  : the model without it, whose prior it is measured by;  trial : fitted on top of that
-    """
-    (name,) = trial.candidate.names
-    value, sigma = fitted_values(trial)[name], dict(zip(trial.fit.names, trial.fit.sigma, strict=True))[name]
-    prior = {p.name: p for p in base.problem.parameters}.get(name)
-    declared = math.inf if prior is None else prior.sigma
-    # a table that excludes a derivative states no width: it is off by the sigmas of its estimate
-    sigmas = abs(value) / (math.hypot(declared, sigma) if math.isfinite(declared) else sigma)
-    text = table_error(name, value, sigmas if math.isfinite(declared) else None)
-    return TableFinding(text, {name: (value, float(sigma))}, sigmas, math.erfc(sigmas / math.sqrt(2.0)))
