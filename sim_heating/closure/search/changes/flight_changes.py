@@ -27,6 +27,9 @@ from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
 from sim_heating.inputs.record import Record
 
+Span = tuple[float, float]
+"""Lower and upper end of a range of times [s] or altitudes [m]."""
+EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
 ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack")
@@ -35,6 +38,8 @@ SHIFT = Parameter("skew_s", "s", 0.0, 2.0, -900.0, 900.0, "by how much the fligh
 velocity are usual, as is half a degree of angle of attack; clocks of two recorders are within seconds."""
 SHIFT_STARTS = (-300.0, -100.0, -30.0, -10.0, 10.0, 30.0, 100.0, 300.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
+ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets")
+"""Columns that a trajectory that is merged with them may be earlier or later than."""
 MIN_FLIGHT_M_S = 1000.0
 """A record whose velocity stays below is a ground test."""
 LAYERS, DRIFTS = 8, 6
@@ -42,6 +47,8 @@ LAYERS, DRIFTS = 8, 6
 tried."""
 SUSPECTED = 4
 """Contradictions within the conditions, the clearest ones, whose spans are tried."""
+THINNEST_M, BRIEFEST_S = 1000.0, 20.0
+"""Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
 HEATED = 0.15
 """Part of the largest heating of a cold wall above which a flight counts as heated."""
 
@@ -55,19 +62,21 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
     flown = record.conditions
     if flown["velocity_m_s"].max() < MIN_FLIGHT_M_S:
         return []
-    heated = _heated(flown)
+    heated, spans = _heated(flown), suspected[:SUSPECTED]
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
-    layers = [(d.lowest_m, d.highest_m) for d in suspected[:SUSPECTED]]
-    drifts = [(d.begin_s, d.end_s) for d in suspected[:SUSPECTED]]
-    layers += _parts(float(z.min()), float(z.max()), LAYERS)
-    drifts += _parts(float(t.min()), float(t.max()), DRIFTS)
+    z_span, t_span = (float(z.min()), float(z.max())), (float(t.min()), float(t.max()))
+    layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, LAYERS)
+    times = [(d.begin_s, d.end_s) for d in spans] + _parts(t_span, DRIFTS)
+    times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
     return [
         time_shift(),
+        trajectory_shift(),
         density_scale(),
         velocity_scale(),
         alpha_bias(),
-        *(density_layer(low, high) for low, high in layers if high > low),
-        *(velocity_drift(begin, end) for begin, end in drifts if end > begin),
+        *(density_layer(*span, z_span) for span in layers if span[1] - span[0] >= THINNEST_M),
+        *(velocity_drift(*span, t_span) for span in times),
+        *(velocity_excursion(*span, t_span) for span in times),
     ]
 
 
@@ -77,9 +86,9 @@ def _heated(flown: Conditions) -> BoolArray:
     return np.asarray(heating >= HEATED * heating.max())
 
 
-def _parts(low: float, high: float, count: int) -> list[tuple[float, float]]:
+def _parts(whole: Span, count: int) -> list[Span]:
     """Spans of one, two and four parts of a range that is divided into `count`, each beginning at every part."""
-    at = np.linspace(low, high, count + 1)
+    at = np.linspace(*whole, count + 1)
     return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
 
 
@@ -94,25 +103,38 @@ def time_shift() -> RecordChange:
     )
 
 
+def trajectory_shift() -> RecordChange:
+    """Velocity, altitude and air were earlier or later than stated, and the angles were not: two sources, merged."""
+
+    def describe(value: float) -> str:
+        return (
+            f"velocity, altitude and air {abs(value):.3g} s too {'early' if value > 0.0 else 'late'} against the angles"
+        )
+
+    what = "time of velocity, altitude and air against the angles"
+    return RecordChange("flight", what, SHIFT, shift_trajectory, describe, SHIFT_STARTS)
+
+
 def density_scale() -> RecordChange:
     """The density was another by a factor, along the whole flight."""
     what = "density of the flight conditions"
     return RecordChange("flight", what, DENSITY, lambda r, f: with_density(r, f), _scaled(what))
 
 
-def density_layer(low_m: float, high_m: float) -> RecordChange:
-    """The density was another by a factor between two altitudes [m]."""
+def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
+    """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in."""
 
     def apply(record: Record, factor: float) -> Record:
         z = record.conditions["altitude_m"]
         return with_density(record, np.where((z >= low_m) & (z <= high_m), factor, 1.0))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(density_layer(*span) for span in _moved_ends(low_m, high_m, fraction))
+        return tuple(
+            density_layer(*ends, within) for ends in _moved_ends((low_m, high_m), fraction, THINNEST_M, within)
+        )
 
     what = f"density between {low_m / 1e3:.1f} and {high_m / 1e3:.1f} km"
-    words = _scaled(what)
-    return RecordChange("flight", what, DENSITY, apply, words, form="layer of density", near=near)
+    return RecordChange("flight", what, DENSITY, apply, _scaled(what), form="layer of density", near=near)
 
 
 def velocity_scale() -> RecordChange:
@@ -121,19 +143,36 @@ def velocity_scale() -> RecordChange:
     return RecordChange("flight", what, VELOCITY, lambda r, f: with_velocity(r, f), _scaled(what))
 
 
-def velocity_drift(begin_s: float, end_s: float) -> RecordChange:
+def velocity_drift(begin_s: float, end_s: float, within: Span = EVERYWHERE) -> RecordChange:
     """The velocity drifts away between two times [s], and keeps the factor that it has at the second."""
+    shape = ([begin_s, end_s], [0.0, 1.0])
+    return _drift("drift of the velocity", ", at its end", velocity_drift, shape, within)
+
+
+def velocity_excursion(begin_s: float, end_s: float, within: Span = EVERYWHERE) -> RecordChange:
+    """The velocity drifts away between two times [s] and returns as evenly: an error that was corrected."""
+    shape = ([begin_s, 0.5 * (begin_s + end_s), end_s], [0.0, 1.0, 0.0])
+    return _drift("excursion of the velocity", ", at its largest", velocity_excursion, shape, within)
+
+
+def _drift(
+    name: str, where: str, form: Callable[[float, float, Span], RecordChange],
+    shape: tuple[list[float], list[float]], within: Span,
+) -> RecordChange:  # fmt: skip
+    """A factor of the velocity that changes along a span.
+
+    shape : times [s], and the part of the factor that holds then;  within : times that the ends may be moved in
+    """
+    begin_s, end_s = shape[0][0], shape[0][-1]
 
     def apply(record: Record, factor: float) -> Record:
-        drift = np.interp(record.conditions.time_s, [begin_s, end_s], [0.0, 1.0])
-        return with_velocity(record, 1.0 + (factor - 1.0) * drift)
+        return with_velocity(record, 1.0 + (factor - 1.0) * np.interp(record.conditions.time_s, *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(velocity_drift(*span) for span in _moved_ends(begin_s, end_s, fraction))
+        return tuple(form(*ends, within) for ends in _moved_ends((begin_s, end_s), fraction, BRIEFEST_S, within))
 
-    what = f"drift of the velocity from {begin_s:.0f} to {end_s:.0f} s"
-    words = _scaled(what, ", at its end")
-    return RecordChange("flight", what, VELOCITY, apply, words, form="drift of the velocity", near=near)
+    what = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
+    return RecordChange("flight", what, VELOCITY, apply, _scaled(what, where), form=name, near=near)
 
 
 def alpha_bias() -> RecordChange:
@@ -145,10 +184,13 @@ def alpha_bias() -> RecordChange:
     return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
 
 
-def _moved_ends(low: float, high: float, fraction: float) -> list[tuple[float, float]]:
-    """A span with either end moved by a fraction of its length."""
+def _moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
+    """A span with either end, or both, moved by a fraction of its length; not below a shortest one, and within limits."""
+    low, high = span
     by = fraction * (high - low)
-    return [(low - by, high), (low + by, high), (low, high - by), (low, high + by)]
+    moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
+    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
+    return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
 
 
 def _scaled(what: str, more: str = "") -> Callable[[float], str]:
@@ -173,6 +215,14 @@ def shift_conditions(record: Record, later_s: float) -> Record:
     at = np.clip(flown.time_s - later_s, flown.time_s[0], flown.time_s[-1])
     moved = {name: np.interp(at, flown.time_s, values) for name, values in flown.columns.items() if name != "time_s"}
     return replace(record, conditions=flown.with_columns(**moved))
+
+
+def shift_trajectory(record: Record, later_s: float) -> Record:
+    """The record with velocity, altitude and air of a flight that was later by some seconds, and the angles stated."""
+    flown, shifted = record.conditions, shift_conditions(record, later_s)
+    kept = {name: flown[name] for name in ANGLES if name in flown}
+    turned = _changed(shifted, {"alpha_deg": kept.pop("alpha_deg")})
+    return replace(turned, conditions=turned.conditions.with_columns(**kept))
 
 
 def with_density(record: Record, factor: FloatArray | float) -> Record:

@@ -376,8 +376,8 @@ def _with_best_ends(model: _ChangedModel, fit: Fit) -> tuple[_ChangedModel, Fit]
         moved = [] if best.change.near is None else list(best.change.near(fraction))
         models = [_model(model.base, change) for change in moved]
         predicted = [gain for gain, _ in _predicted(models, [at] * len(models))]
-        k = int(np.argmax(predicted))
-        if predicted[k] > reached:
+        k = int(np.argmax(predicted)) if models else 0
+        if models and predicted[k] > reached:
             best, reached = models[k], predicted[k]
     found = _maximise([best], [at])[0] if best is not model else fit
     return (best, found) if found.log_likelihood > fit.log_likelihood else (model, fit)
