@@ -10,7 +10,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search import flight_changes as flight
+from sim_heating.closure.search.changes import flight_changes as flight
 from sim_heating.closure.search.changes.record_change import (
     ChangeFit,
     RecordChange,

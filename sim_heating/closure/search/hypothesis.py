@@ -42,7 +42,8 @@ class Hypothesis:
                  model alone, or on a changed record, is the trial named `none`
     change     : of the record; None where it is as declared
     objections : why it may not be named, empty where it may
-    price      : of the number of forms tried of each of its effects, in units of BIC
+    price      : of the number of forms tried of each of its effects, and of what else speaks against it, in units of
+                 BIC
     score      : BIC with held-out segments, relative to the declared model, with the noise scale of the best
     """
 
@@ -111,10 +112,11 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
     return Hypothesis(tuple(trials), None, against, price)
 
 
-def change_hypothesis(fit: ChangeFit, tried: int) -> Hypothesis:
+def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -> Hypothesis:
     """The hypothesis that the record is changed.
 
-    tried : number of changes that were tried
+    tried          : number of changes that were tried
+    against_motion : what the motion of the flight says against the change, in units of BIC
     """
     against = []
     if fit.fit.status is not Status.CONVERGED and not fit.fit.predicted_gain < SETTLED:
@@ -126,7 +128,8 @@ def change_hypothesis(fit: ChangeFit, tried: int) -> Hypothesis:
         against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
     counted = 1 if fit.change.in_model else 0  # by the trial's own problem
     more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
-    return Hypothesis((fit.trial,), fit, tuple(against), 2.0 * float(np.log(max(tried, 1))) + more + fit.deviation**2)
+    price = 2.0 * float(np.log(max(tried, 1))) + more + fit.deviation**2 + against_motion
+    return Hypothesis((fit.trial,), fit, tuple(against), price)
 
 
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -22,8 +22,8 @@ import numpy as np
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.changes.flight_changes import flight_changes
-from sim_heating.closure.search.changes.record_change import fit_changes, predicted_change_gains
+from sim_heating.closure.search.changes.flight_changes import flight_changes, motion_evidence
+from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
@@ -121,7 +121,7 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(base, singles, discrepancies, progress)
+    found += _changes(record, base, singles, discrepancies, progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
         picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
@@ -150,18 +150,19 @@ def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
 
 
 def _changes(
-    base: TrialFit, singles: Sequence[Contender], discrepancies: Sequence[Discrepancy], progress: Progress
+    whole: Record,
+    base: TrialFit,
+    singles: Sequence[Contender],
+    discrepancies: Sequence[Discrepancy],
+    progress: Progress,
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared."""
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
     changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
-    predicted = [gain for gain, _ in predicted_change_gains(base, changes)]
-    least = CHANGE_SHARE * max([best, *predicted])
-    leading = sorted((k for k, gain in enumerate(predicted) if gain > least), key=lambda k: -predicted[k])
-    fits = fit_changes(base, [changes[k] for k in leading[:MOST_CHANGES]], best)
-    return [change_hypothesis(f, len(changes)) for f in fits]
+    fits = fit_changes(base, changes, best, share=CHANGE_SHARE, most=MOST_CHANGES)
+    return [change_hypothesis(f, len(changes), motion_evidence(whole, f)) for f in fits]
 
 
 def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:

@@ -21,8 +21,8 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.clues.flight_consistency import Discrepancy
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
+from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
 from sim_heating.inputs.record import Record
@@ -45,12 +45,35 @@ MIN_FLIGHT_M_S = 1000.0
 LAYERS, DRIFTS = 8, 6
 """Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
 tried."""
+MOTION = ("drag", "axial force", "path")
+"""Relations of the motion of a flight with its forces."""
 SUSPECTED = 4
 """Contradictions within the conditions, the clearest ones, whose spans are tried."""
 THINNEST_M, BRIEFEST_S = 1000.0, 20.0
 """Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
+SHARP_M = 1.0
+"""Thickness of the edges of a sharp layer [m]."""
 HEATED = 0.15
 """Part of the largest heating of a cold wall above which a flight counts as heated."""
+
+
+def motion_evidence(record: Record, fit: ChangeFit) -> float:
+    """What the motion of the flight says against a change of the record, in units of BIC; 0 for one of wall or sensors.
+
+        sum of n^2 over the discrepancies of the changed record, less that of the record as it is,
+
+    n sigmas each. Negative where a change resolves a discrepancy: the heating alone hardly tells a layer of density
+    from an error of the velocity, and the drag does. A density may be wrong with the temperature or with the pressure:
+    relations of the gas say nothing about a change of it.
+    record : the whole record, with all samples of its conditions
+    """
+    if fit.change.kind != "flight":
+        return 0.0
+    at_odds = [
+        sum(d.sigmas**2 for d in flight_discrepancies(r.conditions) if d.relation in MOTION)
+        for r in (fit.change.apply(record, fit.value), record)
+    ]
+    return at_odds[0] - at_odds[1]
 
 
 def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
@@ -66,6 +89,7 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
     z, t = flown["altitude_m"][heated], flown.time_s[heated]
     z_span, t_span = (float(z.min()), float(z.max())), (float(t.min()), float(t.max()))
     layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, LAYERS)
+    layers = [span for span in layers if span[1] - span[0] >= THINNEST_M]
     times = [(d.begin_s, d.end_s) for d in spans] + _parts(t_span, DRIFTS)
     times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
     return [
@@ -74,7 +98,8 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
         density_scale(),
         velocity_scale(),
         alpha_bias(),
-        *(density_layer(*span, z_span) for span in layers if span[1] - span[0] >= THINNEST_M),
+        *(density_layer(*span, z_span) for span in layers),
+        *(smooth_layer(*span, z_span) for span in layers),
         *(velocity_drift(*span, t_span) for span in times),
         *(velocity_excursion(*span, t_span) for span in times),
     ]
@@ -123,18 +148,31 @@ def density_scale() -> RecordChange:
 
 def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
     """The density was another by a factor between two altitudes [m]; within : altitudes that these may be moved in."""
+    edge = SHARP_M
+    shape = ([low_m - edge, low_m, high_m, high_m + edge], [0.0, 1.0, 1.0, 0.0])
+    return _layer("density between", "", density_layer, (low_m, high_m), shape, within)
+
+
+def smooth_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
+    """The density was another by a factor that rises and falls between two altitudes [m]; within : as above."""
+    shape = ([low_m, 0.5 * (low_m + high_m), high_m], [0.0, 1.0, 0.0])
+    return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, within)
+
+
+def _layer(
+    name: str, where: str, form: Callable[[float, float, Span], RecordChange], span: Span,
+    shape: tuple[list[float], list[float]], within: Span,
+) -> RecordChange:  # fmt: skip
+    """A factor of the density between two altitudes; shape : altitudes [m], and the part of the factor that holds."""
 
     def apply(record: Record, factor: float) -> Record:
-        z = record.conditions["altitude_m"]
-        return with_density(record, np.where((z >= low_m) & (z <= high_m), factor, 1.0))
+        return with_density(record, 1.0 + (factor - 1.0) * np.interp(record.conditions["altitude_m"], *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(
-            density_layer(*ends, within) for ends in _moved_ends((low_m, high_m), fraction, THINNEST_M, within)
-        )
+        return tuple(form(*ends, within) for ends in _moved_ends(span, fraction, THINNEST_M, within))
 
-    what = f"density between {low_m / 1e3:.1f} and {high_m / 1e3:.1f} km"
-    return RecordChange("flight", what, DENSITY, apply, _scaled(what), form="layer of density", near=near)
+    what = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
+    return RecordChange("flight", what, DENSITY, apply, _scaled(what, where), form=name, near=near)
 
 
 def velocity_scale() -> RecordChange:
@@ -185,7 +223,7 @@ def alpha_bias() -> RecordChange:
 
 
 def _moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
-    """A span with either end, or both, moved by a fraction of its length; not below a shortest one, and within limits."""
+    """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
     low, high = span
     by = fraction * (high - low)
     moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))

@@ -341,24 +341,35 @@ def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[
     return [(predicted[i][0] - base.fit.log_likelihood, models[i], vectors[i]) for _, i in sorted(best.items())]
 
 
-def fit_changes(base: TrialFit, changes: Sequence[RecordChange], best_gain: float = 0.0) -> list[ChangeFit]:
+def fit_changes(
+    base: TrialFit,
+    changes: Sequence[RecordChange],
+    best_gain: float = 0.0,
+    *,
+    share: float = MIN_GAIN_SHARE,
+    most: int | None = None,
+) -> list[ChangeFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
     base      : the model, fitted to the record as declared
-    best_gain : best gain in log likelihood that is known of other explanations [-]; changes that predict less than a
-                quarter of it, or of the best change, or less than their unknowns cost, are not fitted
+    best_gain : best gain in log likelihood that is known of other explanations [-]
+    share     : part of that gain, or of what the best change predicts, below which a change is not fitted; a quarter
+                for a change with ends, which gains more where they are moved. Nor is one that predicts less than its
+                unknowns cost
+    most      : how many are fitted, those that predict most; all by default
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
     predicted = _best_starts(base, changes)
-    n, least = sample_count(base.problem), MIN_GAIN_SHARE * max([best_gain, *(gain for gain, _, _ in predicted)])
+    n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        form = change.form or change.what
+        form, least = change.form or change.what, (share if change.near is None else MIN_GAIN_SHARE) * largest
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):
             best[form] = gain, model, start
+    best = dict(sorted(best.items(), key=lambda item: -item[1][0])[:most])
     models = [model for _, model, _ in best.values()]
     fits = _maximise(models, [start for _, _, start in best.values()])
     reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
