@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.candidates import candidates
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.refine import CONVERGE
-from sim_heating.closure.search.screening import predicted_gains
-from sim_heating.closure.search.trial_fit import (
+from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.screening import predicted_gains
+from sim_heating.closure.search.trials.trial_fit import (
     base_trial,
     declared_fit,
     fitted_values,
