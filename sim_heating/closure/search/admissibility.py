@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects
@@ -88,4 +88,18 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     if not np.all(np.isfinite(covariance)):
         return ["the record does not determine its magnitude"]
     distance = float(np.sqrt(max(off[free] @ np.linalg.pinv(covariance) @ off[free], 0.0)))
+    if candidate is trial.candidate:
+        distance = max(distance, _gain_sigmas(trial))
     return [] if distance >= MIN_SIGMAS else [f"its magnitude is {distance:.1f} standard deviations from none"]
+
+
+def _gain_sigmas(trial: TrialFit) -> float:
+    """Standard deviations that the likelihood gained by the last effect of a trial amounts to, sqrt(2 gain / c).
+
+    Where an onset and a rise above it change together, their bounds at the values found say little of how far these are
+    from none; what the likelihood loses there does.
+    """
+    if trial.delta_bic >= 0.0:
+        return 0.0
+    gained = len(trial.candidate.names) * float(np.log(sample_count(trial.problem))) - trial.delta_bic
+    return float(np.sqrt(max(gained, 0.0) / max(1.0, 1.0 + trial.excess_chi2)))
