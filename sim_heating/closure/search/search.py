@@ -23,7 +23,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.search.changes.flight_changes import flight_changes, motion_evidence
-from sim_heating.closure.search.changes.record_change import fit_changes
+from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
@@ -121,7 +121,7 @@ def search_effects(record: Record, *, progress: Progress = no_progress) -> Searc
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(record, base, singles, discrepancies, progress)
+    found += _changes(before, base, singles, discrepancies, progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
         picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
@@ -150,7 +150,7 @@ def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
 
 
 def _changes(
-    whole: Record,
+    before: FitResult,
     base: TrialFit,
     singles: Sequence[Contender],
     discrepancies: Sequence[Discrepancy],
@@ -161,7 +161,8 @@ def _changes(
     record = base.problem.record_fits[0].record
     changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
-    fits = fit_changes(base, changes, best, share=CHANGE_SHARE, most=MOST_CHANGES)
+    fits = recorrected(before, base, fit_changes(base, changes, best, share=CHANGE_SHARE, most=MOST_CHANGES))
+    whole = before.problem.record_fits[0].record
     return [change_hypothesis(f, len(changes), motion_evidence(whole, f)) for f in fits]
 
 

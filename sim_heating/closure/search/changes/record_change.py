@@ -24,13 +24,23 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE
-from sim_heating.closure.search.trials.trial_fit import QUICK, WIDENED, TrialFit, candidate_problem, sample_count
+from sim_heating.closure.search.trials.trial_fit import (
+    QUICK,
+    THINNED_STEPS,
+    WIDENED,
+    TrialFit,
+    candidate_problem,
+    fitted_values,
+    sample_count,
+    thinning_error,
+)
+from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation, Fit, iteration
-from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
-from sim_heating.estimation.side_by_side import JointMarch
+from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
@@ -39,6 +49,8 @@ ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 GROSS_EXCESS = 10.0
 """Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
+RECORRECTED = 3
+"""Leading changes that have the mesh correction of their own record."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
@@ -378,6 +390,38 @@ def fit_changes(
             models[k], fits[k] = _with_best_ends(model, fit)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted(found, key=lambda f: f.delta_bic)
+
+
+def recorrected(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
+    """Fits of changes, the leading ones without a parameter with the mesh correction of their own record.
+
+    before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
+    returns : the lowest BIC first; as given where the declared model is near the record
+
+    The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
+    """
+    if base.excess_chi2 < GROSS_EXCESS:
+        return list(fits)
+    leading = [f if f.change.parameter else _recorrected(before, f) for f in fits[:RECORRECTED]]
+    return sorted([*leading, *fits[RECORRECTED:]], key=lambda f: f.delta_bic)
+
+
+def _recorrected(before: FitResult, fit: ChangeFit) -> ChangeFit:
+    """The fit of a change without a parameter with the mesh correction of the changed record, fitted on from there."""
+    trial, part = fit.trial, fit.trial.problem.record_fits[0]
+    record = fit.change.apply(before.problem.record_fits[0].record, 0.0)
+    options = FitOptions(
+        priors=trial.problem.priors, prior_scale=WIDENED, sample_masks=[record.fit_mask() | record.holdout_mask()]
+    )
+    full = FitProblem([record], part.names, before.problem.reference, options)
+    thinned = FitProblem([part.record], part.names, before.problem.reference, replace(options, **THINNED_STEPS))
+    error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
+    for problem in (trial.problem, *([trial.held_out] if trial.held_out else [])):
+        own = problem.record_fits[0]
+        own.correction_K = error_K[:, np.isin(at_s, own.sample_s)]
+    again = maximise_together([trial.problem], [trial.fit.values], QUICK)[0]
+    delta = fit.delta_bic - 2.0 * (again.log_likelihood - fit.fit.log_likelihood)
+    return replace(fit, trial=replace(trial, fit=again, delta_bic=delta), fit=again, delta_bic=delta)
 
 
 def _with_best_ends(model: _ChangedModel, fit: Fit) -> tuple[_ChangedModel, Fit]:

@@ -144,7 +144,7 @@ def base_trial(before: FitResult) -> TrialFit:
     thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
     full = _declared_problem(before, whole.record, priors, fitted | held_out)
     thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
-    error_K, at_s = _thinning_error(full, thinned, start)
+    error_K, at_s = thinning_error(full, thinned, start)
 
     def problem_over(chosen: NDArray[np.bool_], c: float = 1.0) -> FitProblem:
         weighed = {n: replace(p, sigma=p.sigma / math.sqrt(c)) for n, p in priors.items()}
@@ -193,7 +193,7 @@ def _declared_problem(
     return problem
 
 
-def _thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """Correction of the thinned record: its prediction subtracted from that of the whole one, on a mesh without error.
 
     start   : values of the declared model by dotted name
