@@ -43,8 +43,8 @@ def in_thin_air() -> tuple[TrialFit, list[ChangeFit]]:
 
 
 def found(record: Record) -> list[ChangeFit]:
-    """All changes of the flight that promise something for a record, the best first."""
-    return fit_changes(base_trial(estimate([record])), flight.flight_changes(record))
+    """The changes of the flight that promise most for a record, the best first."""
+    return fit_changes(base_trial(estimate([record])), flight.flight_changes(record), most=3)
 
 
 def value_near(fit: ChangeFit, value: float) -> bool:
@@ -54,6 +54,12 @@ def value_near(fit: ChangeFit, value: float) -> bool:
 
 def test_a_clean_record_has_no_change_of_its_flight():
     assert fit_changes(declared(), flight.flight_changes(CLEAN)) == []
+
+
+def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
+    best = found(flight.shift_trajectory(CLEAN, -20.0))[0]
+    assert best.change.what == "time of velocity, altitude and air against the angles"
+    assert best.value == pytest.approx(20.0, abs=0.5)
 
 
 def test_a_flight_that_was_later_than_its_conditions_state():
@@ -133,6 +139,24 @@ def test_a_change_without_a_usual_scatter_is_refused():
 
 def test_a_ground_test_has_no_flight_to_change():
     assert flight.flight_changes(load_record(RECORDS / "kaowool_board")) == []
+
+
+def test_the_drag_tells_a_layer_of_density_from_an_error_of_the_velocity():
+    fits = in_thin_air()[1]
+    layer, excursion = flight.smooth_layer(62e3, 70e3), flight.velocity_excursion(650.0, 850.0)
+    recorded = layer.apply(CLEAN, 0.85)
+    evidence = [
+        flight.motion_evidence(recorded, replace(fits[0], change=change, value=value))
+        for change, value in ((layer, 1.0 / 0.85), (excursion, 1.03))
+    ]
+    assert evidence[0] < -10.0
+    assert evidence[1] > 10.0
+
+
+def test_the_motion_says_nothing_on_one_factor_of_all_density():
+    fit = in_thin_air()[1][0]
+    assert fit.change.what == "density of the flight conditions"
+    assert flight.motion_evidence(CLEAN, fit) == pytest.approx(0.0, abs=1e-6)
 
 
 # What follows from a changed column ----------------------------------------------------------------------------------

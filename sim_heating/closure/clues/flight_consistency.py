@@ -103,6 +103,27 @@ def flight_discrepancies(conditions: Conditions) -> list[Discrepancy]:
     return sorted(found, key=lambda d: -d.sigmas)
 
 
+def misfit_of_motion(conditions: Conditions) -> float:
+    """How badly the motion of a flight follows from the forces on it: minus twice a log likelihood, but for a constant.
+
+        sum of n ln(mean square of the deviations + e^2)   over drag, axial force and path,
+
+    normal deviations of unknown variance, n the number of times that their errors last in the flight, e the accuracy of
+    the relation. 0 for a ground test. A difference between two versions of one flight is a difference in BIC.
+    """
+    if np.count_nonzero(conditions["velocity_m_s"] > SLOWEST_M_S) < FEWEST:
+        return 0.0
+    flown, total = _evenly(conditions), 0.0
+    for relation in (r(flown) for r in MOTION):
+        if relation is not None and np.count_nonzero(relation.judged) >= FEWEST:
+            accuracy = relation.least / SIGMAS
+            weight = 1.0 / (1.0 + (relation.noise / accuracy) ** 2) * np.ones(len(flown))
+            square = float(np.mean((weight * relation.deviation**2)[relation.judged]))
+            lasting = np.count_nonzero(relation.judged) * float(flown.time_s[1] - flown.time_s[0]) / LASTING_S
+            total += float(lasting * np.log(square / accuracy**2 + 1.0))
+    return total
+
+
 def _evenly(conditions: Conditions) -> Conditions:
     """Conditions at even times, at the median interval of the samples but not below STEP_S."""
     t = conditions.time_s
@@ -280,6 +301,11 @@ RELATIONS: tuple[Callable[[Conditions], _Relation | None], ...] = (
     _gas, _hydrostatics, _mach, _reynolds, _enthalpy, _path, _drag, _axial,
 )  # fmt: skip
 """Relations between the columns of a flight."""
+
+
+MOTION = (_path, _drag, _axial)
+"""Those of the motion with the forces: a density may be wrong with the temperature or with the pressure, so that the
+relations of the gas do not judge it."""
 
 
 # Numerics ------------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
+from sim_heating.closure.clues.flight_consistency import Discrepancy, misfit_of_motion
 from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
@@ -45,8 +45,6 @@ MIN_FLIGHT_M_S = 1000.0
 LAYERS, DRIFTS = 8, 6
 """Parts of the heated descent, and of the heated time, at whose ends layers of density and drifts of velocity are
 tried."""
-MOTION = ("drag", "axial force", "path")
-"""Relations of the motion of a flight with its forces."""
 SUSPECTED = 4
 """Contradictions within the conditions, the clearest ones, whose spans are tried."""
 THINNEST_M, BRIEFEST_S = 1000.0, 20.0
@@ -60,20 +58,14 @@ HEATED = 0.15
 def motion_evidence(record: Record, fit: ChangeFit) -> float:
     """What the motion of the flight says against a change of the record, in units of BIC; 0 for one of wall or sensors.
 
-        sum of n^2 over the discrepancies of the changed record, less that of the record as it is,
-
-    n sigmas each. Negative where a change resolves a discrepancy: the heating alone hardly tells a layer of density
-    from an error of the velocity, and the drag does. A density may be wrong with the temperature or with the pressure:
-    relations of the gas say nothing about a change of it.
+    Negative where the motion follows from the forces better with the change. The heating alone hardly tells a layer of
+    density from an error of the velocity; the drag does.
     record : the whole record, with all samples of its conditions
     """
     if fit.change.kind != "flight":
         return 0.0
-    at_odds = [
-        sum(d.sigmas**2 for d in flight_discrepancies(r.conditions) if d.relation in MOTION)
-        for r in (fit.change.apply(record, fit.value), record)
-    ]
-    return at_odds[0] - at_odds[1]
+    changed = fit.change.apply(record, fit.value)
+    return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
 
 
 def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:

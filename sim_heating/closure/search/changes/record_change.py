@@ -368,7 +368,7 @@ def fit_changes(
     share     : part of that gain, or of what the best change predicts, below which a change is not fitted; a quarter
                 for a change with ends, which gains more where they are moved. Nor is one that predicts less than its
                 unknowns cost
-    most      : how many are fitted, those that predict most; all by default
+    most      : how many without ends are fitted, those that predict most; all by default
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
@@ -381,7 +381,8 @@ def fit_changes(
             form not in best or gain > best[form][0]
         ):
             best[form] = gain, model, start
-    best = dict(sorted(best.items(), key=lambda item: -item[1][0])[:most])
+    leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
+    best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
     fits = _maximise(models, [start for _, _, start in best.values()])
     reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
