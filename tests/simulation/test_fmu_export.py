@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -122,6 +123,22 @@ def test_parameters_do_what_they_do_in_the_simulator(fmus, vehicle, flown):
     with Host(fmus[3], {f"{p}.{name}": value for p in POINTS for name, value in changed.items()}) as host:
         found = fmu_temperatures(host, given)
     np.testing.assert_array_equal(found, plugin_temperatures(vehicle, given, parameters=changed))
+
+
+def test_a_thermocouple_lags_as_in_the_simulator(fmus, vehicle, flown):
+    given, point = frames(flown, 1.0, 300.0), vehicle.control_point(POINTS[0])
+    sensor = f"{POINTS[0]}.sensor.{point.sensors[0].name}"
+    late = replace(point, sensors=tuple(s.model_copy(update={"tau_s": 6.0}) for s in point.sensors))
+    plugin = HeatingPlugin(replace(vehicle, control_points={late.name: late}), [late.name], longest_wait_s=0.0)
+    plugin.reset(given[0])
+    with Host(fmus[3], {f"{sensor}.tau_s": 6.0}) as host:
+        host.start(given[0])
+        for frame in given[1:]:
+            plugin.step(frame)
+            host.step(frame)
+            (read,) = host.get(f"{sensor}.indicated_K")
+            assert read == plugin.sensors_K[point.sensors[0].name]
+        assert abs(read - plugin.surface_K[late.name]) > 1.0
 
 
 def test_flux_into_the_wall_is_what_the_flow_brings_less_what_is_radiated(fmus, flown):

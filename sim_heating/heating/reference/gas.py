@@ -71,9 +71,12 @@ def _load_grid() -> Grid:
 
 @njit
 def _uniform_cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
-    """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end."""
+    """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end.
+
+    The fraction of a value that is not a number is none either, in the first interval: no index leaves the table.
+    """
     s = min(max((x - first) / step, 0.0), count - 1.0)
-    i = min(int(s), count - 2)
+    i = min(int(s) if s >= 0.0 else 0, count - 2)
     return i, s - i
 
 
