@@ -12,9 +12,9 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
-from sim_heating.heating.effects.recombination import RECOMBINATION
-from sim_heating.heating.effects.transition import TRANSITION, intermittency
+from sim_heating.heating.effects.transition import intermittency
 from sim_heating.heating.reference.models import reference_heating
+from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
 from sim_heating.march.ensemble import condition_history
@@ -203,8 +203,7 @@ def undeclared_effects(record: Record) -> str | None:
               by name: a record is complete without its vehicle
     """
     declared, heating = record.declared, record.declared.heating
-    absent = {TRANSITION: "transition"} if heating.transition is None else {}
-    absent |= {RECOMBINATION: "catalysis"} if heating.catalysis is None else {}
+    absent = {effect: key for key, effect in KEYS.items() if getattr(heating, key) is None}
     if not absent or heating.reference == "none":
         return None
     point = known_control_point(declared.vehicle, declared.control_point)
