@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jsbsim
 
+from benchmarks.small_fmus import COMPILER, glide_fmu, library
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 
@@ -452,8 +453,6 @@ def _vehicle(home: Path, name: str, points: Sequence[str], more: Sequence[str]) 
 
 
 def _fmu(home: Path) -> None:
-    from tests.support.fmus import COMPILER, glide_fmu, library
-
     if COMPILER is None:
         return  # its subjects are left out
     with tempfile.TemporaryDirectory() as folder:

@@ -65,7 +65,7 @@ def recovery() -> list[Row]:
     V = mach * math.sqrt(0.4 * CP_J_KGK * T_inf)
     for kind, r in (("laminar", math.sqrt(0.71)), ("turbulent", 0.71 ** (1.0 / 3.0))):
         plate = conditions(rho_kg_m3=0.1, velocity_m_s=V, T_inf_K=T_inf, alpha_deg=0.0)
-        h_ref, H_r = reference_heating(f"eckert-{kind}", plate, running_length_m=1.0)
+        h_ref, H_r, _ = reference_heating(f"eckert-{kind}", plate, running_length_m=1.0)
         w, t = wall((material(emissivity=1e-9), 0.001)), np.linspace(0.0, 4000.0, 401)
         _, out = heat(w, flight(t, h_ref_kg_m2_s=h_ref[0], H_r_J_kg=H_r[0]), nodes=14, parameters=RATIO_ONE)
         T_aw = T_inf * (1.0 + r * 0.2 * mach**2)
@@ -216,7 +216,7 @@ def rarefied() -> list[Row]:
     state = conditions(rho_kg_m3=2e-11, velocity_m_s=V, T_inf_K=T_inf)
     rows = []
     for model in ("sutton-graves", "fay-riddell"):
-        h_ref, H_r = (float(a[0]) for a in reference_heating(model, state, nose_radius_m=FOOT_M))
+        h_ref, H_r, _ = (float(a[0]) for a in reference_heating(model, state, nose_radius_m=FOOT_M))
         name = f"{model}, 1 ft, 7500 m/s, 2e-11 kg/m3: flux to a cold wall"
         source, is_ = "free-molecular flow, accommodation 1: rho V H_0", "bridging: h_fm / 2 h_c, below 1 %"
         rows.append(within(0.01, name, 2e-11 * V * H_r, h_ref * H_r, "W/m2", source, is_))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sim_heating.base.errors import InputError, RunError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, print_outputs, print_table, progress_line
+from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
@@ -211,11 +211,15 @@ def _scenario_folder() -> Path:
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
 @click.option("--vehicle", help="take ratio tables and effects of this vehicle in place of the records' own tables")
+@click.option("--without", callback=comma_list, help="declared `transition`, `catalysis` or both (commas): left out")
 @ROOT
-def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Path | None) -> None:
+def predict(
+    records: tuple[Path, ...], out: Path, vehicle: str | None, without: tuple[str, ...] | None, root: Path | None
+) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
-    from sim_heating.inputs.points import point_with_vehicle_table, undeclared_effects
+    from sim_heating.inputs.declared_effects import left_out
+    from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
     from sim_heating.inputs.record import load_record, require_distinct_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, summary, write_prediction
@@ -231,13 +235,18 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Pat
     require_writable(out, "predict", inputs=inputs)
     for folder in folders:
         require_writable(folder, "predict", expected=FILES, inputs=inputs)
-    models = [(None, None) if revised is None else point_with_vehicle_table(record, revised) for record in loaded]
+    with error_context("--without"):
+        absent = left_out(without or ())
+    models = [
+        (point_of_record(record), None) if revised is None else point_with_vehicle_table(record, revised)
+        for record in loaded
+    ]
     predictions = []
     with progress_line("predict") as progress:
         for i, record in enumerate(loaded):
             progress(i / len(loaded), f"marching {record.name}")
             model, flow = models[i]
-            predictions.append(predict_record(record, model, flow=flow))
+            predictions.append(predict_record(record, model.without_effects(absent), flow=flow))
         for prediction, folder in zip(predictions, folders, strict=True):
             write_prediction(prediction, folder)
     summaries = {p.record.name: summary(p) for p in predictions}
@@ -246,6 +255,6 @@ def predict(records: tuple[Path, ...], out: Path, vehicle: str | None, root: Pat
     for name, found in summaries.items():
         if found["beyond_reference"]:
             CONSOLE.print(f"{name}: {found['beyond_reference']}")
-    for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None)):
+    for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
         CONSOLE.print(line)
     CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record")

@@ -25,12 +25,14 @@ Equations: docs/effects.md, equations 23 to 28.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, LocatedError, Location, suggestion
 from sim_heating.heating.edge_flow import Atoms
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
@@ -152,6 +154,21 @@ class Catalysis(Declared):
     def atoms_of(self) -> Atoms:
         """Flow whose atoms reach the wall; `none` for a fully catalytic one."""
         return "none" if self.wall == "fully-catalytic" else self.atoms
+
+
+KEYS = {"transition": TRANSITION, "catalysis": RECOMBINATION}
+"""Key of a declaration -> name of the effect that it declares."""
+
+
+def left_out(keys: Iterable[str]) -> frozenset[str]:
+    """Names of the effects that declarations of these keys make, `transition` or `catalysis`.
+
+    raises : InputError for another key
+    """
+    for key in keys:
+        if key not in KEYS:
+            raise InputError(f"`{key}` is not declared heating{suggestion(key, KEYS)}")
+    return frozenset(KEYS[key] for key in keys)
 
 
 def transition_keys(used: EffectUse, turbulent_file: str | None) -> dict[str, Any]:

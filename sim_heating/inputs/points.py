@@ -12,9 +12,9 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
-from sim_heating.heating.effects.recombination import RECOMBINATION
-from sim_heating.heating.effects.transition import HYSTERESIS, TRANSITION, held_past, past_onset_now, turbulent_part
-from sim_heating.heating.reference.models import point_heating
+from sim_heating.heating.effects.transition import HYSTERESIS, held_past, past_onset_now, turbulent_part
+from sim_heating.heating.reference.models import reference_heating
+from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
 from sim_heating.march.ensemble import condition_history
@@ -59,7 +59,7 @@ def point_of_vehicle(
 
 def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Conditions:
     """Conditions of a flight with surface pressure, reference heating and recovery enthalpy of one control point."""
-    heating = point_heating(
+    heating = reference_heating(
         vehicle.heating.reference,
         flown,
         nose_radius_m=vehicle.heating.nose_radius_m or 1.0,
@@ -68,7 +68,7 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         sweep_deg=vehicle.heating.sweep_deg or 0.0,
     )
     of_edge = edge_flow_columns(point.flow, flown)
-    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating, **of_edge)
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -108,7 +108,7 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
     flow : what effects ask of the flow at the point's edge; by default those that the record declares
     """
     heating = record.declared.heating
-    columns = point_heating(
+    columns = reference_heating(
         heating.reference,
         record.conditions,
         nose_radius_m=heating.nose_radius_m or 1.0,
@@ -117,7 +117,7 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
         sweep_deg=heating.sweep_deg or 0.0,
     )
     return record.conditions.with_columns(
-        **columns, **edge_flow_columns(flow or flow_of_record(record), record.conditions)
+        **columns._asdict(), **edge_flow_columns(flow or flow_of_record(record), record.conditions)
     )
 
 
@@ -211,8 +211,7 @@ def undeclared_effects(record: Record) -> str | None:
               by name: a record is complete without its vehicle
     """
     declared, heating = record.declared, record.declared.heating
-    absent = {TRANSITION: "transition"} if heating.transition is None else {}
-    absent |= {RECOMBINATION: "catalysis"} if heating.catalysis is None else {}
+    absent = {effect: key for key, effect in KEYS.items() if getattr(heating, key) is None}
     if not absent or heating.reference == "none":
         return None
     point = known_control_point(declared.vehicle, declared.control_point)

@@ -45,6 +45,7 @@ from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -91,8 +92,7 @@ class HeatingOptions(Declared):
     @property
     def left_out(self) -> dict[str, str]:
         """Effects of the vehicle that the scenario leaves out, each with the key that says so."""
-        given = {"transition": (TRANSITION, self.transition), "catalysis": (RECOMBINATION, self.catalysis)}
-        return {effect: key for key, (effect, kept) in given.items() if not kept}
+        return {effect: key for key, effect in KEYS.items() if not getattr(self, key)}
 
 
 class ScenarioEffect(Declared):

@@ -5,7 +5,7 @@ that a lane takes from them.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -331,6 +331,11 @@ class PointModel:
                 parameters[name] = value
         used = tuple(replace(u, values=tuple(v)) for u, v in zip(self.effects, effects, strict=True))
         return self._unchecked(parameters=parameters, effects=used)
+
+    def without_effects(self, names: Collection[str]) -> PointModel:
+        """The point without those of its effects that bear one of these names."""
+        kept = tuple(used for used in self.effects if used.effect.name not in names)
+        return self if len(kept) == len(self.effects) else replace(self, effects=kept)
 
     def with_lags(self, lags_s: Sequence[float]) -> PointModel:
         """Copy of the point with other time constants of its sensors [s]; parameters beyond their bounds stay so.

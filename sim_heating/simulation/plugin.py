@@ -112,7 +112,8 @@ class HeatingPlugin:
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
-        self._published = np.zeros((4, len(outputs)))
+        self._published = np.zeros((k.PUBLISHED_ROWS, len(outputs)))
+        self._published[k.TAU, 2 * len(names) :] = [s.tau_s for p in self.points for s in p.sensors]
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
             e.lane_groups, self.constants, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
@@ -222,7 +223,7 @@ class HeatingPlugin:
 
     @property
     def sensors_K(self) -> dict[str, float]:
-        """Temperature at each sensor [K] by the name of the sensor, without lag, noise or quantisation."""
+        """Temperature of each sensor [K] by its name, behind its lag, without noise or quantisation."""
         first = 2 * len(self.names)
         names = [sensor for _, sensor in self.outputs[first:]]
         return dict(zip(names, self._published[k.CURRENT, first:].tolist(), strict=True))

@@ -5,7 +5,8 @@ each frame, along a parabola through the start, the middle stage and the end of 
 
     T(t) = T_h + s (t - h) + c (t - h)^2,       h the time that the thermal model is at.
 
-It asks for a thermal step when
+A thermocouple that lags follows the temperature of its place (base/kernels/lag.py), linear over a thermal step and from
+the last one to the frame. The kernel asks for a thermal step when
 
 - the wait is over: the least of LONGEST_WAIT, LARGEST_GROWTH dt and dt (TARGET_SHARE TOLERANCE_K / e)^(1/3), with e
   the largest error of the parabola at the end of the last step, of length dt (it grows with the cube of the time);
@@ -49,6 +50,7 @@ from sim_heating.base.kernels.block import (
     T,
 )
 from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, edge_flow_kernel
@@ -84,8 +86,10 @@ class PointConstants(NamedTuple):
     tables: FloatArray
 
 
-CURRENT, VALUE, LINEAR, QUADRATIC = range(4)
-"""Rows of the published array: the temperatures now [K], and their parabola: T_h [K], s [K/s], c [K/s2]."""
+CURRENT, VALUE, LINEAR, QUADRATIC, TAU, LAGGED = range(6)
+PUBLISHED_ROWS = 6
+"""Rows of the published array: the temperatures now [K], and their parabola: T_h [K], s [K/s], c [K/s2]; time constant
+of a thermocouple [s], 0 without a lag, and its temperature at the last thermal step [K]."""
 
 TOLERANCE_K = 0.01
 """Tolerated error of the temperatures between thermal steps [K]."""
@@ -149,7 +153,7 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
     """Check a frame and extrapolate the temperatures to its time; its outcome.
 
     host      : (HOST_SIZE,); unchanged by a frame that is refused
-    published : (4, temperature), rows CURRENT, VALUE, LINEAR, QUADRATIC
+    published : (PUBLISHED_ROWS, temperature), rows CURRENT to LAGGED
     frame     : values in the order of conditions.FRAME
     returns   : GOOD, or HEAT or BEND where thermal steps are needed (`heat_points`), or why the frame is refused
     """
@@ -175,6 +179,12 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
         host[LAST_FRAME + i] = frame[i]
     for i in range(published.shape[1]):
         published[CURRENT, i] = published[VALUE, i] + since * (published[LINEAR, i] + since * published[QUADRATIC, i])
+    # A loop of its own: without a branch the one above vectorises.
+    for i in range(published.shape[1]):
+        if published[TAU, i] > 0.0:
+            published[CURRENT, i] = lag_step(
+                published[LAGGED, i], published[VALUE, i], published[CURRENT, i], since / published[TAU, i]
+            )
     return GOOD
 
 
@@ -234,7 +244,10 @@ def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray
         end = state[places[i]]
         expected = published[VALUE, i] + dt * (published[LINEAR, i] + dt * published[QUADRATIC, i])
         largest = max(largest, abs(end - expected))
-        published[CURRENT, i], published[VALUE, i] = end, end
+        sensed = end
+        if published[TAU, i] > 0.0:
+            sensed = lag_step(published[LAGGED, i], published[VALUE, i], end, dt / published[TAU, i])
+        published[CURRENT, i], published[VALUE, i], published[LAGGED, i] = sensed, end, sensed
         published[LINEAR, i] = state[places[i] + (RATE - T) * LANES]
         published[QUADRATIC, i] = state[places[i] + (CURVE - T) * LANES]
     return largest
@@ -285,7 +298,7 @@ def heat_points(
             host[THERMAL_FRAME + i] = frame[i]
             host[LAST_FRAME + i] = frame[i]
         for i in range(len(places)):
-            published[CURRENT, i] = published[VALUE, i] = all_lanes.state[places[i]]
+            published[CURRENT, i] = published[VALUE, i] = published[LAGGED, i] = all_lanes.state[places[i]]
             published[LINEAR, i] = published[QUADRATIC, i] = 0.0
         return GOOD
     if outcome == BEND and host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:

@@ -37,7 +37,7 @@ LONG_NAMES = {
     "surface_K": "temperature of the outer surface",
     "bondline_K": "temperature at the outer face of the last layer",
     "ratio": "heating ratio with all corrections and effects",
-    "sensor_K": "temperature at the sensor, without lag, noise and quantisation",
+    "sensor_K": "temperature of the sensor, behind its lag, without noise and quantisation",
     "p_surface_Pa": "pressure at the surface of the control point",
 }
 

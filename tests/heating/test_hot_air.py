@@ -17,9 +17,11 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import sutherland_viscosity
 from sim_heating.heating.reference.gas import (
     JOIN_K,
+    _uniform_cell,
     air_density_kernel,
     air_kernel,
     air_state_kernel,
+    air_temperature_kernel,
     air_transport_kernel,
     transport,
 )
@@ -147,3 +149,19 @@ def test_transport_at_an_impossible_temperature_or_pressure_is_rejected():
     for T, p in (([0.0], [1e3]), ([300.0], [-1.0])):
         with pytest.raises(InputError, match=r"_K|_Pa"):
             transport(T, p)
+
+
+@pytest.mark.parametrize(("T_K", "p_Pa"), [(np.nan, 1e3), (4000.0, np.nan), (np.nan, np.nan)])
+def test_properties_at_a_state_that_is_no_number_are_none_and_no_index_leaves_the_table(T_K, p_Pa):
+    assert np.all(np.isnan(air_kernel(T_K, p_Pa)))
+    assert np.isnan(air_temperature_kernel(1e3 * T_K, p_Pa))
+    assert np.all(np.isnan(air_state_kernel(1e3 * T_K, p_Pa)))
+    assert np.all(np.isnan(air_transport_kernel(T_K, p_Pa)))
+
+
+def test_the_cell_of_a_value_that_is_no_number_is_the_first_compiled_or_not():
+    for cell in (_uniform_cell, _uniform_cell.py_func):
+        assert cell(np.nan, 0.0, 0.25, 25)[0] == 0
+        assert cell(3.1, 0.0, 0.25, 25) == (12, pytest.approx(0.4))
+        assert cell(-np.inf, 0.0, 0.25, 25) == (0, 0.0)
+        assert cell(np.inf, 0.0, 0.25, 25) == (23, 1.0)

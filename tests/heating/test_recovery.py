@@ -16,7 +16,7 @@ from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_
 from sim_heating.heating.ratio.tunnel_to_flight import FlowState, Scaling, scale_table
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
 from sim_heating.heating.reference.gas import air_kernel, air_state_kernel
-from sim_heating.heating.reference.models import point_heating, reference_heating
+from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import NO_LEWIS, fay_riddell_kernel
 
@@ -115,14 +115,14 @@ def test_the_adiabatic_wall_of_turbulent_air_at_mach_3_is_580_K():
 def test_the_rise_takes_a_laminar_edge_to_the_turbulent_one():
     flown = flight(5000.0, 60e3, 32.0)
     columns = {
-        kind: point_heating("fay-riddell", flown, recovery=Recovery(kind, 3.0))
+        kind: reference_heating("fay-riddell", flown, recovery=Recovery(kind, 3.0))
         for kind in ("edge-laminar", "edge-turbulent")
     }
     laminar, turbulent = columns["edge-laminar"], columns["edge-turbulent"]
-    assert laminar["H_r_J_kg"] + laminar["H_r_rise_J_kg"] == pytest.approx(turbulent["H_r_J_kg"], rel=1e-12)
-    assert turbulent["H_r_rise_J_kg"][0] == 0.0
+    assert laminar.H_r_J_kg + laminar.H_r_rise_J_kg == pytest.approx(turbulent.H_r_J_kg, rel=1e-12)
+    assert turbulent.H_r_rise_J_kg[0] == 0.0
     u_e = 5000.0 * math.cos(math.radians(35.0))
-    assert laminar["H_r_rise_J_kg"][0] == pytest.approx((PR ** (1 / 3) - PR**0.5) * u_e**2 / 2)
+    assert laminar.H_r_rise_J_kg[0] == pytest.approx((PR ** (1 / 3) - PR**0.5) * u_e**2 / 2)
 
 
 def test_a_deflected_flap_slows_its_edge():
@@ -136,9 +136,9 @@ def test_a_deflected_flap_slows_its_edge():
 
 def test_columns_are_those_of_the_point_and_taken_as_given():
     flown = flight(6000.0, 65e3, 38.0, h_ref_kg_m2_s=0.05, H_r_J_kg=1.6e7)
-    given = point_heating("columns", flown, recovery=Recovery("edge-laminar"))
-    assert given["H_r_J_kg"][0] == 1.6e7
-    assert given["H_r_rise_J_kg"][0] > 0.0
+    given = reference_heating("columns", flown, recovery=Recovery("edge-laminar"))
+    assert given.H_r_J_kg[0] == 1.6e7
+    assert given.H_r_rise_J_kg[0] > 0.0
 
 
 def test_a_missing_column_of_an_edge_is_named():

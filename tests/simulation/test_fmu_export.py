@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -129,6 +130,22 @@ def test_a_deeper_layer_has_the_parameters_of_its_name(fmus, flown):
     with Host(fmus[3]) as plain, Host(fmus[3], {name: 3.0}) as changed:
         difference = fmu_temperatures(changed, given)[:, 0] - fmu_temperatures(plain, given)[:, 0]
     assert 0.0 < np.max(np.abs(difference)) < 1.0  # far below the surface
+
+
+def test_a_thermocouple_lags_as_in_the_simulator(fmus, vehicle, flown):
+    given, point = frames(flown, 1.0, 300.0), vehicle.control_point(POINTS[0])
+    sensor = f"{POINTS[0]}.sensor.{point.sensors[0].name}"
+    late = replace(point, sensors=tuple(s.model_copy(update={"tau_s": 6.0}) for s in point.sensors))
+    plugin = HeatingPlugin(replace(vehicle, control_points={late.name: late}), [late.name], longest_wait_s=0.0)
+    plugin.reset(given[0])
+    with Host(fmus[3], {f"{sensor}.tau_s": 6.0}) as host:
+        host.start(given[0])
+        for frame in given[1:]:
+            plugin.step(frame)
+            host.step(frame)
+            (read,) = host.get(f"{sensor}.indicated_K")
+            assert read == plugin.sensors_K[point.sensors[0].name]
+        assert abs(read - plugin.surface_K[late.name]) > 1.0
 
 
 def test_flux_into_the_wall_is_what_the_flow_brings_less_what_is_radiated(fmus, flown):

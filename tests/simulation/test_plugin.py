@@ -107,6 +107,29 @@ def test_frame_by_frame_is_the_march_over_the_same_conditions(
     np.testing.assert_allclose(stepped, marched, rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize(("wait_s", "tolerance_K"), [(0.0, 1e-6), (0.25, 0.05)])
+def test_a_thermocouple_that_lags_reads_as_in_a_march(
+    orbiter: Vehicle, twenty_hertz: tuple[Conditions, list[np.ndarray]], wait_s: float, tolerance_K: float
+) -> None:
+    flown, frames = twenty_hertz
+    point = orbiter.control_point("V09T9527")
+    late = replace(point, sensors=tuple(s.model_copy(update={"tau_s": 8.0}) for s in point.sensors))
+    vehicle = replace(orbiter, control_points={late.name: late})
+    plugin = HeatingPlugin(vehicle, [late.name], longest_wait_s=wait_s)
+    plugin.reset(frames[0])
+    read = [list(plugin.sensors_K.values())]
+    for values in frames[1:]:
+        plugin.step(values)
+        read.append(list(plugin.sensors_K.values()))
+    nodes = plugin.ensemble.meshes[0].nodes
+    models = [replace(point_of_vehicle(orbiter, p), nodes=nodes) for p in (late, point)]
+    behind, without = (
+        march_points([model], [conditions_at_point(orbiter, point, flown)])[0].sensors_K for model in models
+    )
+    assert np.max(np.abs(behind - without)) > 20.0
+    np.testing.assert_allclose(np.transpose(read), behind, rtol=0.0, atol=tolerance_K)
+
+
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
 def test_hosts_of_other_frame_rates_agree(
     every: int, plugin: HeatingPlugin, twenty_hertz: tuple[Conditions, list[np.ndarray]]

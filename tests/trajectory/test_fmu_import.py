@@ -15,6 +15,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.small_fmus import (
+    closed_form,
+    description,
+    feedthrough_fmu,
+    glide_fmu,
+    library,
+    pack,
+    platform_folder,
+)
 from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.scenario import load_scenario
@@ -27,16 +36,7 @@ from sim_heating.trajectory.fmu.model import read_fmu
 from sim_heating.trajectory.fmu.units import BaseUnit, conversion, known_unit, unit_of_fmu
 from sim_heating.trajectory.jsbsim.host import euler_angles
 from sim_heating.trajectory.spec import TrajectorySpec
-from tests.support.fmus import (
-    closed_form,
-    description,
-    feedthrough_fmu,
-    glide_fmu,
-    library,
-    needs_compiler,
-    pack,
-    platform_folder,
-)
+from tests.support.fmus import needs_compiler
 from tests.support.paths import ORBITER
 
 VEHICLE = load_vehicle(ORBITER)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR_PREFIX, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Status
@@ -59,11 +59,16 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
         value, own = found[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
             lines.append(f"{own} is on its bound, {value:g}")
-        elif name in candidate.with_prior and abs(value - p.value) > MAX_SCATTER * p.sigma:
+        elif name in candidate.with_prior and not _is_fault(name) and abs(value - p.value) > MAX_SCATTER * p.sigma:
             lines.append(
                 f"{own} = {value:.3g} is {abs(value - p.value) / p.sigma:.1f} standard deviations off {p.value:g}"
             )
     return lines
+
+
+def _is_fault(name: str) -> bool:
+    """Whether a parameter is an error of a single sensor: what is broken is broken beyond the scatter of sound ones."""
+    return name.startswith(SENSOR_PREFIX)
 
 
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:

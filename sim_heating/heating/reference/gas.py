@@ -71,9 +71,12 @@ def _load_grid() -> Grid:
 
 @njit
 def _uniform_cell(x: float, first: float, step: float, count: int) -> tuple[int, float]:
-    """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end."""
+    """Interval of a uniform axis and the fraction within it [-]; values outside count as the nearest end.
+
+    The fraction of a value that is not a number is none either, in the first interval: no index leaves the table.
+    """
     s = min(max((x - first) / step, 0.0), count - 1.0)
-    i = min(int(s), count - 2)
+    i = min(int(s) if s >= 0.0 else 0, count - 2)
     return i, s - i
 
 
@@ -236,13 +239,6 @@ def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
 
 
 @njit
-def _enthalpy_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
-    for i in range(len(T_K)):
-        for j in range(len(p_Pa)):
-            out[i, j] = air_kernel(T_K[i], p_Pa[j])[0]
-
-
-@njit
 def _transport_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
     for m in range(len(T_K)):
         for n in range(len(p_Pa)):
@@ -290,21 +286,6 @@ def transport(T_K: ArrayLike, p_Pa: ArrayLike) -> AirTransport:
     out = np.empty((4, len(T), len(p)))
     _transport_grid(T, p, out)
     return AirTransport(*out)
-
-
-def enthalpy(T_K: ArrayLike, p_Pa: ArrayLike) -> FloatArray:
-    """Enthalpy of equilibrium air above 0 K on a grid of temperatures and pressures.
-
-    T_K     : (T,) temperature [K], 200 to 12000; below, h runs linearly to zero at 0 K; above, the edge value
-    p_Pa    : (p,) pressure [Pa], 1 to 1e6; outside, the edge value
-    returns : (T, p) enthalpy [J/kg], within 0.4 % of the equilibrium
-    raises  : InputError where T or p is not positive, or not one row of values
-    Source: table computed with Cantera (section 2 of docs/equations_reference_heating.md), NASA/TP-2002-211556 data.
-    """
-    T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
-    out = np.empty((len(T), len(p)))
-    _enthalpy_grid(T, p, out)
-    return out
 
 
 def wall_enthalpy_grid(

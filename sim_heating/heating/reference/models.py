@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -100,8 +100,18 @@ _ALL = (
 REFERENCE_MODELS: Mapping[str, ReferenceModel] = MappingProxyType({model.name: model for model in _ALL})
 """Every reference heating by the name that files use."""
 
-HEATING_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg", "H_r_rise_J_kg")
-"""Columns that `point_heating` computes."""
+
+class HeatingColumns(NamedTuple):
+    """Reference heating of a point along a flight, (time,) each, under the names of the columns of its conditions.
+
+    h_ref_kg_m2_s : reference film coefficient [kg/(m2 s)]
+    H_r_J_kg      : recovery enthalpy [J/kg]
+    H_r_rise_J_kg : rise of the recovery enthalpy from laminar to fully turbulent flow [J/kg]
+    """
+
+    h_ref_kg_m2_s: FloatArray
+    H_r_J_kg: FloatArray
+    H_r_rise_J_kg: FloatArray
 
 
 def reference_model(name: str) -> ReferenceModel:
@@ -267,7 +277,7 @@ def reference_heating(
     wall_temperature_K: float = COLD_WALL_K,
     recovery: Recovery | None = None,
     sweep_deg: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
+) -> HeatingColumns:
     """Reference film coefficient and recovery enthalpy along a flight.
 
     name               : a key of REFERENCE_MODELS
@@ -279,7 +289,7 @@ def reference_heating(
     sweep_deg          : of the reference cylinder at alpha 0 [deg], 0 to below 90
     recovery           : of the point; by default that of the reference: the total enthalpy, or the adiabatic wall of
                          an Eckert model at the angle of attack. Columns are those of the point and taken as given
-    returns            : h_ref (time,) [kg/(m2 s)], H_r (time,) [J/kg]
+    returns            : h_ref, H_r and its rise in turbulent flow
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
 
     Stagnation heating holds from rest to free-molecular flow: below 2 km/s Fay-Riddell takes over from a correlation,
@@ -287,36 +297,6 @@ def reference_heating(
     states the speeds, `beyond_range` what a flight does outside of them.
     Source: docs/equations_reference_heating.md, equations 9 to 19, 31 and 32 (Sutton and Graves 1971; Detra et al.
     1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
-    """
-    h_ref, H_r, _ = point_heating(
-        name,
-        conditions,
-        nose_radius_m=nose_radius_m,
-        running_length_m=running_length_m,
-        wall_temperature_K=wall_temperature_K,
-        recovery=recovery,
-        sweep_deg=sweep_deg,
-    ).values()
-    return h_ref, H_r
-
-
-def point_heating(
-    name: str,
-    conditions: Conditions,
-    *,
-    nose_radius_m: float = 0.3048,
-    running_length_m: float | None = None,
-    wall_temperature_K: float = COLD_WALL_K,
-    recovery: Recovery | None = None,
-    sweep_deg: float = 0.0,
-) -> dict[str, FloatArray]:
-    """Heating of a point along a flight as columns of its conditions.
-
-    name ... sweep_deg : as in `reference_heating`
-    returns           : (time,) h_ref_kg_m2_s [kg/(m2 s)], H_r_J_kg [J/kg] and, in this order, H_r_rise_J_kg [J/kg], the
-                        rise of the recovery enthalpy from laminar to fully turbulent flow
-    raises            : as `reference_heating`
-    Source: docs/equations_reference_heating.md, equations 9 to 19.
     """
     model = reference_model(name)
     of_point = model.recovery if recovery is None else recovery
@@ -327,7 +307,7 @@ def point_heating(
     # Copies, so that a change of the result does not change the record.
     if model.code == COLUMNS:
         h_ref, H_r = conditions["h_ref_kg_m2_s"].copy(), conditions["H_r_J_kg"].copy()
-        return dict(zip(HEATING_COLUMNS, (h_ref, H_r, point_recovery(of_point, H_r, conditions)[1]), strict=True))
+        return HeatingColumns(h_ref, H_r, point_recovery(of_point, H_r, conditions)[1])
     absent = np.zeros(len(conditions))
     # The kernel has one signature; a column that the model does not read is given as zeros.
     inputs = [conditions[n] if n in model.needs else absent for n in _PLATE]
@@ -336,7 +316,7 @@ def point_heating(
     h_ref, H_0 = np.empty(len(conditions)), np.empty(len(conditions))
     geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K), float(sweep_deg))
     _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_0)
-    return dict(zip(HEATING_COLUMNS, (h_ref, *point_recovery(of_point, H_0, conditions)), strict=True))
+    return HeatingColumns(h_ref, *point_recovery(of_point, H_0, conditions))
 
 
 def beyond_range(name: str, conditions: Conditions) -> str | None:

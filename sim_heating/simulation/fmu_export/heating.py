@@ -459,8 +459,9 @@ class _HeatingPacker(ImagePacker):
             name = f"{quoted(point.name)}.sensor.{quoted(sensor.name)}"
             start = self.ensemble.state[place.temperature(node)]
             coefficients = calibration_coefficients(sensor)
-            numbers = self.image.keep_numbers([1.0, 0.0, start])
-            rows.append([place.temperature(node), numbers, self.image.add_numbers(coefficients), len(coefficients)])
+            numbers = self.image.keep_numbers([1.0, 0.0, start, sensor.tau_s, start])
+            calibration, before = self.image.add_numbers(coefficients), self.image.add_numbers([start])
+            rows.append([place.temperature(node), numbers, calibration, len(coefficients), before])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             text = f"{about}, without noise and quantisation"
             self.add_number(
@@ -469,6 +470,8 @@ class _HeatingPacker(ImagePacker):
             )  # fmt: skip
             self._name_parameter(f"{name}.gain", SENSOR["gain"], numbers + k.S_GAIN)
             self._name_parameter(f"{name}.bias", SENSOR["bias"], numbers + k.S_BIAS)
+            lag = replace(SENSOR["tau_s"], upper=max(SENSOR["tau_s"].upper, sensor.tau_s))
+            self._name_parameter(f"{name}.tau_s", lag, numbers + k.S_TAU)
         return rows
 
     def _pack_ratio_table(self, point: ControlPoint, place: Any) -> None:

@@ -58,6 +58,7 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.block import T as TEMPERATURE
 from sim_heating.base.kernels.jit import inline_always, njit
+from sim_heating.base.kernels.lag import lag_step
 from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.ratio.lookup import invalidate_cells
 from sim_heating.heating.reference.models import COLUMNS
@@ -133,9 +134,11 @@ PARAMETERS_WIDTH = P_STACK + STACK_WIDTH
 """First numbers of a point, whose copies at WRITTEN are those that its lanes hold."""
 SURFACE, BONDLINE, RATIO, CONVECTED, RADIATED, ABSORBED, SURFACE_MARGIN, BONDLINE_MARGIN = range(8)
 POINT_WIDTH = P_OUT + 8
-# A sensor's integers: its place in the state, places of its numbers (gain, bias, indication) and its calibration.
-S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS = range(4)
-S_GAIN, S_BIAS, S_INDICATED = range(3)
+# A sensor's integers: its place in the state, places of its numbers (gain, bias, indication, time constant, temperature
+# behind its lag) and its calibration, place of the temperature [K] at its place at the start of a step.
+S_PLACE, S_NUMBERS, S_CALIBRATION, S_COEFFICIENTS, S_BEFORE = range(5)
+SENSOR_WIDTH = 5
+S_GAIN, S_BIAS, S_INDICATED, S_TAU, S_LAGGED = range(5)
 
 KEPT_ROWS = (
     *(row + 2 for row in STAGE_ROWS), SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS, FAILED, ITERATIONS, OUTSIDE,
@@ -251,9 +254,20 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
                 B[row * LANES + lane] = 0.0
 
 
+@inline_always
+def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
+    """Keep the temperatures at the places of the sensors at the start of a step."""
+    for s in range(N[N_SENSORS]):
+        sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
+        R[sensor[S_BEFORE]] = R[N[STATE] + sensor[S_PLACE]]
+
+
 @njit
-def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
-    """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
+def _write_outputs(R, N, A, T, dt: float) -> int:  # type: ignore[no-untyped-def]
+    """Write the outputs; number of the first point whose step did not converge, GOOD where all did.
+
+    dt : length of the step [s]; 0 at the start, where a sensor has the temperature of its place
+    """
     outcome = GOOD
     # From the last point to the first: the outcome that remains is the first point that failed.
     for i in range(N[N_POINTS] - 1, -1, -1):
@@ -279,12 +293,14 @@ def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
         if B[FAILED * LANES] != 0.0 or not math.isfinite(wall):
             outcome = i
     for s in range(N[N_SENSORS]):
-        sensor = at(N, N[SENSOR_INTS] + 4 * s)
+        sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
         numbers = at(R, sensor[S_NUMBERS])
         coefficients = carray(at(R, sensor[S_CALIBRATION]), sensor[S_COEFFICIENTS])
-        numbers[S_INDICATED] = indicated_kernel(
-            R[N[STATE] + sensor[S_PLACE]], numbers[S_GAIN], numbers[S_BIAS], coefficients
-        )
+        sensed = R[N[STATE] + sensor[S_PLACE]]
+        if numbers[S_TAU] > 0.0 and dt > 0.0:
+            sensed = lag_step(numbers[S_LAGGED], R[sensor[S_BEFORE]], sensed, dt / numbers[S_TAU])
+        numbers[S_LAGGED] = sensed
+        numbers[S_INDICATED] = indicated_kernel(sensed, numbers[S_GAIN], numbers[S_BIAS], coefficients)
     return outcome
 
 
@@ -307,7 +323,7 @@ def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     _begin(R, N, A, T, given, R[NOW])
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = given[k]
-    outcome = _write_outputs(R, N, A, T)
+    outcome = _write_outputs(R, N, A, T, 0.0)
     return GOOD if outcome == GOOD else 2 * n + outcome
 
 
@@ -331,10 +347,11 @@ def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
         jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:
         _begin(R, N, A, T, now, R[NOW])
+    _hold_sensors(R, N)
     _advance(R, N, A, T, then, R[NEXT], dt)
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = then[k]
-    outcome = _write_outputs(R, N, A, T)
+    outcome = _write_outputs(R, N, A, T, dt)
     return GOOD if outcome == GOOD else 2 * n + outcome
 
 
