@@ -328,8 +328,8 @@ class LinearMarch:
     def _checked(track: Track, result: Linearised | None) -> Linearised:
         if result is None:
             raise RunError(
-                f"{track.model.name}: a temperature or sensitivity of the march is not a number; "
-                "start from values nearer to the declared ones, or fit fewer parameters"
+                f"{track.model.name}: a temperature or sensitivity of the march is not a number, or a temperature at "
+                "its start is not above 0 K; start from values nearer to the declared ones, or fit fewer parameters"
             )
         return result
 
@@ -337,6 +337,8 @@ class LinearMarch:
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
     ) -> list[Linearised | None]:
         """March all tracks, with None in place of a track that failed; the others are unaffected by it.
+
+        A track whose temperatures at the start are not above 0 K has failed: a search for them takes a shorter step.
 
         shifts_s  : (track,) added to the sample times of each track [s]; 0 by default
         initial_K : (node,) temperatures at the start [K] of each track, in place of its own
@@ -352,7 +354,7 @@ class LinearMarch:
             outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
             if outside:
                 raise InputError(f"{track.model.name}: {outside} samples lie outside the march; leave them out")
-        self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
+        started = self._begin([t.initial_K for t in self.tracks] if initial_K is None else initial_K)
         m = max(track.columns for track in self.tracks)
         requested = self._requested(times)
         reads, count = requested.nodes.shape[1], requested.time_s.shape[1]
@@ -372,17 +374,22 @@ class LinearMarch:
             out,
         )
         failed = self.nominal.failed()
-        return [None if failed[i] else self._result(i, out) for i in range(len(self.tracks))]
+        return [None if failed[i] or not started[i] else self._result(i, out) for i in range(len(self.tracks))]
 
-    def _begin(self, initial_K: Sequence[FloatArray | None]) -> None:
-        """Set nominal and perturbed lanes to the start of the march."""
+    def _begin(self, initial_K: Sequence[FloatArray | None]) -> list[bool]:
+        """Set nominal and perturbed lanes to the start of the march.
+
+        returns : by track, whether its temperatures are above 0 K; otherwise it begins as declared, and has failed
+        """
         self.nominal.reset()
         if self.perturbed is not None:
             self.perturbed.clear()
+        started = [profile is None or bool(np.all(profile > 0.0)) for profile in initial_K]
         for i, profile in enumerate(initial_K):
             # The perturbed lanes take their temperatures from the nominal ones at every stage.
-            if profile is not None:
+            if profile is not None and started[i]:
                 self.nominal.set_profile(i, profile)
+        return started
 
     def _perturbed_state(self) -> FloatArray:
         """Blocks of the perturbed lanes."""

@@ -130,6 +130,20 @@ def test_two_sensors_bound_a_parameter_like_one_with_all_their_samples() -> None
     assert both.dof == approx(2 * n - 1)
 
 
+def test_a_sensor_that_the_model_misses_by_far_leaves_every_combination_a_variance() -> None:
+    n, rng = 40, np.random.default_rng(0)
+    time = np.arange(n, dtype=float)
+    cosines = np.stack([np.cos(np.pi * k * (time + 0.5) / n) for k in range(6)], axis=1)
+    designs = [cosines, cosines @ rng.normal(scale=0.7, size=(6, 6))]
+    design = np.concatenate(designs)
+    readings = np.concatenate([40.0 * np.sin(2.0 * np.pi * time / 11.0), rng.normal(scale=0.3, size=n)])
+    residuals = readings - design @ np.linalg.lstsq(design, readings)[0]
+    parts = zip("ab", np.split(residuals, 2), designs, strict=True)
+    found = cramer_rao_bounds([ChannelResiduals(name, time, e, np.ones(n), d) for name, e, d in parts])
+    assert all(c[0] > 0.0 for c in found.autocovariance.values())
+    assert np.linalg.eigvalsh(found.covariance)[0] > 0.0
+
+
 def test_coarsely_rounded_samples_have_bounds_that_cover() -> None:
     """Mean of a slow ramp, steps five times the noise: score and information of the words take part, not residuals."""
     rng, n, trials = np.random.default_rng(17), 100, 100

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import check
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, STACK
@@ -250,6 +250,23 @@ def test_a_sample_at_the_first_instant_is_the_initial_profile_without_sensitivit
     found = marched([point()], ("ratio.scale", "stack.coating.thickness_factor"))[0]
     assert found.temperature_K[0, 0] == pytest.approx(1140.0)  # the profile has a point at that sensor's depth
     assert np.all(found.sensitivity[:, 0] == 0.0)
+
+
+def test_a_start_below_0_K_fails_its_track_alone_and_a_search_turns_back_from_it():
+    model = point()
+    mesh = choose_meshes([model])[0][0]
+    history = flight(TIME_S, **{c: popu(c) for c in COLUMNS})
+    march = LinearMarch([Track(model, mesh, (), SAMPLE_S)] * 2, TIME_S, history)
+    warm = np.full(mesh.nodes, 300.0)
+    failed, fine = march.attempt(initial_K=[warm - 301.0, warm])
+    assert failed is None
+    assert fine is not None
+    assert np.array_equal(fine.temperature_K, march.attempt(initial_K=[warm, warm])[1].temperature_K)
+    with pytest.raises(RunError, match="not above 0 K"):
+        march.march(initial_K=[warm - 301.0, warm])
+    fit = problem([])
+    cold = np.array([p.value - 1e4 for p in fit.parameters])
+    assert np.isnan(fit.evaluate(cold).log_likelihood)
 
 
 def test_sample_outside_the_march_is_refused():

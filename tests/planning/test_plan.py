@@ -184,6 +184,15 @@ def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_st
     assert errors == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
 
 
+def test_a_study_of_a_scenario_leaves_out_the_declared_transition_that_the_scenario_does(study, tmp_path):
+    declared = [u.effect.name for u in load_study(study).points[0].point.effects]
+    head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n[heating]\ntransition = false\n'
+    (tmp_path / "laminar.toml").write_text(head + entry_3dof("mach = 2.5"))
+    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 2.5"), 'scenario = "laminar.toml"\n'))
+    left = [u.effect.name for u in load_study(study).points[0].point.effects]
+    assert sorted(declared) == sorted([*left, "transition"])
+
+
 def test_an_unknown_effect_of_a_scenario_is_reported_with_the_file_of_the_scenario(study, tmp_path, capsys):
     base = tmp_path / "base.toml"
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'

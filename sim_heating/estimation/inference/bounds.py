@@ -214,16 +214,26 @@ def autocovariances(channels: Sequence[ChannelResiduals], inverse: FloatArray) -
     inverse  : (parameter, parameter) M^-1
     returns  : for each channel (lag,) [-], 1 at lag 0 for noise as declared
 
-    Solved twice: for the lags that a channel's length allows, and for those of them that are significant.
+    Solved twice: for the lags that a channel's length allows, and for those of them that are significant. A channel
+    whose variance then is not above 0, as where the model is far from another channel's readings, has the plain
+    autocovariance of its residuals.
     Source: docs/estimation_statistics.md, equation 23.
     """
     gridded = [_GriddedResiduals.of(c) for c in channels]
     samples = [len(c.time_s) for c in channels]
     allowed = [int(min(MAX_LAG_OF_SAMPLES * n, MAX_LAG_OF_ROOT * math.sqrt(n), MAX_LAG)) for n in samples]
     broad = _solve_autocovariances(gridded, allowed, inverse)
-    return _solve_autocovariances(
-        gridded, [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)], inverse
-    )
+    lags = [significant_lags(c, n) for c, n in zip(broad, samples, strict=True)]
+    solved = _solve_autocovariances(gridded, lags, inverse)
+    return [
+        c if c[0] > 0.0 else _plain_autocovariance(g, last) for c, g, last in zip(solved, gridded, lags, strict=True)
+    ]
+
+
+def _plain_autocovariance(g: _GriddedResiduals, last: int) -> FloatArray:
+    """(lag,) autocovariance [-] of a channel's residuals as they are, u' T_k u over its expectation for c = 1."""
+    sums, pairs = lagged_sums(g.u, last) @ g.u, lagged_sums(g.D, last) @ g.D
+    return sums / np.where(pairs > 0.0, pairs, 1.0)
 
 
 def _solve_autocovariances(
