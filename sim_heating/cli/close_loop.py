@@ -63,7 +63,7 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
     from sim_heating.closure.report import closures_table
 
     table = closures_table(rows)
-    found = [column.head for column in table.layout].index("named")
+    found = [column.head for column in table.layout].index("found")
     print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
 
 

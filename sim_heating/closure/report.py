@@ -211,20 +211,12 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "before, held out": "before_holdout_rmse_K", "after, held out": "after_holdout_rmse_K",
         "noise floor": "noise_floor_K",
     }  # fmt: skip
-    columns = [Column("record"), Column("finding", is_text=True), Column("named", is_text=True)]
-    columns += [Column("probability", format=".2f"), Column("p-value", format=".2g")]
+    columns = [Column("record"), Column("found", is_text=True), Column("p-value", "p_value", ".2g")]
     columns += [Column(head, key, ".2f", "K") for head, key in errors.items()]
     cells = [
         [r["record"], "failed", *[""] * (len(columns) - 2)]
         if "failed" in r
-        else [
-            r["record"],
-            r["finding"],
-            _found_text(r),
-            r["probability"],
-            r["p_value"],
-            *(r[key] for key in errors.values()),
-        ]
+        else [r["record"], _found_text(r), r["p_value"], *(r[key] for key in errors.values())]
         for r in rows
     ]
     return Table("What the declared models lack", columns, cells)
@@ -232,8 +224,9 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def _found_text(row: Mapping[str, Any]) -> str:
     """What a row names; faults of the record's data come first, as an effect is no finding then."""
-    effects, faults = row["named"], ", ".join(dict.fromkeys(row["data_faults"]))
-    return f"{faults} ({effects})" if faults else effects
+    words = {"partly": f"resembles {row['named']}", "unknown": "unknown", "none": "none"}
+    named, faults = words.get(row["finding"], row["named"]), ", ".join(dict.fromkeys(row["data_faults"]))
+    return f"{faults} ({named})" if faults else named
 
 
 def _headline(found: Closure) -> tuple[str, str]:
