@@ -262,7 +262,11 @@ def _draw_depth(rng: Generator, case: Case, form: str) -> dict[str, Any]:
 
 
 def _depth(history: History, form: str, p: Parameters) -> Deviation:
-    return Deviation(shifts_m=((place(history, p), p["deeper_m"]),))
+    point, number = history.case.point, place(history, p)
+    depth = point.depths_m[number] + p["deeper_m"]
+    if not 0.0 < depth < sum(e["thickness_m"] for e in point.stack["layer"]):
+        raise Unsuitable
+    return Deviation(shifts_m=((number, p["deeper_m"]),))
 
 
 def _draw_lag_change(rng: Generator, case: Case, form: str) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
+from sim_heating.closure.curves import curve_of
 from sim_heating.closure.fit_checks import check_fit
 from sim_heating.closure.record_checks import CLOCK, TRAJECTORY, DataFault, check_record, unresolved
 from sim_heating.closure.report import FILES as REPORT_FILES
@@ -35,6 +36,7 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
+from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record, load_record
 
 if TYPE_CHECKING:
@@ -49,6 +51,8 @@ MIN_SAMPLES = 10
 """Times of readings below which any effect would explain the residual."""
 SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
+EXPLAINED_BY_CURVE = 0.5
+"""Part of the excess chi-square that a curve may leave to be reported."""
 REPORTED_EXCESS = 0.2
 """Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
@@ -173,6 +177,7 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
         statement=_statement(result, fitted, not_effects),
+        curve=_curve(result),
         faults=[
             *(contradictions if not not_effects else []),
             *unresolved(faults, after),
@@ -181,6 +186,14 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
         false_alarm=false_alarm_statement(),
         warnings=[*fitted.warnings, *_residual_warning(result, residual_after), *collinear_directions(fitted)],
     )
+
+
+def _curve(result: SearchResult) -> CurveBand | None:
+    """The curve that an unexplained residual follows; None where it explains less than half of it."""
+    found = result.curve
+    if found is None or found.excess_chi2 > EXPLAINED_BY_CURVE * result.none.excess_chi2:
+        return None
+    return curve_of(found)
 
 
 def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[NotEffect]) -> Statement:

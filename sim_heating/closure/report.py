@@ -2,7 +2,8 @@
 
 closure.json is the format "closure-report/2"; further keys are `estimated` (all parameters of the last fit), `residual`
 and `residual_after` (size and bandwidth of the residual heating, residuals that no heating explains), `evidence`,
-`data_faults` (errors of the record itself), `false_alarm` and `warnings`.
+`curve` (the variable that an unexplained residual follows; curve.csv has it with its band), `data_faults` (errors of
+the record itself), `false_alarm` and `warnings`.
 
 The chance of a false alarm, an effect named where nothing is missing, is counted over records made without an effect
 (closure_calibration.json) and stated in every report.
@@ -28,6 +29,8 @@ from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
+from sim_heating.closure.curves import NAME as CURVE_NAME
+from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.plots import (
     comparison_figure,
     heating_figure,
@@ -37,11 +40,12 @@ from sim_heating.closure.plots import (
 )
 from sim_heating.closure.record_checks import DataFault
 from sim_heating.closure.statement import FOUND, ONE_OF, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 
 NAME, PAGE = "closure.json", "report.html"
-FILES = (NAME, PAGE, HEATING_NAME)
+FILES = (NAME, PAGE, HEATING_NAME, CURVE_NAME)
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ class Closure:
     residual, residual_after : residual heating after the derivatives, and after the effects
     evidence      : on the cause of the first residual
     statement     : the finding, its alternatives, its adequacy, and causes that are no effect
+    curve         : smooth factor on the heating that the residual follows, where nothing was found and it explains most
     faults        : errors of the record itself
     false_alarm   : chance of naming an effect where there is none, with its calibration
     warnings      : on the fit and its residual
@@ -124,6 +129,7 @@ class Closure:
     residual_after: ResidualHeating | None
     evidence: ResidualEvidence
     statement: Statement
+    curve: CurveBand | None = None
     faults: Sequence[DataFault] = ()
     false_alarm: str = ""
     warnings: Sequence[str] = ()
@@ -165,6 +171,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         **found.statement.as_json(),
         "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
+        "curve": None if found.curve is None else {"file": CURVE_NAME, "variable": found.curve.variable},
         "estimated": {n: p.as_json() for n, p in found.parameters.items()},
         "residual": found.residual.as_json(),
         "residual_after": None if found.residual_after is None else found.residual_after.as_json(),
@@ -180,6 +187,8 @@ def write_closure(found: Closure, folder: Path) -> None:
     """Write the files of a closure into an existing folder."""
     write_json(folder / NAME, closure_json(found))
     write_residual_heating(folder / HEATING_NAME, found.residual)
+    if found.curve is not None:
+        write_curve(folder / CURVE_NAME, found.curve)
     write_page(folder / PAGE, closure_page(found))
 
 
@@ -368,6 +377,11 @@ def _heating_section(found: Closure) -> Section:
         f"{_period(half_amplitude_Hz)})."
     ]
     variables = flight_variables(found.residual)
+    if found.curve is not None:
+        text.append(
+            f"A smooth curve explains most of it: {curve_words(found.curve)}. {CURVE_NAME} has it with its standard "
+            "deviation. It states no cause."
+        )
     order = [f.shape.variable for f in found.evidence.shape_fits]
     order += [n for n in variables if n not in order]
     over_time = partial(heating_figure, found.residual, found.residual_after, found.evidence)

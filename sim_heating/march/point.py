@@ -144,6 +144,9 @@ class PointModel:
         for slot, name in enumerate(_slot_names(self.construction)):
             layers = [i for i, own in enumerate(stack.layer_names) if own == name]
             role = RSI_PREFIX if layers == [insulation] else COATING_PREFIX if layers == [0] else None
+            of_role_alone = {} if role is None else {n: k for n, k in VALUE_INDEX.items() if n.startswith(role)}
+            for n, place in of_role_alone.items():
+                found.setdefault(f"{STACK_PREFIX}{name}.{n.rpartition('.')[2]}", place)
             for k, p in enumerate(LAYER):
                 of_role = None if role is None else VALUE_INDEX.get(f"{role}{p.name}")
                 place = len(MODEL) + OWN_WIDTH * slot + k if of_role is None else of_role
@@ -249,7 +252,8 @@ class PointModel:
         if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
             raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
         p = _PARAMETERS[place] if place < len(MODEL) else LAYER[(place - len(MODEL)) % OWN_WIDTH]
-        return replace(p, name=name, lower=max(p.lower, self._least_thickness(name)))
+        sigma = self._declared_scatter(name) or p.sigma
+        return replace(p, name=name, sigma=sigma, lower=max(p.lower, self._least_thickness(name)))
 
     @property
     def layer_parameters(self) -> list[tuple[str, Parameter]]:
@@ -261,26 +265,44 @@ class PointModel:
             if self.places[name] >= len(MODEL)
         ]
 
+    def _layers_of(self, name: str) -> list[int]:
+        """Indices of the layers that a parameter of parameters.LAYER is of, by their own name or by a role."""
+        found = layer_parameter(name)
+        own = "" if found is None else found[0]
+        role = {"coating": 0, "rsi": insulation_layer(self.construction)}.get(own)
+        named = [i for i, layer in enumerate(self.construction.stack.layer_names) if layer == own]
+        return [] if found is None else named if role is None else [role]
+
     def _least_thickness(self, name: str) -> float:
         """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; else no limit."""
-        found, stack = layer_parameter(name), self.construction.stack
-        if found is None or found[1] is not LAYER[0]:
+        stack = self.construction.stack
+        if not name.endswith(f".{LAYER[0].name}"):
             return -np.inf  # derivatives of the ratio may be negative
-        own, faces, parts = found[0], stack.interfaces_m, [0.0]
+        faces, parts = stack.interfaces_m, [0.0]
         slack = 1e-9 * stack.thickness_m  # a depth in a file is that of a face to rounding
-        for i, of_layer in enumerate(stack.layer_names):
-            if of_layer == own or (i == 0 and f"{STACK_PREFIX}{own}." == COATING_PREFIX):
-                within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1] - slack]
-                parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in within]
+        for i in self._layers_of(name):
+            within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1] - slack]
+            parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in within]
         return max(parts)
+
+    def _declared_scatter(self, name: str) -> float | None:
+        """Relative standard deviation that the layer of a parameter, or its material, declares [-]; else None."""
+        own, found = name.rpartition(".")[2], []
+        for i in self._layers_of(name):
+            layer, material = self.construction.stack.layer[i], self.construction.layer_materials()[i]
+            of_thickness = None if layer.thickness_sigma_m is None else layer.thickness_sigma_m / layer.thickness_m
+            scatter = (of_thickness, material.conductivity_sigma, material.heat_capacity_sigma)
+            found.append(dict(zip((p.name for p in LAYER), scatter, strict=True))[own])
+        return max((s for s in found if s is not None), default=None)
 
     def is_curved(self, name: str) -> bool:
         """Whether the heat balance at given temperatures is not affine in a parameter of stack or ratio.
 
         name : dotted name; a layer's by its own name or its role
         """
-        found = layer_parameter(name)
-        return name in NONLINEAR or (found is not None and found[1] is LAYER[0])
+        place = self.places.get(name, AMBIGUOUS)
+        known = _PARAMETERS[place].name if 0 <= place < len(MODEL) else name
+        return known in NONLINEAR or known.endswith(f".{LAYER[0].name}")
 
     def same_parameter(self, name: str, other: str) -> bool:
         """Whether two dotted names are of one parameter, as those of a layer by its own name and by its role."""

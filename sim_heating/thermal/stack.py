@@ -133,8 +133,9 @@ class PressureTable(Declared):
 class Material(Declared):
     """A material of a layer: density [kg/m3], specific heat [J/(kg K)], conductivity [W/(m K)], emissivity [-].
 
-    Only the outermost layer needs an emissivity. `source` and `confidence` are kept with the values. The limits of a
-    solid are not those of a gas: a layer of gas, such as a gap, declares kind = "gas".
+    Only the outermost layer needs an emissivity. `conductivity_sigma` and `heat_capacity_sigma` are relative standard
+    deviations from one part to another, that of the heat capacity with density. `source` and `confidence` are kept with
+    the values. The limits of a solid are not those of a gas: a layer of gas, such as a gap, declares kind = "gas".
     """
 
     quantities: ClassVar = {
@@ -151,6 +152,8 @@ class Material(Declared):
         Annotated[Table, Tag("in temperature")] | Annotated[PressureTable, Tag("at pressures")],
         Discriminator(_is_table),
     ] = Field(description="[[T_K, value], ...] or { p_Pa, T_K, k } in W/(m K)")
+    conductivity_sigma: float | None = Field(default=None, gt=0.0, le=1.0, description="relative, above 0, up to 1")
+    heat_capacity_sigma: float | None = Field(default=None, gt=0.0, le=1.0, description="relative, above 0, up to 1")
     max_use_K: float | None = Field(
         default=None, gt=COLDEST_K, le=HOTTEST_K, description="highest temperature of use in K"
     )
@@ -241,11 +244,13 @@ class Layer(Declared):
     """One layer of a stack: material, thickness [m], and contact resistance [m2 K/W] at its inner face (0: perfect).
 
     name : in `stack.NAME.conductivity_factor`; that of its material where absent
+    thickness_sigma_m : standard deviation of the thickness from one part to another
     """
 
     material: str = Field(description="name of a material")
     name: str | None = Field(default=None, min_length=1, description="name in parameters, else its material")
     thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; omit a layer that is absent")
+    thickness_sigma_m: float | None = Field(default=None, gt=0.0, description="its standard deviation in m, above 0")
     contact_m2K_W: float = Field(default=0.0, ge=0.0, le=MOST, description="contact resistance in m2 K/W")
 
     @field_validator("thickness_m")

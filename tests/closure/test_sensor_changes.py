@@ -12,6 +12,8 @@ from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.sensor_model import SensorErrors
+from sim_heating.simulation.predict import predict
 from tests.support.paths import PRACTICE
 from tests.support.walls import practice_record
 
@@ -101,3 +103,13 @@ def test_an_unknown_effect_is_no_broken_thermocouple():
     unknown = load_record(PRACTICE / "p02")  # a sine of the heating ratio: 90 times the noise
     base = base_trial(estimate([unknown]))
     assert not [c.what for c in sensor_changes(base) if "broken" in c.what or "swapped" in c.what]
+
+
+def test_a_drift_can_be_estimated_by_its_name_and_predicted():
+    drifting = with_readings(words=True, LS_bond=READ["LS_bond"] + DRIFT_K_S * (TIME_S - TIME_S[0]))
+    found = estimate([drifting], ["ratio.scale", "sensor.LS_bond.drift"])
+    drift, sigma = found.fit.values[1], found.bounds.sigma[1]
+    sound = estimate([TILE], ["ratio.scale", "sensor.LS_bond.drift"]).fit.values[1]
+    assert drift - sound == pytest.approx(DRIFT_K_S, abs=3.0 * sigma)
+    plain, wrong = predict(TILE), predict(TILE, errors={"LS_bond": SensorErrors(drift_K_s=DRIFT_K_S)})
+    np.testing.assert_allclose(wrong.indicated_K[1] - plain.indicated_K[1], DRIFT_K_S * TIME_S, atol=1e-9)

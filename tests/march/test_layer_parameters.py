@@ -106,3 +106,15 @@ def test_a_name_without_a_layer_is_refused(names, name, text):
 
 def test_a_derivative_of_the_ratio_may_be_negative():
     assert point_of_record(TILE).definition("ratio.d_beta").lower == -np.inf
+
+
+def test_scatter_that_a_file_declares_is_the_prior():
+    stack, materials = TILE.declared.stack, dict(TILE.declared.materials)
+    materials["sip"] = materials["sip"].model_copy(update={"conductivity_sigma": 0.3})
+    layers = [*stack.layer[:-1], stack.layer[-1].model_copy(update={"thickness_sigma_m": 1e-4})]
+    declared = Construction(stack=stack.model_copy(update={"layer": layers}), materials=materials)
+    model = replace(point_of_record(TILE), construction=declared)
+    assert model.definition("stack.sip.conductivity_factor").sigma == 0.3
+    assert model.definition("stack.al2024.thickness_factor").sigma == pytest.approx(1e-4 / layers[-1].thickness_m)
+    assert model.definition("stack.rtv.thickness_factor").sigma == 0.1  # a stated default
+    assert model.definition("stack.rsi.conductivity_factor").sigma == 0.18
