@@ -154,7 +154,7 @@ class RecordFit:
         """
         names = self.march_names if sensitive else ()
         if self.start is None:
-            return Track(self.model, self.mesh, names, self.read_s)
+            return Track(self.model, self.mesh, names, self.read_s, at_rest=self.lags)
         columns = self.start.columns if sensitive else None
         return Track(self.model, self.mesh, names, self.read_s, None, self.initial_K(vector), columns)
 
@@ -168,13 +168,17 @@ class RecordFit:
         """(read,) times that the march is read at [s]: the samples, and its steps up to the last of them where a
         thermocouple lags.
 
-        With an unknown skew steps near the ends are left out, so that shifted times stay within the march.
+        With an unknown skew shifted times stay within a march that begins with a profile, for which steps near its
+        beginning are left out; of a march that begins as declared, temperatures before it are those of its beginning,
+        and as many steps are read before it as a shift may move into it.
         """
         if not self.lags:
             return self.sample_s
-        slack = SKEW_SPAN_S if CLOCK_SKEW.name in self.names else 0.0
-        steps = self.time_s[(self.time_s >= self.time_s[0] + slack) & (self.time_s < self.sample_s[-1])]
-        return np.union1d(steps, self.sample_s)
+        begin, slack = self.time_s[0], SKEW_SPAN_S if CLOCK_SKEW.name in self.names else 0.0
+        first = begin + slack if self.start is not None else begin
+        steps = self.time_s[(self.time_s >= first) & (self.time_s < self.sample_s[-1])]
+        before = 2.0 * begin - self.time_s[(self.time_s > begin) & (self.time_s <= begin + slack)]
+        return np.union1d(np.append(steps, before if self.start is None else []), self.sample_s)
 
     def sensed(self, march: Linearised, vector: FloatArray) -> Sensed:
         """Temperatures of the thermocouples at the samples: the march at their places, behind their lags.
@@ -188,7 +192,10 @@ class RecordFit:
         if not self.lags:
             return Sensed(march.temperature_K, march.rate_K_s, march.sensitivity, np.zeros((len(march.rate_K_s), 1)))
         at, values = np.searchsorted(self.read_s, self.sample_s), self.values(vector)
-        at_rest = self.start is None and self.read_s[0] == self.time_s[0]
+        at_rest = self.start is None
+        if at_rest:
+            moving = self.read_s + self.shift_s(vector) >= self.time_s[0]
+            march = replace(march, rate_K_s=march.rate_K_s * moving)
         channels = [
             _behind_lag(self.read_s, march, i, lag_s(s, values), at_rest) for i, s in enumerate(self.record.sensors)
         ]
@@ -596,8 +603,10 @@ def _temperatures_K(
     record_fit: RecordFit, vector: FloatArray, meshes: Sequence[tuple[Mesh, FloatArray | None]]
 ) -> list[FloatArray]:
     """(sensor, sample) temperatures [K] of the thermocouples on each mesh, from its paired initial temperatures [K]."""
+    at_rest = record_fit.start is None and record_fit.lags
     tracks = [
-        Track(record_fit.model_at(vector), mesh, (), record_fit.read_s, initial_K=initial) for mesh, initial in meshes
+        Track(record_fit.model_at(vector), mesh, (), record_fit.read_s, initial_K=initial, at_rest=at_rest)
+        for mesh, initial in meshes
     ]
     history = record_fit.history(record_fit.time_s)
     found = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))

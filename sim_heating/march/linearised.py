@@ -69,6 +69,7 @@ class Track:
     initial_K, initial_columns : (node,) temperatures at the start [K], and (node, extra) their sensitivities to `extra`
                more parameters, which come after the others; as the stack declares, and none, where None
     flight   : number of the flight
+    at_rest  : whether times before the march are read as its beginning: temperatures were as they are there
     table_errors : arrays of the shape of the ratio table [-]; sensitivities to the factors c in ratio + c error come
                after the named parameters
     """
@@ -81,6 +82,7 @@ class Track:
     initial_K: FloatArray | None = None
     initial_columns: FloatArray | None = None
     flight: int = 0
+    at_rest: bool = False
     table_errors: tuple[FloatArray, ...] = ()
 
     @property
@@ -345,6 +347,7 @@ class LinearMarch:
         """
         shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
         times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
+        times = [np.maximum(t, self.time_s[0]) if i.at_rest else t for i, t in zip(self.tracks, times, strict=True)]
         for track, t in zip(self.tracks, times, strict=True):
             outside = np.count_nonzero((t < self.time_s[0]) | (t > self.time_s[-1]))
             if outside:

@@ -4,30 +4,32 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from sim_heating.closure.close import close_loop
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.synthesize import synthesize
 from tests.support.gliding import gliding
 
-POINT, SENSOR, TAU_S = "V09T9527", "V07T9528", 8.0
-"""Of five thermocouples the second, 4 mm deep in a tile."""
-ENTRY = f"""
+POINT, TAU_S = "V09T9527", 8.0
+ENTRY = """
 [[trajectory.manoeuvre]]
 kind = "popu"
 at_time_s = 200.0
 [[measurements.fault]]
-sensor = "{SENSOR}"
-tau_s = {TAU_S}
+sensor = "{sensor}"
+tau_s = {tau_s}
 """
 
 
-def test_the_lag_of_one_thermocouple_is_found_and_is_no_skew_of_the_clock(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sensor", ["V09T9527", "V07T9528"], ids=["at the surface", "4 mm deep"])
+def test_the_lag_of_one_thermocouple_is_found_and_is_no_skew_of_the_clock(tmp_path: Path, sensor: str) -> None:
     falling = gliding(280.0, POINT, altitude_m=100e3, velocity_m_s=7500.0).replace("gamma_deg = -0.1", "gamma_deg = -1")
-    (tmp_path / "entry.toml").write_text(falling + ENTRY)
+    (tmp_path / "entry.toml").write_text(falling + ENTRY.format(sensor=sensor, tau_s=TAU_S))
     record = synthesize(load_scenario(tmp_path / "entry.toml"))[POINT]
     closed = close_loop(record)
     (found,) = closed.report.effects
-    assert (found.name, found.sensor) == ("sensor-lag", SENSOR)
+    assert (found.name, found.sensor) == ("sensor-lag", sensor)
     tau, skew = found.parameters["tau_s"], closed.report.parameters["clock.skew"]
     assert abs(tau.value - TAU_S) < 4.0 * tau.sigma < 0.5
     assert abs(skew.value) < 4.0 * skew.sigma < 0.5

@@ -16,8 +16,11 @@ from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.estimation.starts import profile_start
 from sim_heating.inputs.record import Record, in_segments, load_record
+from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors
 from sim_heating.simulation.predict import predict
+from sim_heating.simulation.synthesize import synthesize
+from tests.support.gliding import gliding
 from tests.support.paths import PRACTICE
 
 POPU_S = (300.0, 420.0)
@@ -129,6 +132,19 @@ def test_time_constant_and_skew_are_found_together_from_a_manoeuvre():
         value, sigma = found.parameters[name]
         assert abs(value - true) < 4.0 * sigma, (name, value, sigma)
     assert found.parameters["sensors.tau_s"][1] < 0.3
+
+
+@pytest.mark.parametrize("skew_s", [0.0, 1.2, -1.2])
+def test_lag_and_skew_are_found_where_a_cold_wall_meets_full_heating_at_once(tmp_path, skew_s):
+    """The thermocouple rests until the flight begins, whatever the skew: not behind a ramp of its first seconds."""
+    faults = f'[measurements]\nclock_skew_s = {skew_s}\n[[measurements.fault]]\nsensor = "V09T9527"\ntau_s = 8.0\n'
+    (tmp_path / "glide.toml").write_text(gliding(120.0, "V09T9527") + faults)
+    record = synthesize(load_scenario(tmp_path / "glide.toml"))["V09T9527"]
+    found = estimate(record, ["ratio.scale", "clock.skew", "sensor.V09T9527.tau_s"])
+    for name, true in (("ratio.scale", 0.0), ("clock.skew", skew_s), ("sensor.V09T9527.tau_s", 8.0)):
+        value, sigma = found.parameters[name]
+        assert abs(value - true) < 4.0 * sigma < 0.2, (name, value, sigma)
+    assert found.after[0].segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
 
 
 def test_a_skew_does_not_explain_a_lag_in_a_manoeuvre():
