@@ -45,6 +45,8 @@ from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
+NEARLY, MOST_SEARCHES = 0.95, 3
+"""Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 GROSS_EXCESS = 10.0
@@ -389,6 +391,10 @@ def fit_changes(
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
         if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > MIN_GAIN_SHARE * reached:
             models[k], fits[k] = _with_best_ends(model, fit)
+    largest = max([0.0, *(f.log_likelihood - base.fit.log_likelihood for f in fits if np.isfinite(f.log_likelihood))])
+    for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
+        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > NEARLY * largest:
+            models[k], fits[k] = _with_best_ends(model, fit, MOST_SEARCHES)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted(found, key=lambda f: f.delta_bic)
 
@@ -425,18 +431,36 @@ def _recorrected(before: FitResult, fit: ChangeFit) -> ChangeFit:
     return replace(fit, trial=replace(trial, fit=again, delta_bic=delta), fit=again, delta_bic=delta)
 
 
-def _with_best_ends(model: _ChangedModel, fit: Fit) -> tuple[_ChangedModel, Fit]:
-    """A change with ends, and its fit, with the ends where the likelihood is largest: a pattern search."""
-    best, at, reached = model, fit.values, fit.log_likelihood
+def _with_best_ends(model: _ChangedModel, fit: Fit, searches: int = 1) -> tuple[_ChangedModel, Fit]:
+    """A change with ends, and its fit, with the ends where the likelihood is largest.
+
+    A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
+    searches : how often at most
+    """
+    for _ in range(searches):
+        moved = _pattern_search(model, fit)
+        if moved is model:
+            break
+        found = _maximise([moved], [fit.values])[0]
+        gained = found.log_likelihood - fit.log_likelihood
+        if gained > 0.0:
+            model, fit = moved, found
+        if not gained > GAIN_MARGIN:
+            break
+    return model, fit
+
+
+def _pattern_search(model: _ChangedModel, fit: Fit) -> _ChangedModel:
+    """The change with the ends that predict most from the values of a fit; the model itself where none does."""
+    best, reached = model, fit.log_likelihood
     for fraction in ENDS_MOVED:
         moved = [] if best.change.near is None else list(best.change.near(fraction))
         models = [_model(model.base, change) for change in moved]
-        predicted = [gain for gain, _ in _predicted(models, [at] * len(models))]
+        predicted = [gain for gain, _ in _predicted(models, [fit.values] * len(models))]
         k = int(np.argmax(predicted)) if models else 0
         if models and predicted[k] > reached:
             best, reached = models[k], predicted[k]
-    found = _maximise([best], [at])[0] if best is not model else fit
-    return (best, found) if found.log_likelihood > fit.log_likelihood else (model, fit)
+    return best
 
 
 def _maximise(models: Sequence[_ChangedModel], starts: Sequence[FloatArray]) -> list[Fit]:
