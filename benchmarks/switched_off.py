@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -112,31 +113,39 @@ def _largest(with_part: list[PointHistory], without: list[PointHistory], name: s
     return max(found, key=lambda f: abs(f[0]))
 
 
+def _peak_K(name: str, history: PointHistory) -> float:
+    return float(np.max(getattr(history, name)))
+
+
+def _last_K(name: str, history: PointHistory) -> float:
+    return float(getattr(history, name)[-1])
+
+
+def _surface_K(time_s: float, history: PointHistory) -> float:
+    return float(np.interp(time_s, history.time_s, history.surface_K))
+
+
+def _greatest(
+    with_part: list[PointHistory], without: list[PointHistory], value: Callable[[PointHistory], float]
+) -> tuple[float, str]:
+    """Difference of largest size of a value of a history [K] over all points, and the point."""
+    changes = [(value(a) - value(b), a.name) for a, b in zip(with_part, without, strict=True)]
+    return max(changes, key=lambda c: abs(c[0]))
+
+
 def _figures(part: str, flight: str, with_part: list[PointHistory], without: list[PointHistory]) -> list[Figure]:
     """Largest differences, at any time, at peaks, and at the end of the flight."""
     figures = []
     for name, what in (("surface_K", "surface"), ("bondline_K", "bondline")):
         largest, where = _largest(with_part, without, name)
         figures.append(Figure(f"{flight}, {part}: largest change of a {what}", largest, "K", note=where))
-        peaks = [
-            (float(np.max(getattr(a, name)) - np.max(getattr(b, name))), a.name)
-            for a, b in zip(with_part, without, strict=True)
-        ]
-        value, point = max(peaks, key=lambda p: abs(p[0]))
+        value, point = _greatest(with_part, without, partial(_peak_K, name))
         figures.append(Figure(f"{flight}, {part}: change of the peak of a {what}", value, "K", note=point))
-        ends = [
-            (float(getattr(a, name)[-1] - getattr(b, name)[-1]), a.name)
-            for a, b in zip(with_part, without, strict=True)
-        ]
-        value, point = max(ends, key=lambda p: abs(p[0]))
+        value, point = _greatest(with_part, without, partial(_last_K, name))
         figures.append(Figure(f"{flight}, {part}: change of a {what} at the end", value, "K", note=point))
     at_s = [t for t in (200.0, 351.0, 1800.0) if t < with_part[0].time_s[-1]]
     for t in at_s if flight == "STS-96" else ():
-        changes = [
-            (float(np.interp(t, a.time_s, a.surface_K) - np.interp(t, b.time_s, b.surface_K)), a.name)
-            for a, b in zip(with_part, without, strict=True)
-        ]
-        value, point = max(changes, key=lambda p: abs(p[0]))
+        value, point = _greatest(with_part, without, partial(_surface_K, t))
         figures.append(Figure(f"{flight}, {part}: change of a surface at {t:.0f} s", value, "K", note=point))
     return figures
 
