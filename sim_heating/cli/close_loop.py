@@ -28,9 +28,9 @@ def close_loop(
     RECORDS are directories of flight records, or directories that hold such; each record is treated by itself.
     """
     from sim_heating.base.files import require_writable
-    from sim_heating.closure.batch import close_all, find_records, summary_row
     from sim_heating.closure.close import FILES, write_closed_loop
     from sim_heating.closure.close import close_loop as close_one
+    from sim_heating.closure.several.batch import close_all, find_records, summary_row
     from sim_heating.inputs.record import load_record
 
     found = find_records(records, root)

@@ -213,7 +213,7 @@ def closure_page(found: Closure) -> Page:
 def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Effects found in records and the errors before and after, a row a record.
 
-    rows : as `batch.summary_row` gives them, or the name of a record and why it `failed`
+    rows : as `several.batch.summary_row` gives them, or the name of a record and why it `failed`
     """
     errors = {
         "before, fit": "before_fit_rmse_K", "after, fit": "after_fit_rmse_K",

@@ -172,7 +172,7 @@ def estimate(
     """
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded = [load_record(record) for record in given]
-    _check_records(loaded)
+    check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
     loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
     wanted = tuple(names) if names is not None else default_names(loaded)
@@ -203,6 +203,20 @@ def estimate(
     if process_noise is not None and fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
     return _fit_result(problem, fit, omitted, stuck, innovations)
+
+
+def fit_problem(
+    problem: FitProblem, first: FloatArray, *, settings: NewtonSettings | None = None, progress: Progress = no_progress
+) -> FitResult:
+    """The fit of a problem that is set up, all of its parameters estimated.
+
+    first   : (parameter,) values to start from, each in its unit
+    returns : values, bounds, predictions [K] before and after, warnings
+    raises  : RunError where the model cannot be marched at the start or at the values found
+
+    Source: docs/estimation_statistics.md, equations 13 to 26 and 31.
+    """
+    return _fit_result(problem, _fit(problem, first, settings, progress), {}, (), None)
 
 
 def _remaining_names(names: Sequence[str], omitted: Mapping[str, str], records: Sequence[Record]) -> list[str]:
@@ -236,7 +250,12 @@ def _check_samples(problem: FitProblem) -> None:
         )
 
 
-def _check_records(records: Sequence[Record]) -> None:
+def check_joint_records(records: Sequence[Record], do: str = "estimate") -> None:
+    """Check that records may be fitted together.
+
+    do     : what a message advises to do with each record by itself
+    raises : InputError where there is none, two have one name, or ratios of one point are over different references
+    """
     if not records:
         raise InputError("estimate: no record; give at least one")
     require_distinct_records([r.name for r in records])
@@ -244,7 +263,7 @@ def _check_records(records: Sequence[Record]) -> None:
     if len(models) > 1:
         raise InputError(
             f"records: their ratios are over different reference heatings ({', '.join(sorted(models))}) and have no "
-            "common derivatives; estimate each record by itself"
+            f"common derivatives; {do} each record by itself"
         )
     # Points may differ: their derivatives do not mix.
     recoveries: dict[str, set[str]] = {}
@@ -254,7 +273,7 @@ def _check_records(records: Sequence[Record]) -> None:
         if len(kinds) > 1:
             raise InputError(
                 f"records of {point}: their ratios are reduced with different recovery enthalpies "
-                f"({', '.join(sorted(kinds))}) and have no common derivatives; estimate each record by itself"
+                f"({', '.join(sorted(kinds))}) and have no common derivatives; {do} each record by itself"
             )
 
 

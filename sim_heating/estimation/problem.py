@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -132,6 +133,37 @@ class FitProblem:
             self._choose_samples(record_fit, None if options.sample_masks is None else options.sample_masks[i])
         self._divide_steps()
         self._group()
+
+    @classmethod
+    def joined(cls, parts: Sequence[FitProblem], owners: Sequence[Mapping[str, str]]) -> FitProblem:
+        """One problem of several, whose likelihoods add up: some parameters are common to records, the others own.
+
+        parts   : problems of one record each, with the samples, noise, meshes and priors that they have
+        owners  : by part, dotted name -> the owner of the parameter, such as a control point; parameters of one name
+                  and owner are one, with the prior of the first part that has it. An empty owner is all records; a
+                  parameter that is not listed is the record's own
+        returns : the problem; labels are `name`, or `name@owner`. Its `reference` is that of the first part alone
+        """
+        joint = copy(parts[0])
+        found: dict[tuple[str, str], tuple[Parameter, list[int]]] = {}
+        places = []
+        for i, (part, own) in enumerate(zip(parts, owners, strict=True)):
+            record_fit = part.record_fits[0]
+            keys = [(u.parameter.name, own.get(u.parameter.name, record_fit.record.name)) for u in part.unknowns]
+            for key, unknown in zip(keys, part.unknowns, strict=True):
+                found.setdefault(key, (unknown.parameter, []))[1].append(i)
+            places.append([keys[k] for k in record_fit.index])
+        order = list(found)
+        joint.record_fits = [
+            replace(part.record_fits[0], index=np.array([order.index(key) for key in keys], dtype=np.int64))
+            for part, keys in zip(parts, places, strict=True)
+        ]
+        joint.unknowns = [
+            FitParameter(f"{name}{AT}{owner}" if owner else name, parameter, tuple(numbers))
+            for (name, owner), (parameter, numbers) in found.items()
+        ]
+        joint._group()
+        return joint
 
     # Parameters ------------------------------------------------------------------------------------------------------
 

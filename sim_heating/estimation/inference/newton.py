@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import lsq_linear
 
-from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
 from sim_heating.estimation.inference.identifiability import (
@@ -169,6 +169,24 @@ class Fit:
         Source: docs/estimation_statistics.md, equation 18.
         """
         return np.sqrt(np.diag(self.covariance))
+
+    def select(self, at: IntArray, names: Sequence[str]) -> Fit:
+        """The fit of some of its parameters, in another order, the others held at their values.
+
+        at    : (selected,) indices of the parameters;  names : (selected,) what they are called
+
+        Source: marginal covariance of docs/estimation_statistics.md, equation 18.
+        """
+        return replace(
+            self,
+            names=tuple(names),
+            values=self.values[at],
+            covariance=self.covariance[np.ix_(at, at)],
+            information=self.information[np.ix_(at, at)],
+            prior_information=self.prior_information[at],
+            on_bound=self.on_bound[at],
+            history=self.history[:, at],
+        )
 
     def describe(self) -> list[str]:
         """Lines for a report: the status, parameters on their bounds, directions that are not identified."""

@@ -76,6 +76,9 @@ class Effect:
                     that have a prior, from their nominal values
     search_bounds : narrower bounds of some parameters in the search for it, those that are physical
     last_resort   : whether `close-loop` looks for it only where no other effect is adequate
+    of_flow       : parameters of the flow around the vehicle rather than of one point, such as an onset: records of
+                    neighbouring points may have them in common
+    of_flight     : parameters of one flight, such as the time of an event: no two records have them in common
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
@@ -100,12 +103,14 @@ class Effect:
     search_starts: Callable[[Conditions], Sequence[SearchStart]] | None = field(default=None, compare=False)
     search_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False)
     last_resort: bool = False
+    of_flow: tuple[str, ...] = ()
+    of_flight: tuple[str, ...] = ()
     physics: str = ""
     source: str = ""
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        for name in ("parameters", "needs"):  # lists cannot be hashed
+        for name in ("parameters", "needs", "of_flow", "of_flight"):  # lists cannot be hashed
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.parameters) > EFFECT_WIDTH:
             raise InputError(f"effect {self.name}: {len(self.parameters)} parameters; {EFFECT_WIDTH} at most")
@@ -126,6 +131,8 @@ class Effect:
                 )
         self._check_names(self.neutral, "neutral")
         self._check_names(self.search_bounds, "search_bounds")
+        self._check_names(self.of_flow, "of_flow")
+        self._check_names(self.of_flight, "of_flight")
         for column in self.needs:
             if column not in NEEDED_COLUMNS:
                 raise InputError(
@@ -196,6 +203,8 @@ class Effect:
             "parameters": "Parameters in a tuple" if not _all_are(self.parameters, Parameter) else "",
             "kernel": "a function of @njit, or None" if not (self.kernel is None or callable(self.kernel)) else "",
             "needs": "names of columns in a tuple" if not _all_are(self.needs, str) else "",
+            "of_flow": "names of parameters in a tuple" if not _all_are(self.of_flow, str) else "",
+            "of_flight": "names of parameters in a tuple" if not _all_are(self.of_flight, str) else "",
             "neutral": "numbers by parameter"
             if not (isinstance(self.neutral, Mapping) and all(is_number(v) and v == v for v in self.neutral.values()))
             else "",

@@ -67,6 +67,7 @@ EFFECT = Effect(
     search_starts=search_starts,
     # Declared emittances of hot coatings are 0.8 to 0.9, and none is above 1; bare metal has a third of that.
     search_bounds={"emissivity_factor": (0.3, 1.3), "emissivity_slope": (-5e-4, 5e-4)},
+    of_flight=("change_s",),
     physics="Coatings age, are contaminated or blister; their emittance when hot differs from their tables.",
     source="Emittance drift of reused tiles, Williams & Curry, NASA RP-1289 (1992)",
 )

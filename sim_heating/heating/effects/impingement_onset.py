@@ -54,6 +54,7 @@ EFFECT = Effect(
     neutral={"slope": 0.0},
     search_starts=search_starts,
     search_bounds={"slope": (0.0, 0.1)},  # flow that reaches a point heats it
+    of_flow=("alpha_onset_deg",),
     physics="Above an angle of attack the flow impinges on the point and the ratio rises with angle of attack.",
     source="OMS pod of STS-2, fig. 14 of 'Trends in Shuttle Entry Heating from the Correlation of Flight Test ...'",
 )

@@ -65,6 +65,7 @@ EFFECT = Effect(
         "latent_J_kg": (0.0, 1e6),
         "deposit_J_kg": (0.0, 1e6),
     },
+    of_flight=("latent_J_kg", "deposit_J_kg", "vapour_W_m"),  # the water that a flight begins with
     physics="Adsorbed water boils as heat reaches it; vapour condenses in cooler depths before it leaves.",
     source="Apparent heat capacity: Voller & Swaminathan, Numer. Heat Transfer B 19 (1991) 175; vapour diffusing down "
     "its density: Philip & de Vries, Trans. Am. Geophys. Union 38 (1957) 222",

@@ -69,6 +69,7 @@ EFFECT = Effect(
     search_starts=search_starts,
     # Behind a colder wall heating is larger, and follows what changes it.
     search_bounds={"lag_fraction": (0.0, 1.5), "overshoot": (0.0, 1.5)},
+    of_flight=("decay_begin_s",),
     physics="A wall that is colder upstream gives more heat behind the step, less so as both warm: larger, lagging.",
     source="Chapman & Rubesin, J. Aero. Sci. 16 (1949) 547; Kays & Crawford, Convective Heat and Mass Transfer",
 )

@@ -178,6 +178,7 @@ EFFECT = Effect(
     search_starts=search_starts,
     # A declared one may heat less than its table; what is looked for as transition heats more.
     search_bounds={"factor": (1.0, 12.0), "alpha_sens": (-0.1, 0.2), "width": (1e-3, 0.5)},
+    of_flow=("log10_re_onset", "alpha_sens", "width", "hysteresis"),
     physics="The boundary layer turns turbulent past a Reynolds number, earlier at higher angle of attack; it may turn "
     "laminar again at a lower one.",
     source="STS-4 Mach 12 manoeuvre in 'Trends in Shuttle Entry Heating from the Correlation of Flight Test "

@@ -1,0 +1,1 @@
+"""Loops over several records: each by itself, or one cause sought in all of them together."""
