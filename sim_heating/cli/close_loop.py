@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, ERRORS, OUT, PATH, ROOT, print_outputs, print_table, progress_line
+from sim_heating.cli.console import (
+    CONSOLE,
+    ERRORS,
+    OUT,
+    PATH,
+    ROOT,
+    comma_list,
+    print_outputs,
+    print_table,
+    progress_line,
+)
 
 if TYPE_CHECKING:
     from sim_heating.closure.report import Closure, ParameterEstimate
@@ -17,11 +27,22 @@ if TYPE_CHECKING:
 @click.command("close-loop")
 @click.argument("records", type=PATH, nargs=-1, required=True)
 @OUT
+@click.option(
+    "--parameters",
+    callback=comma_list,
+    help="dotted names that the declared model is fitted with, separated by commas; default: magnitude and "
+    "derivatives, none where there is no reference heating",
+)
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
 @ROOT
 def close_loop(
-    records: tuple[Path, ...], out: Path, scheduler: str | None, workers: int | None, root: Path | None
+    records: tuple[Path, ...],
+    out: Path,
+    parameters: tuple[str, ...] | None,
+    scheduler: str | None,
+    workers: int | None,
+    root: Path | None,
 ) -> None:
     """Identify the effect that the declared model of flight RECORDS lacks; report errors before and after.
 
@@ -38,14 +59,16 @@ def close_loop(
         record = load_record(found[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
         with progress_line(record.name) as progress:
-            closed = close_one(record, progress=progress)
+            closed = close_one(record, parameters, progress=progress)
             names = write_closed_loop(closed, out)
         _print_rows([summary_row(closed.report)])
         _print_details(closed.report)
         print_outputs(out, names)
         return
     with progress_line("close-loop") as progress:
-        rows = close_all(found, out, root=root, scheduler=scheduler, workers=workers, progress=progress)
+        rows = close_all(
+            found, out, names=parameters, root=root, scheduler=scheduler, workers=workers, progress=progress
+        )
     _print_rows(rows)
     for row in rows:
         for line in row.get("fault_messages", ()):

@@ -26,7 +26,14 @@ from sim_heating.closure.report import CandidateScore, Closure, Finding, false_a
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
-from sim_heating.closure.search.trials.trial_fit import QUICK, WIDENED, TrialFit, fitted_effects, fitted_values
+from sim_heating.closure.search.trials.trial_fit import (
+    QUICK,
+    WIDENED,
+    TrialFit,
+    declared_fit,
+    fitted_effects,
+    fitted_values,
+)
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
 from sim_heating.closure.table_prior.prior import table_prior
@@ -91,14 +98,18 @@ class ClosedLoop:
         return self.fitted.plot()
 
 
-def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = no_progress) -> ClosedLoop:
+def close_loop(
+    record: Record | str | os.PathLike[str], names: Sequence[str] | None = None, *, progress: Progress = no_progress
+) -> ClosedLoop:
     """Identify the effect that the declared model of a record lacks, add it, refit.
 
     record   : a flight record, or its directory
+    names    : dotted names of the declared model's parameters that are fitted before anything is searched for; by
+               default magnitude and derivatives, and none where the record has no reference heating
     progress : called with the fraction done, from 0 to 1, and a line of text
     returns  : the effects found, the last fit with its bounds, errors before and after
-    raises   : InputError where its clocks are in two units or readings are too few; InputError or RunError where not
-               even the declared model can be fitted
+    raises   : InputError where its clocks are in two units or readings are too few, or for a name that the model
+               does not have; InputError or RunError where not even the declared model can be fitted
 
     >>> import sim_heating as sh
     >>> sh.close_loop("scenarios/records/practice/p08")
@@ -114,7 +125,7 @@ def close_loop(record: Record | str | os.PathLike[str], *, progress: Progress = 
     of_clock = [f.message for f in faults if f.kind == CLOCK]
     if of_clock:
         raise InputError(*of_clock)
-    result = search_effects(record, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
+    result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found")
     fitted = refit(result)
     progress(0.9, "residual as heating")
@@ -131,7 +142,8 @@ def refit(result: SearchResult) -> FitResult:
     if not result.explained:
         return result.before
     if best.change is not None:
-        return estimate([best.change.change.apply(result.record, best.change.value)], result.before.labels)
+        changed = best.change.change.apply(result.record, best.change.value)
+        return declared_fit(changed, result.before.labels or None)
     last = best.last
     part = last.problem.record_fits[0]
     # The priors of the search: with the declared ones the last fit could end at other values than those that were

@@ -52,7 +52,7 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
     axes[0].axhline(0.0, color="0.3", linewidth=0.8)
     for span in evidence.active:
         axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
-    axes[0].set_ylabel("missing heating ratio")
+    axes[0].set_ylabel(f"missing {before.quantity}")
     axes[0].set_ylim(*_limits(before))
     axes[0].legend(fontsize=8, loc="best")
     for name in changed:
@@ -112,7 +112,7 @@ def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArr
     for a in axes.ravel()[len(names) :]:
         a.set_visible(False)
     for a in axes.reshape(rows, columns)[:, 0]:
-        a.set_ylabel("missing heating ratio")
+        a.set_ylabel(f"missing {residual.quantity}")
     if mappable is not None:
         figure.colorbar(mappable, ax=axes, label="time, s", aspect=40)
     add_grid_and_title(figure, "", axes)
@@ -138,7 +138,7 @@ def hysteresis_figure(
         a.annotate("", (v[1], d[1]), (v[0], d[0]), arrowprops={"arrowstyle": "->", "color": BEFORE})
         a.set_xlabel(LABELS[loop.variable])
         a.set_title(f"{loop.start_s:.0f} to {loop.end_s:.0f} s", fontsize=9)
-    axes[0].set_ylabel("missing heating ratio")
+    axes[0].set_ylabel(f"missing {residual.quantity}")
     add_grid_and_title(figure, "", axes)
     return figure
 

@@ -371,9 +371,9 @@ def _candidates_section(found: Closure) -> Section:
 def _heating_section(found: Closure) -> Section:
     half_amplitude_Hz = found.residual.input.half_amplitude_Hz
     text = [
-        "The heating ratio that has to be added for the measured temperatures to be explained: the inverse heat "
-        "conduction problem, regularised by the noise model that the record itself makes most likely. Changes up to "
-        f"{half_amplitude_Hz:.3g} Hz are recovered with more than half their size (a period of "
+        f"The {found.residual.quantity} that has to be added for the measured temperatures to be explained: the "
+        "inverse heat conduction problem, regularised by the noise model that the record itself makes most likely. "
+        f"Changes up to {half_amplitude_Hz:.3g} Hz are recovered with more than half their size (a period of "
         f"{_period(half_amplitude_Hz)})."
     ]
     variables = flight_variables(found.residual)
@@ -387,8 +387,8 @@ def _heating_section(found: Closure) -> Section:
     over_time = partial(heating_figure, found.residual, found.residual_after, found.evidence)
     over_variables = partial(variables_figure, found.residual, variables, order)
     pictures = [
-        Picture(over_time, "Missing heating ratio against time."),
-        Picture(over_variables, "Missing heating ratio against the variables that changed; bars: 1 sigma."),
+        Picture(over_time, f"Missing {found.residual.quantity} against time."),
+        Picture(over_variables, f"Missing {found.residual.quantity} against what changed; bars: 1 sigma."),
     ]
     return Section("Residual as heating", text, pictures=pictures)
 

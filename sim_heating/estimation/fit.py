@@ -219,6 +219,35 @@ def fit_problem(
     return _fit_result(problem, _fit(problem, first, settings, progress), {}, (), None)
 
 
+def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> FitResult:
+    """The declared model of a record in the form of a fit, with nothing estimated.
+
+    record  : of which stuck sensors are left out
+    reasons : parameter -> why it is not estimated
+    returns : predictions [K], residuals and noise at the declared values
+    raises  : InputError where readings are too few, RunError where the model cannot be marched
+
+    For records from which no magnitude of the heating can be estimated, such as one under a lamp.
+    """
+    checked, stuck = without_stuck_sensors(load_record(record))
+    problem = FitProblem([checked], (), joint_reference([checked]))
+    _check_samples(problem)
+    nothing = np.zeros(0)
+    if any(c.sensor.noise_sigma_K is None for c in problem.record_fits[0].channels):
+        problem.update_noise(nothing)
+    problem.correct_meshes(nothing)
+    found = problem.evaluate(nothing)
+    if not np.isfinite(found.log_likelihood):
+        raise RunError(
+            f"{record.name}: the declared model cannot be marched along the record; see `sim-heating predict`"
+        )
+    fit = Fit(
+        (), nothing, np.zeros((0, 0)), found.log_likelihood, found.log_likelihood, np.zeros((0, 0)), nothing,
+        np.zeros(0, dtype=bool), (), Status.CONVERGED, 0, 0.0, np.zeros((1, 0)),
+    )  # fmt: skip
+    return _fit_result(problem, fit, dict(reasons or {}), stuck, None)
+
+
 def _remaining_names(names: Sequence[str], omitted: Mapping[str, str], records: Sequence[Record]) -> list[str]:
     """The names that remain to be estimated.
 

@@ -95,6 +95,7 @@ class ResidualEvidence:
     loops         : hysteresis in manoeuvres
     axial         : steps in axial acceleration; None where the record has none
     negative_s    : how long the ratio would have to be negative by more than NEGATIVE_SIGMAS [s]; None where unknown
+    unit          : what amplitudes are multiples of, in words
     """
 
     correlations: tuple[Correlation, ...]
@@ -105,6 +106,7 @@ class ResidualEvidence:
     loops: tuple[HysteresisLoop, ...]
     axial: tuple[AxialStep, ...] | None
     negative_s: float | None = None
+    unit: str = "ratio"
 
     def proposal(self) -> list[str]:
         """The evidence in lines for a person: which variable, at which lag, active when, how large."""
@@ -112,7 +114,7 @@ class ResidualEvidence:
             return ["The residual is consistent with noise."]
         best = self.shape_fits[0]
         lines = [
-            f"The residual follows {best.shape.describe()}: {best.amplitude:+.3g} of ratio at its largest, "
+            f"The residual follows {best.shape.describe()}: {best.amplitude:+.3g} of {self.unit} at its largest, "
             f"{abs(best.z):.0f} sigma; that is {best.share:.0%} of the gain of the best heating history."
         ]
         rivals = [f for f in self.shape_fits[1:] if f.share > 0.8 * best.share]
@@ -135,7 +137,7 @@ class ResidualEvidence:
             )
         for span in self.active[:3]:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
-            lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of ratio on average.")
+            lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average.")
         lines += self._hysteresis()
         significant = [step for step in self.axial or () if step.p_value < SIGNIFICANCE_LEVEL]
         return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
@@ -205,6 +207,7 @@ def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEv
         loops=tuple(hysteresis_loops(residual, variables)),
         axial=axial_steps(residual.record),
         negative_s=None if ratio is None else negative_s(residual, ratio),
+        unit=residual.unit,
     )
 
 

@@ -3,6 +3,9 @@
 The smoother of estimation/filter/heating_input.py on the samples and at the values of a fit: a history delta_ratio(t)
 that, added to the heating ratio, makes the measured samples likely, with its sigma. A residual of the sensors beyond
 that history is not due to heating at the surface: conduction, a sensor, a clock.
+
+A record without reference heating, such as one under a lamp, has no heating ratio. There the history is an absorbed
+flux, over the largest that the record declares: the march is given a reference heating of that flux, whatever the wall.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import write_csv
 from sim_heating.estimation.filter.heating_input import UnknownInput, unknown_input
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
@@ -28,6 +32,10 @@ from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
 
 NAME = "residual_heating.csv"
+COLD_WALL_J_KG = 1e12
+"""Recovery enthalpy of a reference heating that does not depend on the wall: that of a wall is negligible [J/kg]."""
+FLUX_W_M2 = 1e4
+"""Unit of a missing flux where the record declares none [W/m2]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +86,7 @@ class ResidualHeating:
     names    : (parameter,) labels of the fitted parameters
     span_s   : (2,) first and last time that was fitted
     march_s, mesh : (time,) and nodes of `input.temperature_K`
+    flux_W_m2 : absorbed flux that a ratio of 1 stands for in a record without reference heating; None in any other
     """
 
     record: Record
@@ -89,6 +98,17 @@ class ResidualHeating:
     span_s: tuple[float, float]
     march_s: FloatArray
     mesh: Mesh
+    flux_W_m2: float | None = None
+
+    @property
+    def unit(self) -> str:
+        """What delta_ratio is a multiple of, in words."""
+        return "ratio" if self.flux_W_m2 is None else f"{1e-3 * self.flux_W_m2:.3g} kW/m2"
+
+    @property
+    def quantity(self) -> str:
+        """What delta_ratio is, in words."""
+        return "heating ratio" if self.flux_W_m2 is None else f"absorbed flux over {self.unit}"
 
     @property
     def time_s(self) -> FloatArray:
@@ -113,7 +133,8 @@ class ResidualHeating:
     def as_json(self) -> dict[str, Any]:
         """Size, gain, bandwidth and sensors for closure.json."""
         here = self.fitted
-        return {
+        flux = {} if self.flux_W_m2 is None else {"flux_W_m2": self.flux_W_m2}
+        return flux | {
             "rms_delta_ratio": float(np.sqrt(np.mean(self.delta_ratio[here] ** 2))),
             "median_sigma": float(np.median(self.sigma[here])),
             "gain_log_likelihood": self.input.gain_log_likelihood,
@@ -135,7 +156,7 @@ class ResidualHeating:
     def __repr__(self) -> str:
         fitted = self.fitted
         rms = float(np.sqrt(np.mean(self.delta_ratio[fitted] ** 2)))
-        return f"<ResidualHeating of {self.record.name}: {len(self.time_s)} knots, RMS {rms:.3g} of heating ratio>"
+        return f"<ResidualHeating of {self.record.name}: {len(self.time_s)} knots, RMS {rms:.3g} of {self.unit}>"
 
 
 def residual_heating(
@@ -157,7 +178,8 @@ def residual_heating(
         lag=own.lag_offset(values, sensitive=False),
     )  # fmt: skip
     track = FilterTrack(own.model_at(values), own.mesh, samples, (), own.initial_K(values))
-    history = condition_history(own.conditions.at(own.time_s))[np.newaxis]
+    flown, flux = _with_reference_flux(own.conditions.at(own.time_s))
+    history = condition_history(flown)[np.newaxis]
     smoothed = unknown_input(track, own.time_s, history, disturbance)
     fitted = [s for s in problem.samples(values) if s.record_fit is own and s.channel in channels]
     mean_K = np.concatenate([s.mean_K for s in fitted])
@@ -168,7 +190,20 @@ def residual_heating(
     names = tuple(u.label for u in problem.unknowns)
     sensors = _sensor_residuals(own, channels, mean_K, with_K)
     span = (float(own.sample_s[0]), float(own.sample_s[-1]))
-    return ResidualHeating(own.record, smoothed, sensors, jacobian, prior, names, span, own.time_s, own.mesh)
+    return ResidualHeating(own.record, smoothed, sensors, jacobian, prior, names, span, own.time_s, own.mesh, flux)
+
+
+def _with_reference_flux(flown: Conditions) -> tuple[Conditions, float | None]:
+    """Conditions without reference heating, with one of the largest flux that they have; others as they are.
+
+    returns : the conditions, and that flux [W/m2]; None where they have a reference heating
+    """
+    if np.any(flown["h_ref_kg_m2_s"] != 0.0):
+        return flown, None
+    flux = float(np.max(np.abs(flown["q_add_W_m2"]))) if "q_add_W_m2" in flown else 0.0
+    flux = flux or FLUX_W_M2
+    h_ref, H_r = np.full(len(flown), flux / COLD_WALL_J_KG), np.full(len(flown), COLD_WALL_J_KG)
+    return flown.with_columns(h_ref_kg_m2_s=h_ref, H_r_J_kg=H_r), flux
 
 
 def _sensor_residuals(
@@ -185,5 +220,9 @@ def _sensor_residuals(
 
 
 def write_residual_heating(path: Path, residual: ResidualHeating) -> None:
-    """Write the history as CSV: time_s, delta_ratio, sigma."""
-    write_csv(path, {"time_s": residual.time_s, "delta_ratio": residual.delta_ratio, "sigma": residual.sigma})
+    """Write the history as CSV: time_s, delta_ratio, sigma; without reference heating delta_q_W_m2, sigma_W_m2."""
+    if residual.flux_W_m2 is None:
+        write_csv(path, {"time_s": residual.time_s, "delta_ratio": residual.delta_ratio, "sigma": residual.sigma})
+        return
+    q, sigma = residual.flux_W_m2 * residual.delta_ratio, residual.flux_W_m2 * residual.sigma
+    write_csv(path, {"time_s": residual.time_s, "delta_q_W_m2": q, "sigma_W_m2": sigma})

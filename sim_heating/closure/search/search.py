@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
@@ -46,6 +47,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     declared_fit,
     fitted_values,
     held_out_problem_with,
+    is_fitted,
     problem_with,
     sample_count,
     start_values,
@@ -108,13 +110,16 @@ class SearchResult:
         return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"
 
 
-def search_effects(record: Record, *, progress: Progress = no_progress) -> SearchResult:
+def search_effects(
+    record: Record, names: Sequence[str] | None = None, *, progress: Progress = no_progress
+) -> SearchResult:
     """Search for the effects that the declared model of a record lacks.
 
+    names  : dotted names of the parameters of the declared model that are fitted; by default magnitude and derivatives
     raises : InputError, RunError where not even the declared model can be fitted
     """
     progress(0.02, "declared model")
-    before = declared_fit(record)
+    before = declared_fit(record, names)
     base = base_trial(before)
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
@@ -160,6 +165,7 @@ def _changes(
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
     changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
+    changes = [c for c in changes if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     fits = recorrected(before, base, fit_changes(base, changes, best, share=CHANGE_SHARE, most=MOST_CHANGES))
     whole = before.problem.record_fits[0].record
@@ -170,7 +176,9 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
     """All candidates on top of a model, over the samples that are fitted."""
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
-    return candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken)
+    fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
+    found = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
+    return [c for c in found if not any(is_fitted(base, name) for name in c.names)]
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:

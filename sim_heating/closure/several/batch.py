@@ -36,11 +36,12 @@ LEDGER = "finished"
 
 @dataclass(frozen=True)
 class Task:
-    """One record and the folder of its results; picklable."""
+    """One record, the folder of its results, and what its declared model is fitted with; picklable."""
 
     record: str
     out: str
     root: str | None = None
+    names: tuple[str, ...] | None = None
 
 
 def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
@@ -69,6 +70,7 @@ def close_all(
     records: Sequence[Path],
     out: Path,
     *,
+    names: Sequence[str] | None = None,
     root: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -79,6 +81,7 @@ def close_all(
     A finished record is not done again while its inputs and the program are unchanged. One that fails has the reason in
     its row; the others go on.
 
+    names     : dotted names that each declared model is fitted with, as `close_loop` takes them
     root      : folder that symbolic links in the records may lead to, as `load_record` takes it
     scheduler : address of a Dask scheduler; None for local processes
     workers   : number of local processes; None for one a core
@@ -87,11 +90,11 @@ def close_all(
     """
     from sim_heating.closure.close import COMMAND, FILES
 
-    jobs = [record_job(path, out / real_path(path).name, root) for path in records]
+    jobs = [record_job(path, out / real_path(path).name, root, names) for path in records]
     with exclusive(out):
         # Before the work: a place that cannot hold results must not be found out after it.
-        for folder, names in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
-            require_writable(folder, COMMAND, expected=names, inputs=records)
+        for folder, files in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
+            require_writable(folder, COMMAND, expected=files, inputs=records)
         outcome = run_batches(
             jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
             is_current=_results_are_there, progress=progress,
@@ -108,7 +111,7 @@ def close_all(
     return rows
 
 
-def record_job(record: Path, out: Path, root: Path | None = None) -> Job:
+def record_job(record: Path, out: Path, root: Path | None = None, names: Sequence[str] | None = None) -> Job:
     """A record's job; its name depends on everything that its result depends on."""
     try:
         inputs = inputs_hash(load_record(record, root=root))
@@ -116,12 +119,12 @@ def record_job(record: Path, out: Path, root: Path | None = None) -> Job:
         inputs = "unreadable"
     # Everything that the result depends on: a finished record is closed again after an update of the program or of a
     # user-defined effect, and not otherwise.
-    digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects())]).encode())
+    digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects()), *(names or ())]).encode())
     for path in user_effect_files():
         digest.update(path.read_bytes())
     return Job(
         f"{real_path(record).name}-{digest.hexdigest()[:12]}.json",
-        Task(str(record), str(out), None if root is None else str(root)),
+        Task(str(record), str(out), None if root is None else str(root), None if names is None else tuple(names)),
     )
 
 
@@ -129,7 +132,7 @@ def _close_record(task: Task) -> bytes:
     """Close the loop on one record and write its folder; its summary row and the digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
 
-    closed = close_loop(load_record(task.record, root=task.root))
+    closed = close_loop(load_record(task.record, root=task.root), task.names)
     write_closed_loop(closed, Path(task.out))
     return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
 

@@ -308,6 +308,8 @@ def cramer_rao_bounds(
     samples = sum(len(c.time_s) for c in channels)
     if samples <= parameters:
         raise InputError(f"{samples} samples for {parameters} parameters; fit a longer segment or fewer parameters")
+    if parameters == 0:
+        return CramerRaoBounds(np.zeros((0, 0)), np.zeros((0, 0)), float(samples), {})
     A = np.concatenate([c.weighted for c in channels])
     prior = np.diag(np.broadcast_to(prior_information, parameters))
     information = A.T @ A + prior

@@ -21,9 +21,16 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.table_prior.prior import table_prior, undeclared_derivatives
-from sim_heating.estimation.fit import FitResult, estimate, lag1_autocorrelation, predict_fit, rms_normalised_residual
+from sim_heating.estimation.fit import (
+    FitResult,
+    declared_model,
+    estimate,
+    lag1_autocorrelation,
+    predict_fit,
+    rms_normalised_residual,
+)
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
-from sim_heating.estimation.inference.observability import default_names
+from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.estimation.side_by_side import maximise_together
@@ -109,12 +116,20 @@ class TrialFit:
         return f"<TrialFit of {self.name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
 
 
-def declared_fit(record: Record) -> FitResult:
-    """The declared model's magnitude and derivatives fitted with flat priors, without those that its table excludes.
+def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
+    """The declared model fitted with flat priors: the baseline that everything else is compared with.
 
-    raises : InputError, RunError where not even the declared model can be fitted
+    names  : dotted names of what is fitted; by default magnitude and derivatives, without those that the table
+             excludes, and nothing at all where the record has no reference heating
+    raises : InputError for a name that the record's model does not have, or where nothing named can be estimated;
+             InputError, RunError where not even the declared model can be fitted
     """
+    if names is not None:
+        return estimate([record], names)
     wanted = default_names([record])
+    without_heating = parameters_without_heating(wanted, [record])
+    if without_heating:
+        return declared_model(record, without_heating)
     excluded = undeclared_derivatives(record, wanted)
     fit = estimate([record], [n for n in wanted if n not in excluded])
     return replace(fit, not_estimated=fit.not_estimated | excluded)
@@ -181,14 +196,16 @@ def _declared_problem(
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(AGREEMENT * interval, SKEW_SPAN_S)
-    clock = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)}
-    names = (*whole.names, CLOCK_SKEW.name)
-    problem = FitProblem(
-        [record],
-        names,
-        before.problem.reference,
-        FitOptions(priors={**priors, **clock}, prior_scale=WIDENED, sample_masks=[chosen], **more),
+    limited = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)}
+    clock = {} if CLOCK_SKEW.name in whole.names else limited
+    options = FitOptions(
+        effects=before.problem.options.effects,
+        priors={**priors, **clock},
+        prior_scale=WIDENED,
+        sample_masks=[chosen],
+        **more,
     )
+    problem = FitProblem([record], (*whole.names, *clock), before.problem.reference, options)
     problem.record_fits[0].sigma_K.update(whole.sigma_K)
     return problem
 
@@ -283,6 +300,17 @@ def table_log_prior(fit: Fit) -> float:
     return -0.5 * float(np.sum(fit.prior_information[of_table] * fit.values[of_table] ** 2))
 
 
+def is_fitted(base: TrialFit, name: str) -> bool:
+    """Whether a parameter is estimated already, under this or another name.
+
+    The clock is not where it may only be off by the agreement of two recorders.
+    """
+    part = base.problem.record_fits[0]
+    if name == CLOCK_SKEW.name and name in base.problem.priors:
+        return False
+    return any(part.model.same_parameter(name, own) for own in part.names)
+
+
 def sample_count(problem: FitProblem) -> int:
     """Number of samples of a problem."""
     return sum(len(channel.samples) for part in problem.record_fits for channel in part.channels)
@@ -316,6 +344,8 @@ def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
     """(kept,) indices of the samples that are kept, first and last included."""
     t = flown.time_s
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
+    if "q_add_W_m2" in flown:
+        heating = heating + flown["q_add_W_m2"]
     largest = float(np.max(np.abs(heating)))
     columns = [heating / (HEATING_TOLERANCE * largest)] if largest > 0.0 else []
     columns += [flown[name] / tolerance for name, tolerance in TOLERANCES.items() if name in flown]
