@@ -40,7 +40,13 @@ from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_b
 from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
-from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains, select_candidates
+from sim_heating.closure.search.trials.history_starts import history_starts
+from sim_heating.closure.search.trials.screening import (
+    fit_in_stages,
+    gains_from,
+    predicted_gains,
+    select_candidates,
+)
 from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     base_trial,
@@ -256,6 +262,10 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
     tried = _candidates(base, taken)
     tried += table_candidates(base) if not taken else []
     gains = predicted_gains(base, tried)
+    if not taken:
+        by_history = history_starts(base, tried)
+        gains += gains_from(base, by_history)
+        tried += by_history
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
     problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)
     firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, selected, strict=True)]

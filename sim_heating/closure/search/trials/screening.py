@@ -20,6 +20,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     candidate_problem,
     fitted_values,
+    problem_with,
     sample_count,
     start_values,
 )
@@ -78,6 +79,26 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
         prior = _KnownPart(known[:, inner], base.fit.prior_information[inner], (mean - base.fit.values)[inner])
         begin, reached = _predicted_likelihoods(problem, first, prior, scored) if done else (-np.inf, -np.inf)
         gains.append(min(reached - base.fit.log_likelihood, limit + min(begin - base.fit.log_likelihood, 0.0)))
+    return gains
+
+
+def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
+    """Gain in log likelihood that one Gauss-Newton step predicts from starts where candidates have an effect already.
+
+    returns : minus infinity where the model cannot be marched there, or a start is less likely than the base
+    """
+    problems = [problem_with(base, c) for c in candidates]
+    firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
+    limit, gains = _largest_gain(base), []
+    for problem, first, done in zip(problems, firsts, JointMarch(problems).march(firsts), strict=True):
+        found = problem.evaluate(first) if done else None
+        if found is None or not found.log_likelihood > base.fit.log_likelihood:
+            gains.append(-np.inf)
+            continue
+        prior = np.array([p.sigma**-2.0 for p in problem.parameters])
+        towards = prior * (np.array([p.value for p in problem.parameters]) - first)
+        step = predicted_gain(found.gradient + towards, covariance(found.information + np.diag(prior)))
+        gains.append(min(found.log_likelihood - base.fit.log_likelihood + step, limit))
     return gains
 
 

@@ -1,0 +1,213 @@
+"""Starts of candidates from the heating history that the readings ask for.
+
+What a candidate gains is predicted at starts where it has no effect yet, by its sensitivities there. Where what is
+missing multiplies the heating, that prediction knows little of where an onset lies and how steep it is. The heating
+history that explains the readings (residual_heating.py) knows: its ratio y(t) is compared with
+
+    r(t) = r_table(t) (1 + s) + sum_i d_i (x_i(t) - x_i0),    y(t) = r(t) m(t)    or    y(t) = r(t) + a(t),
+
+m or a being the effect with all its parameters, s and d_i the magnitude and derivatives of the model with the priors of
+its table. This is a least-squares problem without a march, some hundred knots long, which is solved from many starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.base.threads import one_thread
+from sim_heating.closure.clues.residual_heating import residual_heating
+from sim_heating.closure.search.trials.candidates import Candidate, Form
+from sim_heating.closure.search.trials.trial_fit import TrialFit, is_of_table, problem_with, start_values
+from sim_heating.heating.effects import Effect
+from sim_heating.heating.ratio.uncertainty import declared_ratio
+from sim_heating.march.ensemble import condition_history
+
+MODEL_ERROR = 0.03
+"""Error of a smoothed history where heating jumps, over the heating itself [-]."""
+SOLVED, KEPT = 4, 2
+"""Starts of a form from which the least-squares problem is solved, and solutions that are kept."""
+EVALUATIONS = 60
+SCALE, FIRST = "ratio.scale", "ratio.d_"
+DERIVATIVES = {f"{FIRST}{name}": k for k, name in enumerate(("alpha", "beta", "logre", "elevon", "bodyflap"))}
+"""First derivatives by name, with the number of their variable."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatingHistory:
+    """The heating ratio that explains the readings, and what a model of it needs.
+
+    y, sigma   : (knot,) ratio before effects that multiply it, and its standard deviation [-]
+    tabulated  : (knot,) ratio of the declared table [-]
+    apart      : (knot, 5) distance of the ratio variables from the reference condition
+    rows       : (knot, condition) flight conditions as kernels read them;  wall_K : (knot,) wall temperature [K]
+    parameters : of the base's magnitude and derivatives, with their priors
+    """
+
+    y: FloatArray
+    sigma: FloatArray
+    tabulated: FloatArray
+    apart: FloatArray
+    rows: FloatArray
+    wall_K: FloatArray
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def columns(self) -> FloatArray:
+        """(knot, parameter) derivative of the ratio by each parameter [-]."""
+        return np.column_stack([
+            self.tabulated if p.name == SCALE else self.apart[:, DERIVATIVES[p.name]] for p in self.parameters
+        ])  # fmt: skip
+
+    def values_of(self, effect: Effect, values: Sequence[float]) -> FloatArray:
+        """(knot,) value of an effect's kernel along the history."""
+        width = self.rows.shape[1]
+        B = np.column_stack([self.rows, np.tile(np.asarray(values, dtype=float), (len(self.rows), 1))])
+        assert effect.kernel is not None
+        return np.array([effect.kernel(row, 0, width, wall) for row, wall in zip(B, self.wall_K, strict=True)])
+
+
+def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
+    """The heating history of a record, as a model with one effect at its neutral values sees it.
+
+    base    : the declared model;  neutral : a candidate that has no effect at its start
+    returns : None where the model cannot be marched, or has no tabulated heating
+    """
+    problem = problem_with(base, neutral)
+    own = problem.record_fits[0]
+    at = start_values(problem, {**dict.fromkeys(base.problem.record_fits[0].names, 0.0), **neutral.start})
+    try:
+        found = residual_heating(problem, at)
+    except (InputError, RunError):
+        return None
+    inside = found.fitted
+    t = found.time_s[inside]
+    flown = own.conditions.at(t)
+    x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
+    tabulated = declared_ratio(own.model.ratio, x)
+    y = tabulated + found.delta_ratio[inside]
+    if len(t) == 0 or not np.all(np.isfinite(y)):
+        return None
+    sigma = np.hypot(found.sigma[inside], MODEL_ERROR * np.abs(y))
+    wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
+    parameters = tuple(p for p in base.problem.parameters if p.name == SCALE or p.name in DERIVATIVES)
+    reference = np.array(base.problem.reference)
+    return HeatingHistory(y, sigma, tabulated, x - reference, condition_history(flown), wall, parameters)
+
+
+def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates with the starts that fit the heating history best, some for each form of an effect on the heating.
+
+    base  : the declared model, without any effect but the declared ones;  tried : all candidates
+    """
+    declared = {used.effect.name for used in base.problem.record_fits[0].record.declared.heating.effects}
+    histories: dict[str, HeatingHistory | None] = {}
+    forms: dict[tuple[str, Form], list[Candidate]] = {}
+    for c in tried:
+        if _is_suitable(c):
+            forms.setdefault((c.name, c.form), []).append(c)
+    found = []
+    with one_thread():
+        for (name, _), several in forms.items():
+            key = name if name in declared else ""
+            if key not in histories:
+                histories[key] = heating_history(base, several[0])
+            history = histories[key]
+            if history is not None:
+                found += _best_starts(history, several)
+    return found
+
+
+def _is_suitable(c: Candidate) -> bool:
+    """Whether a candidate is one effect on the heating without memory, neutral at its start, with a place to find."""
+    if len(c.uses) != 1 or c.uses[0].effect.mode not in ("multiply", "add") or c.uses[0].effect.lags:
+        return False
+    used = c.uses[0]
+    values = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
+    own = {n.rpartition(".")[2] for n in c.active}
+    return (
+        0 < len(own) < len(c.names)
+        and own <= set(used.effect.neutral)
+        and not used.effect.reads_ratio
+        and not values.get("hysteresis", 0.0)
+    )
+
+
+def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates of one form with the starts that fit the history best."""
+    linear = sorted(several, key=lambda c: _linear_misfit(history, c))[:SOLVED]
+    solved = sorted((_solved(history, c) for c in linear), key=lambda s: s[0])
+    kept: list[tuple[float, Candidate]] = []
+    for misfit, candidate in solved:
+        if all(_apart(candidate, other) for _, other in kept):
+            kept.append((misfit, candidate))
+    return [candidate for _, candidate in kept[:KEPT]]
+
+
+def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
+    """Weighted sum of squares that the effect leaves at its start, with its magnitudes and the base's parameters free;
+    where magnitudes and derivatives multiply each other, to first order."""
+    effect, values = c.uses[0].effect, np.array(c.uses[0].values)
+    names = [p.name for p in effect.parameters]
+    at_none = history.values_of(effect, values)
+    columns = [history.columns]
+    for name in c.active:
+        k = names.index(name.rpartition(".")[2])
+        moved = values.copy()
+        moved[k] += effect.parameters[k].sigma or 1.0
+        change = history.values_of(effect, moved) - at_none
+        columns.append((change * (history.tabulated if effect.mode == "multiply" else 1.0))[:, np.newaxis])
+    J = np.column_stack(columns) / history.sigma[:, np.newaxis]
+    left = (history.y - history.tabulated) / history.sigma
+    prior = np.zeros((len(history.parameters), J.shape[1]))
+    prior[:, : len(history.parameters)] = np.diag([1.0 / p.sigma for p in history.parameters])
+    system, right = np.vstack([J, prior]), np.append(left, np.zeros(len(prior)))
+    step = np.linalg.lstsq(system, right, rcond=None)[0]
+    return float(np.sum((right - system @ step) ** 2))
+
+
+def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
+    """Misfit and candidate at the solution of the least-squares problem from its start."""
+    used = c.uses[0]
+    definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
+    free = [definitions[n] for n in c.names]
+    places = [[p.name for p in used.effect.parameters].index(p.name) for p in free]
+    unit = np.array([*(p.sigma if np.isfinite(p.sigma) else 1.0 for p in history.parameters),
+                     *(p.sigma or 1.0 for p in free)])  # fmt: skip
+    count, base_columns = len(history.parameters), history.columns
+    known = np.array([float(np.isfinite(p.sigma)) for p in history.parameters])
+
+    def residual(z: FloatArray) -> FloatArray:
+        values = np.array(used.values)
+        values[places] = (z * unit)[count:]
+        r = history.tabulated + base_columns @ (z * unit)[:count]
+        acting = history.values_of(used.effect, values)
+        modelled = r * acting if used.effect.mode == "multiply" else r + acting
+        return np.append((modelled - history.y) / history.sigma, known * z[:count])
+
+    lower = np.append(np.full(count, -np.inf), [p.lower for p in free]) / unit
+    upper = np.append(np.full(count, np.inf), [p.upper for p in free]) / unit
+    first = np.append(np.zeros(count), [c.start[n] for n in c.names]) / unit
+    # away from neutral, where places have no influence yet
+    for k, name in enumerate(c.names, start=count):
+        if name in c.active:
+            first[k] += 1.0
+    inside = np.clip(first, lower + 1e-6, upper - 1e-6)
+    done = least_squares(residual, inside, bounds=(lower, upper), x_scale=1.0, max_nfev=EVALUATIONS)
+    at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
+    start: Mapping[str, float] = {**at, **{n: at[n] for n in c.names}}
+    return float(2.0 * done.cost), replace(c, start=start, active=c.names)
+
+
+def _apart(one: Candidate, other: Candidate) -> bool:
+    """Whether two starts of a form differ by more than a tenth of a parameter's sigma."""
+    used = one.uses[0]
+    unit = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p.sigma or 1.0 for p in used.definitions}
+    return any(abs(one.start[n] - other.start[n]) > 0.1 * unit[n] for n in one.names)
