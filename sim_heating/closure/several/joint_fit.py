@@ -319,3 +319,13 @@ def _common_cost(h: JointHypothesis) -> float:
             p = sensor_definition(part.record, name) or part.model.definition(name)
             total += ((float(fit.values[k]) - p.value) / p.sigma) ** 2
     return total
+
+
+def parameter_cost(h: JointHypothesis) -> float:
+    """What the number of the cause's parameters costs, own and common ones, in units of BIC."""
+    if h.model is None:
+        return 0.0
+    counts = [sample_count(p.problem) for p in h.model.parts]
+    names = h.model.cause.candidate.names
+    unknowns = [u for u in h.model.problem.unknowns if u.parameter.name in names]
+    return sum(math.log(sum(counts[i] for i in u.records)) for u in unknowns)

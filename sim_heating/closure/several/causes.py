@@ -1,0 +1,86 @@
+"""Causes that several records may have in common: those that lead in any of them by itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from sim_heating.base.parameters import SENSOR_PREFIX
+from sim_heating.closure.search.changes.record_change import NO_EFFECT
+from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.refine import CONTENDER_MARGIN, CONTENDER_SHARE
+from sim_heating.closure.search.search import SearchResult
+from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
+from sim_heating.closure.several.common_parameters import RECORD
+from sim_heating.closure.several.joint_fit import Cause
+from sim_heating.heating.effects import effects
+from sim_heating.inputs.points import conditions_of_record
+
+MOST_CAUSES, FORMS = 8, 2
+"""Causes that are fitted jointly, and forms of each."""
+
+
+def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
+    """The causes that lead in any record, the likeliest over all records first.
+
+    Those that a record alone may not name are among them: what one record cannot tell, several may. A cause is left out
+    where the sum of its scores in each record alone, less what common parameters save, is far above that of the best.
+    """
+    one_point = len({result.record.declared.control_point for result in alone}) == 1
+    causes: dict[tuple[object, ...], Cause] = {}
+    known: dict[frozenset[str], dict[int, float]] = {}
+    for i, result in enumerate(alone):
+        proposed = [c for h in result.hypotheses if (c := _cause_of(h, one_point)) is not None]
+        proposed += [_cause_of_trial(trial, result.rounds[0].forms) for trial in result.rounds[0].trials]
+        for cause, score, values in sorted(proposed, key=lambda p: p[1]):
+            names = frozenset(cause.names)
+            known.setdefault(names, {}).setdefault(i, score)
+            key = (names, *sorted(cause.candidate.names), cause.candidate.form.fixed)
+            first = causes.setdefault(key, cause)
+            causes[key] = replace(first, price=max(first.price, cause.price), found={i: values} | dict(first.found))
+    forms = {names: [c for c in causes.values() if frozenset(c.names) == names][:FORMS] for names in known}
+    log_n = math.log(sample_count(alone[0].none.last.problem))
+
+    def bound(names: frozenset[str]) -> float:
+        common = max(sum(level != RECORD for level in c.widest.values()) for c in forms[names])
+        return sum(known[names].values()) - (len(alone) - 1) * common * log_n
+
+    order = sorted(known, key=bound)
+    best = bound(order[0]) if order else 0.0
+    worst = max(CONTENDER_SHARE * best, best + CONTENDER_MARGIN)
+    return [c for names in order[:MOST_CAUSES] if bound(names) <= worst for c in forms[names]]
+
+
+def _cause_of_trial(trial: TrialFit, forms: Mapping[str, int]) -> tuple[Cause, float, dict[str, float]]:
+    """A candidate of the first round as a cause that others may share, its score, and its values."""
+    kind = "table" if trial.name == TABLE else "effect"
+    cause = Cause((trial.name,), kind, (trial.candidate,), 2.0 * math.log(max(forms.get(trial.name, 1), 1)))
+    return cause, trial.score, fitted_values(trial)
+
+
+def _cause_of(h: Hypothesis, one_point: bool) -> tuple[Cause, float, dict[str, float]] | None:
+    """A hypothesis on one record as a cause that others may share, its score, and its values; None for causes of one
+    flight or one thermocouple, and for those of a wall that the others do not have."""
+    values = fitted_values(h.last)
+    if h.change is None:
+        return Cause(h.names, h.kind, tuple(t.candidate for t in h.trials), h.price), h.score, values
+    change, price = h.change.change, h.price - h.change.deviation**2
+    if change.kind != "wall" or not one_point or (change.parameter is not None and not change.in_model):
+        return None
+    if change.parameter is None:
+        return Cause(h.names, "wall", (NO_EFFECT,), price, change), h.score, values
+    name = change.parameter.name
+    candidate = Candidate(change.what, (), (name,), {name: h.change.value}, active=(name,), with_prior=(name,))
+    return Cause(h.names, "wall", (candidate,), price), h.score, values
+
+
+def applies(cause: Cause, base: TrialFit) -> bool:
+    """Whether a record can have a cause: its thermocouples, and the columns that its effects read."""
+    record = base.problem.record_fits[0].record
+    flown, sensors = conditions_of_record(record), {s.name for s in record.sensors}
+    needed = [column for name in cause.names if name in effects() for column in effects()[name].needs]
+    named = [n.split(".", 1)[1].rpartition(".")[0] for n in cause.candidate.names if n.startswith(SENSOR_PREFIX)]
+    return all(column in flown for column in needed) and sensors.issuperset(named)
