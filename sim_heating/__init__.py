@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from sim_heating.closure.close import close_loop as close_loop
     from sim_heating.closure.close import write_closed_loop as write_closed_loop
     from sim_heating.closure.revise.report import update_tables as update_tables
+    from sim_heating.closure.several.joint import close_loops as close_loops
+    from sim_heating.closure.several.joint import write_joint_loop as write_joint_loop
     from sim_heating.estimation.design.report import design as design
     from sim_heating.estimation.design.report import write_design as write_design
     from sim_heating.estimation.fit import estimate as estimate
@@ -74,6 +76,7 @@ _HOME = {
     "estimate": "estimation.fit",
     "design": "estimation.design.report",
     "close_loop": "closure.close",
+    "close_loops": "closure.several.joint",
     "update_tables": "closure.revise.report",
     # plan
     "plan": "planning.plan",
@@ -84,6 +87,7 @@ _HOME = {
     "write_fit": "estimation.report.report",
     "write_design": "estimation.design.report",
     "write_closed_loop": "closure.close",
+    "write_joint_loop": "closure.several.joint",
     # effects, those of users among them
     "Effect": "heating.effects",
     "SearchStart": "heating.effects",

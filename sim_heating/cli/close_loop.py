@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sim_heating.base.errors import RunError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli.console import (
     CONSOLE,
     ERRORS,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 )
 @click.option("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786; default: local processes")
 @click.option("--workers", type=click.IntRange(1), help="number of local processes; default: one a core")
+@click.option("--joint", is_flag=True, help="also seek one cause in all records together, and what each adds to it")
 @ROOT
 def close_loop(
     records: tuple[Path, ...],
@@ -42,11 +43,13 @@ def close_loop(
     parameters: tuple[str, ...] | None,
     scheduler: str | None,
     workers: int | None,
+    joint: bool,
     root: Path | None,
 ) -> None:
     """Identify the effect that the declared model of flight RECORDS lacks; report errors before and after.
 
-    RECORDS are directories of flight records, or directories that hold such; each record is treated by itself.
+    RECORDS are directories of flight records, or directories that hold such; each record is treated by itself, unless
+    --joint is given: records of one control point, or of neighbouring points, then state what they have in common.
     """
     from sim_heating.base.files import require_writable
     from sim_heating.closure.close import FILES, write_closed_loop
@@ -55,6 +58,11 @@ def close_loop(
     from sim_heating.inputs.record import load_record
 
     found = find_records(records, root)
+    if joint:
+        if scheduler is not None or workers is not None:
+            raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
+        _close_jointly(found, out, parameters, root)
+        return
     if len(found) == 1:
         record = load_record(found[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
@@ -79,6 +87,36 @@ def close_loop(
         ERRORS.print(f"{row['record']}: {row['failed']}")
     if failed:
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
+
+
+def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
+    """Close the loop on each record and on all together, write the files, and print what each adds."""
+    from sim_heating.base.files import require_writable
+    from sim_heating.closure.close import FILES
+    from sim_heating.closure.several.batch import summary_row
+    from sim_heating.closure.several.joint import JOINT_FILES, close_loops, write_joint_loop
+    from sim_heating.closure.several.joint_report import evidence_table
+    from sim_heating.inputs.record import load_record
+
+    loaded = [load_record(path, root=root) for path in found]
+    inputs = [record.directory for record in loaded]
+    for folder, expected in ((out, JOINT_FILES), *((out / record.name, FILES) for record in loaded)):
+        require_writable(folder, "close-loop", expected=expected, inputs=inputs)
+    with progress_line("close-loop") as progress:
+        closed = close_loops(loaded, parameters, progress=progress)
+        names = write_joint_loop(closed, out)
+    _print_rows([summary_row(loop.report) for loop in closed.loops])
+    print_table(evidence_table(closed.report))
+    report = closed.report
+    CONSOLE.print(f"{report.in_words()}. {report.statement.certainty()}")
+    for cause in report.statement.not_effects:
+        CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
+    for effect in report.effects:
+        if effect.parameters:
+            CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
+    for line in (*report.remarks(), *report.warnings):
+        CONSOLE.print(line)
+    print_outputs(out, names)
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:

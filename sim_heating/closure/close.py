@@ -14,7 +14,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
-from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
@@ -146,21 +146,28 @@ def refit(result: SearchResult) -> FitResult:
         return declared_fit(changed, result.before.labels or None)
     last = best.last
     part = last.problem.record_fits[0]
-    # The priors of the search: with the declared ones the last fit could end at other values than those that were
-    # ranked.
-    priors = {p.name: p for p in last.problem.parameters if p.name == CLOCK_SKEW.name}
-    for name in part.march_names:
-        if name.startswith(EFFECT_PREFIX):
-            parameter = part.model.definition(name)
-            priors[name] = replace(parameter, sigma=WIDENED * parameter.sigma)
     return estimate(
         [result.record],
         part.names,
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
         effects=fitted_effects(last),
-        priors=priors,
+        priors=refit_priors(last),
         settings=replace(REFIT, first_values=fitted_values(last)),
     )
+
+
+def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
+    """Priors of the last fit with the effects of a trial, by dotted name: those of the search.
+
+    With the declared ones the last fit could end at other values than those that were ranked.
+    """
+    part = trial.problem.record_fits[0]
+    priors = {p.name: p for p in trial.problem.parameters if p.name == CLOCK_SKEW.name}
+    for name in part.march_names:
+        if name.startswith(EFFECT_PREFIX):
+            parameter = part.model.definition(name)
+            priors[name] = replace(parameter, sigma=WIDENED * parameter.sigma)
+    return priors
 
 
 def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault]) -> Closure:

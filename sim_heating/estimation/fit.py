@@ -286,7 +286,7 @@ def check_joint_records(records: Sequence[Record], do: str = "estimate") -> None
     raises : InputError where there is none, two have one name, or ratios of one point are over different references
     """
     if not records:
-        raise InputError("estimate: no record; give at least one")
+        raise InputError(f"{do}: no record; give at least one")
     require_distinct_records([r.name for r in records])
     models = {r.declared.heating.reference for r in records}
     if len(models) > 1:

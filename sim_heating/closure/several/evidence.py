@@ -13,7 +13,7 @@ from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
 from sim_heating.closure.several.causes import applies
 from sim_heating.closure.several.common_parameters import RECORD
-from sim_heating.closure.several.joint_fit import JointHypothesis, JointModel, fit_models, joint_model
+from sim_heating.closure.several.joint_fit import FEW_STEPS, JointHypothesis, JointModel, fit_models, joint_model
 
 DISAGREES = 1e-3
 """Probability below which a record's own values contradict the common ones."""
@@ -69,7 +69,7 @@ def evidence_of_records(
     given = {i: _pinned(joint_model(model.cause, bases, [i], model.levels), common) for i in able
              if i not in best.members}  # fmt: skip
     models = [*free.values(), *given.values()]
-    fits = fit_models(models, [m.start({i: starts[i]}) for m in models for i in m.members])
+    fits = fit_models(models, [m.start({i: starts[i]}) for m in models for i in m.members], iterations=FEW_STEPS)
     fitted = [m.split(f)[0] if np.isfinite(f.log_likelihood) else None for m, f in zip(models, fits, strict=True)]
     own = dict(zip(free, fitted[: len(free)], strict=True))
     at_common = dict(zip(given, fitted[len(free) :], strict=True))

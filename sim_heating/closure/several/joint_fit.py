@@ -159,11 +159,18 @@ def _part(cause: Cause, base: TrialFit) -> TrialFit:
     return replace(base, problem=problems[0], held_out=problems[1] if len(problems) > 1 else None)
 
 
-def fit_models(models: Sequence[JointModel], starts: Sequence[FloatArray]) -> list[Fit]:
-    """The fit of each model, all marched side by side."""
+FEW_STEPS = 15
+"""Steps of a fit that begins near its end, unless the record does not determine a parameter."""
+
+
+def fit_models(
+    models: Sequence[JointModel], starts: Sequence[FloatArray], *, iterations: int = CONVERGE.iterations
+) -> list[Fit]:
+    """The fit of each model, all marched side by side; `iterations` is the largest number of steps."""
     problems = [m.problem for m in models]
     of_tables = {u.label for p in problems for u in p.unknowns if u.parameter.name in OF_TABLE}
-    return maximise_together(problems, starts, replace(CONVERGE, unlimited=tuple(sorted(of_tables))))
+    settings = replace(CONVERGE, iterations=iterations, unlimited=tuple(sorted(of_tables)))
+    return maximise_together(problems, starts, settings)
 
 
 # Hypotheses -----------------------------------------------------------------------------------------------------------
@@ -233,6 +240,16 @@ class JointHypothesis(Hypothesis):
         counts = [sample_count(t.problem) for t in self.by_record]
         return float(np.average([t.excess_chi2 for t in self.by_record], weights=counts))
 
+    def delta_bic(self, none: JointHypothesis) -> float:
+        """BIC minus that of the declared models, residuals taken as noise, without segments held out."""
+        gained = sum(
+            self.by_record[i].fit.log_likelihood + table_log_prior(self.by_record[i].fit)
+            - none.by_record[i].fit.log_likelihood - table_log_prior(none.by_record[i].fit)
+            for i in self.members
+        )  # fmt: skip
+        others = sum(score for i, score in enumerate(self.alone) if i not in self.members)
+        return parameter_cost(self) - 2.0 * gained + others
+
     @property
     def log_likelihood(self) -> float:
         """Of the fitted samples of all records."""
@@ -260,7 +277,7 @@ def joint_hypothesis(
     # what may be named in one of the records, with the values common to all, may be named
     fewest = min(against, key=len)
     joint = [TrialFit(n, model.cause.candidates[-1], model.problem, None, fit) for n in model.cause.names]
-    own = tuple(0.0 if i in model.members else score for i, (_, score) in enumerate(alone))
+    own = tuple(0.0 if i in model.members else float(score) for i, (_, score) in enumerate(alone))
     return JointHypothesis(
         tuple(joint), None, fewest, model.cause.price, model=model, by_record=tuple(by_record), alone=own
     )

@@ -26,6 +26,7 @@ from sim_heating.closure.several.causes import applies, leading_causes
 from sim_heating.closure.several.common_parameters import narrower_levels
 from sim_heating.closure.several.evidence import Evidence, evidence_of_records
 from sim_heating.closure.several.joint_fit import (
+    FEW_STEPS,
     Cause,
     JointHypothesis,
     JointModel,
@@ -198,7 +199,7 @@ def _fit_narrower(
         alone = {i: {**values[i], **model.cause.found.get(i, {})} for i in model.members}
         wanted += [model, joint_model(model.cause, bases, model.members, model.levels)]
         starts += [model.start(values), model.start(alone)]
-    fits = fit_models(wanted, starts)
+    fits = fit_models(wanted, starts, iterations=FEW_STEPS)
     declared, found = [(base, 0.0) for base in bases], []
     for k, h in enumerate(wider):
         pairs = list(zip(wanted, fits, strict=True))[2 * k : 2 * k + 2]
@@ -245,7 +246,7 @@ def _without_records(
         starts = [m.start(values) for m in models] + [m.start(m.cause.found) for m in again]
         tried = [
             replace(joint_hypothesis(m, f, bases, explanations), price=best.price)
-            for m, f in zip([*models, *again], fit_models([*models, *again], starts), strict=True)
+            for m, f in zip([*models, *again], fit_models([*models, *again], starts, iterations=FEW_STEPS), strict=True)
             if np.isfinite(f.log_likelihood)
         ]
         ranked = rated(none, [best, *tried])

@@ -1,0 +1,250 @@
+"""Close the loop on several records jointly: each by itself, then one cause in all of them, and the last fit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import files_written, output_directory
+from sim_heating.base.parameters import AT
+from sim_heating.base.progress import Progress, no_progress
+from sim_heating.closure.close import (
+    COMMAND,
+    REFIT,
+    ClosedLoop,
+    close_loop,
+    effect_parameters,
+    refit_priors,
+    rmse_K,
+    write_closed_loop,
+)
+from sim_heating.closure.report import CandidateScore, Finding
+from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, sample_count
+from sim_heating.closure.several.common_parameters import owner
+from sim_heating.closure.several.joint_fit import JointHypothesis
+from sim_heating.closure.several.joint_report import FILES, JointClosure, write_joint_closure
+from sim_heating.closure.several.joint_search import JointSearch, search_jointly
+from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
+from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
+from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.inputs.record import Record, load_record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+JOINT_FILES = FILES
+"""Names of the files of a joint closed loop, besides a folder for each record."""
+ALONE = 0.75
+"""Part of the time that the searches of single records take."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointClosedLoop:
+    """Several records with their loops closed jointly.
+
+    loops  : each record's own closed loop
+    search : the joint search
+    fitted : the last fit of the records that have the cause, all parameters with bounds; None where none was found
+    report : the contents of closure.json and of the page
+    """
+
+    loops: tuple[ClosedLoop, ...]
+    search: JointSearch
+    fitted: FitResult | None
+    report: JointClosure
+
+    def __repr__(self) -> str:
+        return repr(self.report)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the common effects; else `none` or `unknown`."""
+        return tuple(effect.name for effect in self.report.effects)
+
+    def plot(self) -> Figure:
+        """Residuals of each record before and after."""
+        from sim_heating.closure.several.joint_report import residuals_figure  # matplotlib is slow to import
+
+        return residuals_figure(self.report)
+
+
+def close_loops(
+    records: Sequence[Record | str | os.PathLike[str]],
+    names: Sequence[str] | None = None,
+    *,
+    progress: Progress = no_progress,
+) -> JointClosedLoop:
+    """Identify the cause that the declared models of several records lack in common, add it, refit.
+
+    Each record is searched by itself first; the causes that lead in any of them are then fitted to all, with common
+    parameters and with the records' own: magnitude and derivatives of the heating ratio, clocks and noise are always
+    own. Records may be of one control point, or of neighbouring points of one vehicle: these have only parameters of
+    the flow in common (several/common_parameters.py).
+
+    records  : two flight records or more, or their directories
+    names    : dotted names that each declared model is fitted with, as `close_loop` takes them
+    progress : called with the fraction done, from 0 to 1, and a line of text
+    returns  : the finding, what each record adds to it, the last fit with its bounds, temperatures [K] before and after
+    raises   : InputError for a single record, two of one name, records of different vehicles, or ratios of one point
+               over different reference heatings; InputError, RunError where the declared model of one cannot be fitted
+
+    >>> import sim_heating as sh
+    >>> sh.close_loops(["scenarios/records/practice/p01", "scenarios/records/practice/p03"])
+    <JointClosedLoop of p01, p03>
+    """
+    loaded = [load_record(record) for record in records]
+    if len(loaded) < 2:
+        raise InputError(f"close-loop, jointly: {len(loaded)} record; give two or more, or leave out --joint")
+    check_joint_records(loaded, "close the loop on")
+    vehicles = sorted({r.declared.vehicle for r in loaded})
+    if len(vehicles) > 1:
+        raise InputError(
+            f"records: they are of different vehicles ({', '.join(vehicles)}) and can have no cause in common; close "
+            "the loop on each record by itself"
+        )
+    loops = []
+    for k, record in enumerate(loaded):
+
+        def report(fraction: float, text: str, k: int = k, name: str = record.name) -> None:
+            progress(ALONE * (k + fraction) / len(loaded), f"{name}: {text}")
+
+        loops.append(close_loop(record, names, progress=report))
+    return join(loops, progress=lambda f, text: progress(ALONE + (1.0 - ALONE) * f, text))
+
+
+def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> JointClosedLoop:
+    """The joint search over records whose own loops are closed, with its last fit."""
+    search = search_jointly([loop.search for loop in loops], progress=lambda f, text: progress(0.8 * f, text))
+    progress(0.8, "refitting with what the records have in common")
+    fitted = _refit(search) if search.explained else None
+    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted))
+
+
+def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> list[str]:
+    """Write all files of a joint closed loop into a folder, and those of each record's own into one below it.
+
+    returns : names of closure.json, report.html and records.csv
+    """
+    for loop in closed.loops:
+        write_closed_loop(loop, Path(out) / loop.report.record.name)
+    inputs = [loop.report.record.directory for loop in closed.loops]
+    with output_directory(out, COMMAND, inputs=inputs) as folder:
+        write_joint_closure(closed.report, folder)
+    return sorted(files_written(out))
+
+
+def _refit(search: JointSearch) -> FitResult:
+    """The members of the best hypothesis fitted to convergence, on their full meshes and samples."""
+    best = search.best
+    model = best.model
+    assert model is not None
+    trials = [best.by_record[i] for i in model.members]
+    records = [search.alone[i].record for i in model.members]
+    if model.cause.change is not None:
+        records = [model.cause.change.apply(record, 0.0) for record in records]
+    parts = [_full_problem(t, r) for t, r in zip(trials, records, strict=True)]
+    one_point = len({r.declared.control_point for r in records}) == 1
+    owners = [{n: owner(level, r, one_point) for n, level in model.levels.items()} for r in records]
+    problem = FitProblem.joined(parts, owners)
+    values = {u.label: v for u, v in zip(model.problem.unknowns, best.last.fit.values, strict=True)}
+    return fit_problem(problem, np.array([values[u.label] for u in problem.unknowns]), settings=REFIT)
+
+
+def _full_problem(trial: TrialFit, record: Record) -> FitProblem:
+    """A trial's model over the whole record."""
+    part = trial.problem.record_fits[0]
+    options = FitOptions(fitted_effects(trial), priors=refit_priors(trial))
+    return FitProblem([record], part.names, trial.problem.reference, options)
+
+
+def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult | None) -> JointClosure:
+    """The results of a joint search and its refit, for the report."""
+    best, conclusion = search.best, search.conclusion
+    members = best.members if fitted is not None else ()
+    after = [loop.report.before for loop in loops]
+    for k, i in enumerate(members):
+        assert fitted is not None
+        after[i] = fitted.after[k]
+    estimated = {} if fitted is None else {
+        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
+        for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
+    }  # fmt: skip
+    shares = posteriors({" + ".join(h.names): h.score for h in search.hypotheses if h.admissible} | {NONE: 0.0})
+    if search.explained and best.kind == "effect":
+        share = shares[" + ".join(best.names)]
+        effects = (
+            [Finding(c.name, share, _parameters(best, c.name, estimated)) for c in best.model.cause.candidates]
+            if best.model
+            else []
+        )
+    else:
+        name = conclusion.effect_name
+        effects = [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
+    judged = conclusion.best if conclusion.finding != UNKNOWN else search.none
+    return JointClosure(
+        closures=[loop.report for loop in loops],
+        search=search,
+        effects=effects,
+        statement=Statement(
+            finding=conclusion.finding,
+            alternatives=[list(names) for names in conclusion.alternatives],
+            adequacy=judged.adequacy,
+            explained=conclusion.explained,
+            not_effects=_not_effects(best, estimated) if search.explained else [],
+            converged=fitted is None or fitted.fit.converged,
+        ),
+        candidates=_candidates(search, shares),
+        parameters=estimated,
+        after=after,
+        warnings=() if fitted is None else fitted.warnings,
+    )
+
+
+def _parameters(
+    best: JointHypothesis, effect: str, estimated: dict[str, ParameterEstimate]
+) -> dict[str, ParameterEstimate]:
+    """The estimates of an effect by their names within it; a point's or a record's own as `name@owner`."""
+    assert best.model is not None
+    candidate = next(c for c in best.model.cause.candidates if c.name == effect)
+    trial, found = TrialFit(effect, candidate, best.last.problem, None, best.last.fit), {}
+    for label, estimate in estimated.items():
+        name, at, whose = label.partition(AT)
+        found.update({f"{short}{at}{whose}": e for short, e in effect_parameters(trial, {name: estimate}).items()})
+    return found
+
+
+def _not_effects(best: JointHypothesis, estimated: dict[str, ParameterEstimate]) -> list[NotEffect]:
+    """The common cause, where it is no effect."""
+    if best.model is None or best.kind == "effect":
+        return []
+    names = best.model.cause.candidate.names
+    own = {label: e for label, e in estimated.items() if label.partition(AT)[0] in names}
+    values = ", ".join(f"{e.value:.4g} +- {e.sigma:.2g}" for e in own.values())
+    what = " + ".join(best.names)
+    return [NotEffect(best.kind, f"{what}: {values}" if values else what, own)]
+
+
+def _candidates(search: JointSearch, shares: dict[str, float]) -> list[CandidateScore]:
+    """All causes that were fitted jointly, and none."""
+
+    def score(name: str, h: JointHypothesis, delta_bic: float) -> CandidateScore:
+        fitted = [(rmse_K(t.problem, t.fit.values), sample_count(t.problem)) for t in h.by_record]
+        held_out = [(rmse_K(t.held_out, t.fit.values), sample_count(t.held_out)) for t in h.by_record if t.held_out]
+        return CandidateScore(name, delta_bic, _pooled(fitted), _pooled(held_out) if held_out else None,
+                              shares.get(name, 0.0))  # fmt: skip
+
+    rows = [score(" + ".join(h.names), h, h.delta_bic(search.none)) for h in search.hypotheses]
+    return [score(NONE, search.none, 0.0), *rows]
+
+
+def _pooled(found: Sequence[tuple[float, int]]) -> float:
+    """RMSE [K] over all samples of several (RMSE [K], number of samples)."""
+    total = sum(n for _, n in found)
+    return float(np.sqrt(sum(n * rmse**2 for rmse, n in found) / total))

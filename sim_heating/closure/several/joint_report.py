@@ -1,0 +1,354 @@
+"""Files of a joint closed loop: closure.json, records.csv with what each record adds, and report.html for a review.
+
+closure.json is the format "closure-report/2" over all records: errors are pooled, `reference_condition` is that of the
+first record and `residual_heating` null. Further keys are `by_record` (the finding of each record by itself, what it
+adds to the joint one, its own values, errors and reference condition), `common_cost` (what common parameters, priors
+and forms add to the score), `common_parameters` (whose one value of each parameter of the cause is: of all records, of
+a point, or of a record), and `estimated` with labels `name@owner`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.files import write_csv, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.base.parameters import AT
+from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
+from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.table import Column, Table
+from sim_heating.closure.report import CandidateScore, Closure, Finding
+from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
+from sim_heating.closure.several.common_parameters import RECORD
+from sim_heating.closure.several.evidence import Evidence
+from sim_heating.closure.several.joint_search import JointSearch
+from sim_heating.closure.statement import ParameterEstimate, Statement, finite
+from sim_heating.estimation.report.plots import AFTER, BEFORE, shade_holdout
+from sim_heating.simulation.predict import Prediction
+
+FILES = NAME, PAGE, RECORDS = "closure.json", "report.html", "records.csv"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointClosure:
+    """The result of closing the loop on several records jointly.
+
+    closures   : each record by itself
+    search     : the joint search, with what each record adds
+    effects    : common effects; a single "none" or "unknown" where there are none
+    statement  : the finding, its alternatives, its adequacy, and causes that are no effect
+    candidates : causes that were fitted jointly, "none" included
+    parameters : all estimates of the last fit, by label
+    after      : each record with what was found [K]; of a record without it, its declared model with derivatives fitted
+    warnings   : on the fit
+    """
+
+    closures: Sequence[Closure]
+    search: JointSearch
+    effects: Sequence[Finding]
+    statement: Statement
+    candidates: Sequence[CandidateScore]
+    parameters: Mapping[str, ParameterEstimate]
+    after: Sequence[Prediction]
+    warnings: Sequence[str] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the records."""
+        return [c.record.name for c in self.closures]
+
+    @property
+    def named(self) -> str:
+        """What was found in common; "unknown" or "none"."""
+        if self.search.explained:
+            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
+        return self.effects[0].name
+
+    def pooled(self, predictions: Sequence[Prediction]) -> dict[str, Any]:
+        """rmse_K, max_abs_K and n over all records' fit and holdout segments; None where none has a sample."""
+        found = [p.segment_errors() for p in predictions]
+        return {segment: _pooled([f[segment] for f in found]) for segment in ("fit", "holdout")}
+
+    def __repr__(self) -> str:
+        before, after = (self.pooled(p)["fit"]["rmse_K"] for p in ([c.before for c in self.closures], self.after))
+        errors = f"RMSE {before:.2f} K before, {after:.2f} K after"
+        return f"<JointClosedLoop of {', '.join(self.names)}: {self.named}, {errors}>"
+
+    def in_words(self) -> str:
+        """The finding in a few words, with the records that have it where not all do."""
+        words = self.statement.in_words().replace("explain the record", "explain the records")
+        without = [e.record for e in self.search.evidence if not e.member]
+        if not self.search.explained or not without:
+            return words
+        return f"{words} in {_listed([n for n in self.names if n not in without])}, not in {_listed(without)}"
+
+    def remarks(self) -> list[str]:
+        """What differs between the records, a line each."""
+        best, lines = self.search.best, []
+        if best.model is None or not self.search.explained:
+            return []
+        for e in self.search.evidence:
+            if e.verdict == "contradicts it":
+                lines.append(
+                    f"{e.record} contradicts {' + '.join(best.names)}: with the values of the other records its score "
+                    f"is {-e.for_cause:.0f} worse than without it; by itself it concludes: {_alone(e)}"
+                )
+            elif e.verdict == "other values":
+                lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
+        for name, level in best.model.levels.items():
+            own = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
+            if own and level != best.model.cause.widest[name]:
+                values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
+                lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
+        return lines
+
+
+def _pooled(errors: Sequence[Mapping[str, float] | None]) -> dict[str, float] | None:
+    known = [e for e in errors if e is not None and e["n"]]
+    count = sum(e["n"] for e in known)
+    if not count:
+        return None
+    rmse = float(np.sqrt(sum(e["n"] * e["rmse_K"] ** 2 for e in known) / count))
+    return {"rmse_K": rmse, "max_abs_K": max(e["max_abs_K"] for e in known), "n": int(count)}
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def _alone(e: Evidence) -> str:
+    """The finding of a record by itself."""
+    return {"partly": f"resembles {e.named}", "unknown": "unknown", "none": "none"}.get(e.alone, e.named)
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+
+def joint_closure_json(found: JointClosure) -> dict[str, Any]:
+    """The contents of closure.json."""
+    effects = [e.as_json() for e in found.effects]
+    first, best = found.closures[0], found.search.best
+    floors = [(c.noise_floor_K, int(np.count_nonzero(c.record.fit_mask()))) for c in found.closures]
+    floor = float(np.sqrt(sum(n * k**2 for k, n in floors) / sum(n for _, n in floors)))
+    return {
+        "format": "closure-report/2",
+        "records": [str(c.record.directory) for c in found.closures],
+        "sensors": list(dict.fromkeys(s.name for c in found.closures for s in c.record.used_sensors)),
+        "predicted": found.pooled([c.predicted for c in found.closures]),
+        "before": found.pooled([c.before for c in found.closures]),
+        "after": found.pooled(found.after),
+        "noise_floor_K": finite(floor),
+        "reference_condition": _condition(first),
+        "effect": effects[0],
+        **({"effects": effects} if len(effects) > 1 else {}),
+        **found.statement.as_json(),
+        "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
+        "residual_heating": None,
+        "by_record": [
+            _record_json(c, e, after)
+            for c, e, after in zip(found.closures, found.search.evidence or [None] * len(found.closures), found.after,
+                                   strict=True)
+        ],
+        "common_cost": best.common,
+        "common_parameters": {} if best.model is None else dict(best.model.levels),
+        "estimated": {n: p.as_json() for n, p in found.parameters.items()},
+        "remarks": found.remarks(),
+        "warnings": list(found.warnings),
+        "program": f"sim-heating {package_version()}",
+    }  # fmt: skip
+
+
+def _condition(closure: Closure) -> dict[str, float]:
+    return dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True))
+
+
+def _record_json(closure: Closure, e: Evidence | None, after: Prediction) -> dict[str, Any]:
+    """One record in closure.json; scores are differences of BIC, below 0 where they speak for the cause."""
+    added: dict[str, Any] = {}
+    if e is not None:
+        added = {
+            "verdict": e.verdict, "has_cause": e.member, "delta_score": -e.for_cause,
+            "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
+            "agreement_p": e.agreement,
+            "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
+        }  # fmt: skip
+    return {
+        "record": closure.record.name,
+        "control_point": closure.record.declared.control_point,
+        "closure": f"{closure.record.name}/closure.json",
+        "finding": closure.statement.finding,
+        "alternatives": [list(names) for names in closure.statement.alternatives],
+        **added,
+        "reference_condition": _condition(closure),
+        "before": closure.before.segment_errors(),
+        "after": after.segment_errors(),
+        "noise_floor_K": finite(closure.noise_floor_K),
+    }
+
+
+def write_joint_closure(found: JointClosure, folder: Path) -> None:
+    """Write the files of a joint closure into an existing folder."""
+    write_json(folder / NAME, joint_closure_json(found))
+    write_csv(folder / RECORDS, evidence_table(found).columns_by_key())
+    write_page(folder / PAGE, joint_page(found))
+
+
+# The page -------------------------------------------------------------------------------------------------------------
+
+
+def joint_page(found: JointClosure) -> Page:
+    """The report as a page."""
+    points = dict.fromkeys(c.record.declared.control_point for c in found.closures)
+    subtitle = f"Records {_listed(found.names)}, control point{'s' if len(points) > 1 else ''} {_listed(list(points))}"
+    causes = found.statement.not_effects
+    sections = [
+        *([Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])] if causes else []),
+        _evidence_section(found), _errors_section(found), _adequacy_section(found), _values_section(found),
+        _candidates_section(found),
+    ]  # fmt: skip
+    before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
+    errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
+    certainty = found.statement.certainty().replace("the record to its", "the records to their")
+    return Page(
+        f"{len(found.closures)} records, jointly", subtitle, sections, (found.in_words(), f"{certainty} {errors}"),
+        [*found.remarks(), *found.warnings],
+    )  # fmt: skip
+
+
+def evidence_table(found: JointClosure) -> Table:
+    """What each record adds: its own finding, and its part of the joint scores."""
+    best, rival = found.search.best, found.search.rival
+    against = "none" if rival is None else " + ".join(rival.names)
+    columns: list[Column | str] = [
+        "record", Column("point", is_text=True), Column("by itself", "alone", is_text=True),
+        Column("for the cause", "for_cause", "+.1f"), Column(f"over {against}", "over_rival", "+.1f"),
+        Column("agrees, p", "agreement_p", ".2g"), Column("verdict", is_text=True),
+    ]  # fmt: skip
+    rows: list[list[Any]] = [
+        [e.record, e.point, _alone(e), e.for_cause, e.over_rival, e.agreement, e.verdict] for e in found.search.evidence
+    ]
+    if best.model is not None:
+        # of a record without the cause the score in the sum is that of its own explanation
+        over = None if rival is None else rival.score - best.score
+        common = None if rival is None else rival.common - best.common
+        rows.append(["common", "", "", -best.common, common, None, ""])
+        rows.append(["together", "", found.named, -best.score, over, None, ""])
+    cause = " + ".join(best.names) or "none"
+    return Table(f"What each record adds: {cause}", columns, rows, strong=[len(rows) - 1])
+
+
+def _evidence_section(found: JointClosure) -> Section:
+    text = [
+        "Differences of BIC with the segments held out, above 0 where a record speaks for the cause, and where it "
+        f"speaks for it rather than for the next one; {MIN_BIC_GAIN:g} is what a finding needs. `common` is what "
+        "parameters in common, priors and the number of forms cost. A record that has not got the cause is judged with "
+        "the values of the others, and counts in the sum with what it shows by itself. The p-value is that of values "
+        "of its own as far from the common ones.",
+    ]
+    picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
+    return Section("What each record adds", text, tables=[evidence_table(found)], pictures=[picture])
+
+
+def residuals_figure(found: JointClosure) -> Figure:
+    """Residuals of each record's used sensors [K], derivatives fitted and with the cause."""
+    count = len(found.closures)
+    figure, axes = new_figure(9.5, 2.2 * count + 0.6, count)
+    for a, closure, after in zip(axes, found.closures, found.after, strict=True):
+        record = closure.record
+        judged = record.fit_mask() | record.holdout_mask()
+        curves = [(closure.before, BEFORE, "derivatives fitted")]
+        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        for prediction, color, label in curves:
+            for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
+                own = label if k == 0 else None
+                a.plot(record.time_s[judged], prediction.residual_K[i][judged], ".", color=color, markersize=2.5,
+                       label=own, rasterized=True)  # fmt: skip
+        a.axhline(0.0, color="0.3", linewidth=0.8)
+        a.set_ylabel(f"{record.name}\nresidual, K")
+        shade_holdout(a, record)
+        legend_above(a)
+    axes[-1].set_xlabel("time, s")
+    add_grid_and_title(figure, "", axes)
+    return figure
+
+
+def _errors_section(found: JointClosure) -> Section:
+    columns: list[Column | str] = [
+        "record", Column("fitted, before, K", format=".2f"), Column("after, K", format=".2f"),
+        Column("held out, before, K", format=".2f"), Column("held out, after, K", format=".2f"),
+        Column("noise floor, K", format=".2f"),
+    ]  # fmt: skip
+    rows = []
+    for closure, after in zip(found.closures, found.after, strict=True):
+        errors = [p.segment_errors()[segment] for segment in ("fit", "holdout") for p in (closure.before, after)]
+        rows.append([closure.record.name, *(None if e is None else e["rmse_K"] for e in errors), closure.noise_floor_K])
+    return Section("Errors", tables=[Table("RMSE of the plain march, by record.", columns, rows)])
+
+
+def _adequacy_section(found: JointClosure) -> Section:
+    best = found.search.best if found.statement.finding in ("found", "one of", "partly") else found.search.none
+    rows = [
+        [name, a.chi2_fit, a.chi2_holdout, a.lag1, a.p_value]
+        for name, a in zip(found.names, best.adequacy_by_record, strict=True)
+    ]
+    columns: list[Column | str] = [
+        "record", Column("chi-square, fitted", format=".2f"), Column("held out", format=".2f"),
+        Column("autocorrelation", format=".2f"), Column("p-value", format=".2g"),
+    ]  # fmt: skip
+    text = "Reduced chi-squares of normalised residuals, 1 for the true model; p-values as for a single record."
+    return Section("Does it explain the records?", tables=[Table(text, columns, rows)])
+
+
+def _values_section(found: JointClosure) -> Section:
+    """The cause's parameters: in common, and as each record gives them by itself."""
+    best = found.search.best
+    if best.model is None:
+        return Section("Parameters", ["No cause was fitted."])
+    columns: list[Column | str] = ["parameter", Column("whose", is_text=True), Column("together", is_text=True)]
+    columns += [Column(f"{e.record} alone", is_text=True) for e in found.search.evidence]
+    whose = {"all": "all records", "point": "each point", RECORD: "each record"}
+    one_point = len({e.point for e in found.search.evidence}) == 1
+    rows = []
+    for name in best.model.cause.candidate.names:
+        level = best.model.levels[name]
+        together = [p for label, p in found.parameters.items() if label.partition(AT)[0] == name]
+        own = [e.own.get(name) for e in found.search.evidence]
+        rows.append([
+            name, whose["all" if one_point and level != RECORD else level],
+            "; ".join(_bound(p.value, p.sigma) for p in together) or "-",
+            *("-" if o is None else _bound(*o) for o in own),
+        ])  # fmt: skip
+    text = (
+        "Values with one standard deviation; those together are corrected for coloured residuals. Magnitude and "
+        "derivatives of the heating ratio are each record's own."
+    )
+    return Section("Parameters", [text], tables=[Table("", columns, rows)])
+
+
+def _bound(value: float, sigma: float) -> str:
+    return f"{value:.5g} +- {sigma:.2g}" if np.isfinite(sigma) else f"{value:.5g}, not determined"
+
+
+def _candidates_section(found: JointClosure) -> Section:
+    levels = {" + ".join(h.names): h for h in found.search.hypotheses}
+    rows = []
+    for c in sorted(found.candidates, key=lambda c: c.delta_bic):
+        h = levels.get(c.name)
+        note = "" if h is None else "; ".join(h.objections)
+        score = 0.0 if h is None else h.score
+        rows.append([c.name, c.delta_bic, score, c.fit_rmse_K, c.holdout_rmse_K, note])
+    columns: list[Column | str] = [
+        "", Column("BIC - BIC of none", format="+.1f"), Column("score", format="+.1f"),
+        Column("RMSE fitted, K", format=".2f"), Column("RMSE held out, K", format=".2f"),
+        Column("may not be named", is_text=True),
+    ]  # fmt: skip
+    text = "The score adds segments held out, priors on magnitudes and the number of forms."
+    return Section("Causes fitted to all records", tables=[Table(text, columns, rows)])
