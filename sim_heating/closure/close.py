@@ -26,6 +26,7 @@ from sim_heating.closure.report import CandidateScore, Closure, Finding, false_a
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
+from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -141,14 +142,15 @@ def refit(result: SearchResult) -> FitResult:
     best = result.conclusion.best
     if not result.explained:
         return result.before
-    if best.change is not None:
-        changed = best.change.change.apply(result.record, best.change.value)
-        return declared_fit(changed, result.before.labels or None)
+    record = result.record if best.change is None else best.change.change.apply(result.record, best.change.value)
+    if best.change is not None and not best.added:
+        return declared_fit(record, result.before.labels or None)
     last = best.last
     part = last.problem.record_fits[0]
+    in_model = [] if best.change is None or not best.change.change.in_model else best.change.estimates
     return estimate(
-        [result.record],
-        part.names,
+        [record],
+        [n for n in part.names if n not in in_model],
         reference=dict(zip(RATIO_VARIABLES, last.problem.reference, strict=True)),
         effects=fitted_effects(last),
         priors=refit_priors(last),
@@ -232,15 +234,16 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
 
 def _in_words(result: SearchResult, name: str) -> str:
     """An alternative as the report has it: the name of an effect, another cause with its value."""
-    found = next((h for h in result.hypotheses if h.names == (name,) and h.kind != "effect"), None)
-    return name if found is None else _cause(found).what
+    several = [result.conclusion.best, *(h for h in result.hypotheses if h.names == (name,))]
+    causes = [cause for h in several if name in h.names and name not in h.effects for cause in _causes(h)]
+    return next((c.what for c in causes if (c.kind == "table") == (name == TABLE)), name)
 
 
 def _not_effects(result: SearchResult) -> list[NotEffect]:
     """The cause that was found, where it is no effect; else errors of the table that the declared model's fit shows."""
     best = result.conclusion.best
-    if result.explained and best.kind != "effect":
-        return [_cause(best)]
+    if result.explained:
+        return _causes(best)
     if result.conclusion.finding != NONE:
         return []
     labels = result.before.labels
@@ -251,21 +254,21 @@ def _not_effects(result: SearchResult) -> list[NotEffect]:
     ]
 
 
-def _cause(found: Hypothesis) -> NotEffect:
-    """A cause that is no effect, with its estimate."""
-    if found.change is not None:
-        parameter = found.change.change.parameter
-        own = (
-            {}
-            if parameter is None
-            else {parameter.name: ParameterEstimate(found.change.value, found.change.sigma, parameter.unit)}
-        )
-        return NotEffect(found.kind, found.change.describe(), own)
-    trial = found.last
-    name, fit = trial.candidate.names[0], trial.fit
-    at = [u.parameter.name for u in trial.problem.unknowns].index(name)
-    value, sigma = float(fit.values[at]), float(fit.sigma[at])
-    return NotEffect("table", table_error(name, value), {name: ParameterEstimate(value, sigma, MODEL[name].unit)})
+def _causes(found: Hypothesis) -> list[NotEffect]:
+    """Causes of a hypothesis that are no effect, with their estimates."""
+    causes, change = [], found.change
+    if change is not None and not change.change.effect:
+        own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in change.estimates.items()}
+        causes.append(NotEffect(found.kind, change.describe(), own))
+    last = found.last
+    for trial in found.trials:
+        if trial.name == TABLE:
+            name, fit = trial.candidate.names[0], last.fit
+            at = [u.parameter.name for u in last.problem.unknowns].index(name)
+            value, sigma = float(fit.values[at]), float(fit.sigma[at])
+            estimate_of_name = {name: ParameterEstimate(value, sigma, MODEL[name].unit)}
+            causes.append(NotEffect("table", table_error(name, value), estimate_of_name))
+    return causes
 
 
 def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
@@ -281,13 +284,20 @@ def _residual_warning(result: SearchResult, residual: ResidualHeating | None) ->
 
 
 def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) -> list[Finding]:
-    """The added effects; "none" or "unknown" where there are none."""
-    shares = posteriors({" + ".join(h.names): h.score for h in result.hypotheses if h.admissible} | {NONE: 0.0})
-    if not result.added:
+    """The effects found; "none" or "unknown" where there are none."""
+    best, admissible = result.conclusion.best, [h for h in reversed(result.hypotheses) if h.admissible]
+    shares = posteriors({" + ".join(h.names): h.score for h in admissible} | {NONE: 0.0})
+    if not result.explained or not best.effects:
         name = result.names[0]
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
-    share = shares[" + ".join(result.conclusion.best.names)]
-    return [Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added]
+    share = shares[" + ".join(best.names)]
+    changed = best.change is not None and best.change.change.effect
+    own = best.change.estimates if best.change is not None else {}
+    of_change = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in own.items()}
+    return [
+        *([Finding(changed, share, of_change)] if changed else []),
+        *(Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added),
+    ]
 
 
 def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:

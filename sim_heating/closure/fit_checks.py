@@ -91,7 +91,7 @@ def contradicting_sensor(problem: FitProblem, values: FloatArray, residual: Resi
     worst = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)
     consistent = []
     for sensor in worst[:MAX_OMITTED] if len(worst) > 1 else ():
-        others = residual_heating(problem, values, without=sensor.sensor.name)
+        others = residual_heating(problem, values, without=[sensor.sensor.name])
         if all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
             consistent.append((profiled_information(others).best_gain, sensor, others))
     if not consistent:

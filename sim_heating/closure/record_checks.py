@@ -274,13 +274,18 @@ def _line_at(t: FloatArray, T: FloatArray, at_s: FloatArray) -> FloatArray:
 
 
 def _is_deep(record: Record, depth_m: float, period_s: float) -> bool:
-    """Whether heat takes more than DIFFUSION_SAMPLES intervals to a depth: (sum of dx / sqrt(a) over layers)^2 / 4."""
+    """Whether heat takes more than DIFFUSION_SAMPLES intervals to a depth."""
+    return diffusion_time_s(record, depth_m) > DIFFUSION_SAMPLES * period_s
+
+
+def diffusion_time_s(record: Record, depth_m: float) -> float:
+    """Time that heat takes to a depth [s]: (sum of dx / sqrt(a) over layers)^2 / 4."""
     root_s, remaining_m = 0.0, depth_m
     for layer, a in zip(record.declared.stack.layer, layer_diffusivities(record.construction), strict=True):
         through = min(layer.thickness_m, remaining_m)
         root_s += through / np.sqrt(a)
         remaining_m -= through
-    return bool(0.25 * root_s**2 > DIFFUSION_SAMPLES * period_s)
+    return float(0.25 * root_s**2)
 
 
 def unresolved(faults: Sequence[DataFault], after: Prediction) -> list[DataFault]:

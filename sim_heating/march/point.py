@@ -28,7 +28,7 @@ from sim_heating.base.parameters import (
     Parameter,
     layer_parameter,
 )
-from sim_heating.heating.effects import EffectUse, check_count
+from sim_heating.heating.effects import EffectUse, ModelParameter, check_count
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.thermal.elements import (
     BOILS,
@@ -247,7 +247,10 @@ class PointModel:
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
-            return self.effects[use].definitions[k]
+            own, usual = self.effects[use].definitions[k], self.effects[use].effect.parameters[k]
+            stands_for = usual.stands_for if isinstance(usual, ModelParameter) else ""
+            scatter = self._declared_scatter(stands_for) if own.sigma == usual.sigma else None
+            return own if scatter is None else replace(own, sigma=scatter)
         place = self._place(name)
         if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
             raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")

@@ -10,7 +10,7 @@ flux, over the largest that the record declares: the march is given a reference 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -160,18 +160,22 @@ class ResidualHeating:
 
 
 def residual_heating(
-    problem: FitProblem, values: FloatArray, part: int = 0, disturbance: Disturbance | None = None, without: str = ""
+    problem: FitProblem,
+    values: FloatArray,
+    part: int = 0,
+    disturbance: Disturbance | None = None,
+    without: Collection[str] = (),
 ) -> ResidualHeating:
     """The heating history that explains the residual of one record of a fit.
 
     problem, values : the fit; its samples are the readings, its values the model
     part            : which of the fit's records
     disturbance     : noise model of the history; None for the likeliest one
-    without         : name of a sensor that is omitted
+    without         : names of sensors that are omitted
     raises          : RunError where the model cannot be marched
     """
     own = problem.record_fits[part]
-    shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name != without]
+    shift, channels = own.shift_s(values), [c for c in own.channels if c.sensor.name not in without]
     # At the times shifted by the clock and with the correction for the mesh: what these explain is not missing heating.
     samples, order = filter_samples(
         channels, own.sample_s + shift, own.mesh, own.sigma_K, own.values(values), own.correction_K,

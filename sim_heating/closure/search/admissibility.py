@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter, layer_parameter
+from sim_heating.closure.search.ranking import MAX_SCATTER
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Status
@@ -19,8 +20,7 @@ from sim_heating.heating.effects import effects
 
 MIN_SIGMAS = 3.0
 """Least distance of an effect's magnitude from none at all, in standard deviations."""
-MAX_SCATTER = 4.0
-"""Largest distance of a parameter from its nominal value, in standard deviations of its declared scatter."""
+OFF = "standard deviations off"
 NEAR = 2.0
 """A bound within this many standard deviations of the nominal value is as good as any other, as for a sharp onset."""
 SETTLED = 0.5
@@ -59,16 +59,41 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
         value, own = found[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
             lines.append(f"{own} is on its bound, {value:g}")
-        elif name in candidate.with_prior and not _is_fault(name) and abs(value - p.value) > MAX_SCATTER * p.sigma:
-            lines.append(
-                f"{own} = {value:.3g} is {abs(value - p.value) / p.sigma:.1f} standard deviations off {p.value:g}"
-            )
+        elif name in candidate.with_prior and not _is_declared(trial, name):
+            lines += _off(own, value, p)
     return lines
 
 
-def _is_fault(name: str) -> bool:
-    """Whether a parameter is an error of a single sensor: what is broken is broken beyond the scatter of sound ones."""
-    return name.startswith(SENSOR_PREFIX)
+def _off(name: str, value: float, p: Parameter) -> list[str]:
+    """A line where a value is further from the nominal one than the declared scatter allows."""
+    off = abs(value - p.value)
+    return [] if off <= MAX_SCATTER * p.sigma else [f"{name} = {value:.3g} is {off / p.sigma:.1f} {OFF} {p.value:g}"]
+
+
+def far_from_declared(trial: TrialFit, candidate: Candidate) -> list[str]:
+    """Values of layers, clocks and sensors that are further off than they scatter, a line each.
+
+    A declaration may be wrong by any amount: another lot, a clock that was set wrong, a broken thermocouple. As for a
+    change of the record, such a value may be named where it explains the record, and not where it only resembles it.
+    """
+    found = fitted_values(trial)
+    return [
+        f"{candidate.name}: {line}"
+        for name, p in _definitions(trial, candidate).items()
+        if name in candidate.with_prior and _is_declared(trial, name)
+        for line in _off(name.rpartition(".")[2], found[name], p)
+    ]
+
+
+def _is_declared(trial: TrialFit, name: str) -> bool:
+    """Whether a parameter is of a thing that the record declares: a factor of a layer, a clock, a thermocouple."""
+    if name in RECORD_PARAMETERS or name.startswith(SENSOR_PREFIX):
+        return True
+    _, _, effect_and_own = name.partition(EFFECT_PREFIX)
+    effect, _, own = effect_and_own.partition(".")
+    known = effects().get(effect)
+    stands_for = dict(zip((p.name for p in known.parameters), known.model_parameters, strict=False)) if known else {}
+    return layer_parameter(stands_for.get(own, name)) is not None
 
 
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:

@@ -16,9 +16,16 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
-from sim_heating.closure.search.admissibility import MIN_SIGMAS, SETTLED, objections
+from sim_heating.closure.search.admissibility import (
+    MAX_SCATTER,
+    MIN_SIGMAS,
+    OFF,
+    SETTLED,
+    far_from_declared,
+    objections,
+)
 from sim_heating.closure.search.changes.record_change import ChangeFit
-from sim_heating.closure.search.ranking import model_bic, prior_penalty
+from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.inference.newton import Status
@@ -60,18 +67,29 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its effects, or the change in words without its value; none for the declared model."""
-        change = () if self.change is None else (self.change.change.what,)
+        """Names of its change, in words where no effect is it, and of its effects; none for the declared model."""
+        change = () if self.change is None else (self.change.change.name,)
         return (*change, *(t.name for t in self.trials if t.name != "none"))
 
     @property
     def kind(self) -> str:
-        """Kind of its cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
+        """Kind of its first cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
-            return self.change.change.kind
+            return "effect" if self.change.change.effect else self.change.change.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its effects, as a closure report has them."""
+        change = () if self.change is None or not self.change.change.effect else (self.change.change.effect,)
+        return (*change, *(t.name for t in self.added))
+
+    @property
+    def added(self) -> tuple[TrialFit, ...]:
+        """Trials that add an effect, without derivatives of the table."""
+        return tuple(t for t in self.trials if t.name not in ("none", TABLE))
 
     @property
     def admissible(self) -> bool:
@@ -109,7 +127,8 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
     """
     price = sum(2.0 * float(np.log(max(forms.get(t.name, 1), 1))) for t in trials if t.name != "none")
     against = () if trials[-1].name == "none" else objections(trials[-1], [t.candidate for t in trials])
-    return Hypothesis(tuple(trials), None, against, price)
+    far = [line for t in trials if t.name != "none" for line in far_from_declared(trials[-1], t.candidate)]
+    return _with_far(Hypothesis(tuple(trials), None, against, price), far)
 
 
 def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -> Hypothesis:
@@ -128,8 +147,19 @@ def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -
         against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
     counted = 1 if fit.change.in_model else 0  # by the trial's own problem
     more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
-    price = 2.0 * float(np.log(max(tried, 1))) + more + fit.deviation**2 + against_motion
-    return Hypothesis((fit.trial,), fit, tuple(against), price)
+    price = 2.0 * float(np.log(max(tried, 1))) + more + scatter_price(fit.deviation) + against_motion
+    found = Hypothesis((fit.trial,), fit, tuple(against), price)
+    far = [] if fit.deviation <= MAX_SCATTER else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
+    return _with_far(found, far)
+
+
+def _with_far(found: Hypothesis, far: Sequence[str]) -> Hypothesis:
+    """A hypothesis with the objection that a declared value is further off than it scatters.
+
+    Such a fault of a declaration may have any size, but has to explain the record.
+    """
+    explains = not far or found.adequate or found.excess_chi2 <= NEAR_NOISE**2 - 1.0
+    return found if explains else replace(found, objections=(*found.objections, *far))
 
 
 def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -169,7 +199,7 @@ class Conclusion:
     @property
     def effect_name(self) -> str:
         """Name in a closure report where no effect is added: "none" where nothing is, or no effect is the cause."""
-        explained = self.finding in ("found", "one of") and self.best.kind != "effect"
+        explained = self.finding in ("found", "one of") and not self.best.effects
         return "none" if self.finding == "none" or explained else "unknown"
 
     def __repr__(self) -> str:

@@ -7,8 +7,8 @@ candidate with which they return to the table gains that. c is the reduced chi-s
 what even the best model leaves is the scale on which differences count (quasi-likelihood; Burnham & Anderson, Model
 Selection and Multimodel Inference, 2nd ed., sec. 2.5). The score adds
 
-- two for the logarithm of the number of forms of an effect, and the squares of the sigmas by which magnitudes are off
-  their priors: many forms, and values that nobody would expect, have their price;
+- two for the logarithm of the number of forms of an effect, and the price of the sigmas by which magnitudes are off
+  their priors (scatter_price): many forms, and values that nobody would expect, have their price;
 - -2 log L / c of the segments held out, at the values found without them, with the c of the best model there: how well
   a form extends beyond the data that it was fitted to.
 """
@@ -31,6 +31,9 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
+
+MAX_SCATTER = 4.0
+"""Distance from the declared value up to which a parameter scatters, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +121,20 @@ def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
     """Sum of the squares of the sigmas by which the estimates of an effect of a trial's model are off their priors."""
     part, found = trial.problem.record_fits[0], fitted_values(trial)
     priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.with_prior}
-    return float(sum(((found[n] - p.value) / p.sigma) ** 2 for n, p in priors.items()))
+    return sum(scatter_price(abs(found[n] - p.value) / p.sigma) for n, p in priors.items())
+
+
+def scatter_price(deviation: float) -> float:
+    """What a value costs, in units of BIC, by its distance from the declared one in standard deviations [-].
+
+        d^2 up to D,    D^2 (1 + 2 log(d / D)) beyond
+
+    D = MAX_SCATTER. A normal distribution as far as things scatter, beyond it a power law of equal slope: what is wrong
+    by more is wrong for a reason of its own, and may be wrong by any amount.
+    """
+    if deviation <= MAX_SCATTER:
+        return deviation**2
+    return float(MAX_SCATTER**2 * (1.0 + 2.0 * np.log(deviation / MAX_SCATTER)))
 
 
 def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:

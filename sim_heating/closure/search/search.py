@@ -104,13 +104,13 @@ class SearchResult:
     @property
     def added(self) -> tuple[TrialFit, ...]:
         """Trial fits whose effects are added to the model, in order; none where nothing is named."""
-        best = self.conclusion.best
-        return best.trials if self.explained and best.kind == "effect" and best.change is None else ()
+        return self.conclusion.best.added if self.explained else ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the added effects; else `unknown` or `none`."""
-        return tuple(t.name for t in self.added) or (self.conclusion.effect_name,)
+        named = self.conclusion.best.effects if self.explained else ()
+        return named or (self.conclusion.effect_name,)
 
     def __repr__(self) -> str:
         return f"<SearchResult of {self.record.name}: {' + '.join(self.names)}, {len(self.rounds)} round(s)>"

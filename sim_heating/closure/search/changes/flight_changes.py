@@ -20,7 +20,7 @@ import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, misfit_of_motion
 from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange
 from sim_heating.heating.reference.models import reference_heating
@@ -33,9 +33,9 @@ EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
 ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack")
-SHIFT = Parameter("skew_s", "s", 0.0, 2.0, -900.0, 900.0, "by how much the flight was later than its conditions")
+SHIFT = replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flight later than its conditions")
 """Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
-velocity are usual, as is half a degree of angle of attack; clocks of two recorders are within seconds."""
+velocity are usual, as is half a degree of angle of attack. Conditions that are too early are thermocouples that lag."""
 SHIFT_STARTS = (-300.0, -100.0, -30.0, -10.0, 10.0, 30.0, 100.0, 300.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets")
@@ -115,9 +115,8 @@ def time_shift() -> RecordChange:
     def describe(value: float) -> str:
         return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
 
-    return RecordChange(
-        "flight", "time of the flight conditions", SHIFT, shift_conditions, describe, SHIFT_STARTS, name="time-skew"
-    )
+    what = "time of the flight conditions"
+    return RecordChange("flight", what, SHIFT, shift_conditions, describe, SHIFT_STARTS, effect="time-skew")
 
 
 def trajectory_shift() -> RecordChange:

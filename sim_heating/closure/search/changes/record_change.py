@@ -67,7 +67,8 @@ class RecordChange:
                 stay as they are; where readings change with the value, their sensor has no recorder word any more
     describe  : the change in words, with its value: "density of the flight conditions 8 % too low"
     starts    : further values that a fit may start from, where the neutral one is too far away
-    name      : the effect of a closure report that it is, such as "time-skew"; empty where no name covers it
+    effect    : the effect of a closure report that it is, such as "time-skew", whose parameter has the name of its own;
+                empty where no name covers it
     form      : in words, what it has in common with changes of which one alone is fitted, such as layers of density
                 between other altitudes; by default `what`
     near      : changes of the same form whose ends in time or altitude are moved by a fraction of its span; None where
@@ -85,7 +86,7 @@ class RecordChange:
     describe: Callable[[float], str]
     starts: tuple[float, ...] = ()
     in_model: bool = False
-    name: str = ""
+    effect: str = ""
     form: str = ""
     near: Callable[[float], Sequence[RecordChange]] | None = None
     known_log_likelihood: tuple[float, float] = (0.0, 0.0)
@@ -94,6 +95,11 @@ class RecordChange:
     def neutral(self) -> float:
         """Value at which the record is as declared; 0 for a change without a parameter, which has none."""
         return 0.0 if self.parameter is None else self.parameter.value
+
+    @property
+    def name(self) -> str:
+        """Its name among causes: that of the effect that it is, else the change in words, without a value."""
+        return self.effect or self.what
 
     @property
     def unknowns(self) -> int:
@@ -124,6 +130,12 @@ class ChangeFit:
         """Distance of the value from the neutral one over the standard deviation that is usual [-]; 0 without one."""
         parameter = self.change.parameter
         return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
+
+    @property
+    def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
+        """Parameter, value and standard deviation by the name of the parameter; none for a change without one."""
+        parameter = self.change.parameter
+        return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
 
     @property
     def on_bound(self) -> bool:

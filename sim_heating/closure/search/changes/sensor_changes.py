@@ -4,7 +4,7 @@ Bias, gain and lag of a thermocouple are effects by name (candidates.py). What a
 fit without the change rules out is not offered: a sensor at its noise is not broken, two such sensors are not swapped.
 
 Readings that a change makes worthless are taken out of the record, but not for nothing. Those of a stuck or clipped
-thermocouple have the likelihood of readings that are met exactly. Those of a broken one are scattered about the
+thermocouple have their noise about the level that they keep. Those of a broken one are scattered about the
 prediction of the model with their own root mean square,
 
     log L = sum_i log N(y_i; m_i, s^2),   s^2 = mean (y_i - m_i)^2
@@ -15,6 +15,7 @@ so that any cause that explains them is likelier. What is read off the readings 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -24,16 +25,17 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.parameters import SENSOR, Parameter
-from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.fit_checks import CONTRADICTION_FLOORS, MAX_OMITTED
-from sim_heating.closure.record_checks import AT_NOISE
+from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
+from sim_heating.closure.record_checks import AT_NOISE, diffusion_time_s
 from sim_heating.closure.search.changes.record_change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
+from sim_heating.estimation.filter.heating_input import MAX_COARSE_KNOTS, interpolation_weights
 from sim_heating.estimation.inference.likelihood import reading_intervals, scores
 from sim_heating.estimation.inference.observability import STUCK
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples, sensor_parameter
 from sim_heating.inputs.record import Record
+from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.thermal.stack import Sensor
 
 CELSIUS_0_K, KELVIN_PER_FAHRENHEIT, FAHRENHEIT_0 = 273.15, 5.0 / 9.0, 459.67
@@ -55,8 +57,24 @@ DEPTH_SIGMA_M, FARTHEST_M = 5e-4, 0.01
 """Usual error of the depth of a thermocouple, and the largest that is tried [m]."""
 MAX_DRIFT = 10.0
 """Largest drift that is tried, over the usual one [-]."""
-MAX_BROKEN = 2
-"""Sensors that are left out together, where none alone makes the others agree."""
+MAX_OMITTED, MAX_BROKEN = 3, 2
+"""Sensors that may be broken, those that contradict a common heating most; and how many of them together, where none
+alone is."""
+CONTRADICTION_FLOORS = 2.5
+"""Noise floors beyond which the residual of a sensor contradicts the heating that explains the others."""
+ALIKE = 0.5
+"""Correlation from which on two sensors deviate in the same way."""
+COARSE = 0.25
+"""Part of the mean square of a deviation that may be faster than the history of a heating."""
+ROUGH_SAMPLES, ROUGHER = 8, 3.0
+"""Samples that half the time of diffusion has to hold; and how much rougher than the prediction readings may be."""
+LEVEL_FLOORS = 6.0
+"""Noise floors that readings on one level are within."""
+CORNER, CORNER_SAMPLES = 3.0, 10
+"""How much faster than on a parabola a reading reaches the level that it is clipped at, by a line through the samples
+before and after."""
+OTHERS_MOVE = 3.0
+"""Steps of its recorder that another sensor moves by while one is stuck."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +115,15 @@ def _rms(s: PredictedSamples) -> float:
 
 def _residual_K(s: PredictedSamples) -> FloatArray:
     """Readings less predictions of a channel [K], without those at an end of the recorder's range."""
-    within = s.channel.intervals.is_finite
-    middle = 0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K)[within]
-    return np.asarray(middle - s.mean_K[within])
+    read = _read_K(s)
+    within = np.isfinite(read)
+    return np.asarray(read[within] - s.mean_K[within])
+
+
+def _read_K(s: PredictedSamples) -> FloatArray:
+    """(sample,) readings of a channel [K], the middle of a recorder's word; NaN at an end of its range."""
+    intervals = s.channel.intervals
+    return np.asarray(np.where(intervals.is_finite, 0.5 * (intervals.lower_K + intervals.upper_K), np.nan))
 
 
 # Swap, unit, drift, depth ---------------------------------------------------------------------------------------------
@@ -221,43 +245,86 @@ def _depth_starts(own: Parameter) -> tuple[float, ...]:
 
 
 def constant_readings(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
-    """Sensors whose readings are equal for long while the declared model changes by many of their steps.
+    """Sensors whose readings are equal for long while the declared model and another sensor change.
 
     returns : by name of the sensor; it is clipped at a range that is not declared where these are its largest readings
-              and others follow, else stuck
+              and others follow, else stuck. Readings that are clipped before the recorder's noise scatter about a level
     """
     record, found = base.problem.record_fits[0].record, dict[frozenset[str], list[RecordChange]]()
     # The fitted model may follow readings that do not change.
     declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
     for s in declared:
         sensor, t, read = s.channel.sensor, record.time_s, record.thermocouples[s.channel.sensor.column]
-        run = _longest_constant(read)
-        at_K, inside = read[run[0]], s.mean_K[(s.time_s >= t[run[0]]) & (s.time_s <= t[run[-1]])]
-        unclipped = reading_intervals(sensor, read[run[:1]]).is_finite[0]
-        changes = len(inside) > 1 and np.ptp(inside) > STUCK * max(sensor.lsb_K, s.sigma_K)
-        if len(run) < MIN_CONSTANT or not unclipped or not changes:
-            continue
-        recovers = run[-1] < np.flatnonzero(np.isfinite(read))[-1]
-        if at_K >= np.nanmax(read) and recovers:
-            lost, text = read >= at_K, f"{sensor.name} clipped at {at_K:.0f} K, which is no declared end of its range"
-        else:
-            lost = np.isin(np.arange(len(read)), run)
-            text = f"{sensor.name} stuck at {at_K:.1f} K from {t[run[0]]:.0f} to {t[run[-1]]:.0f} s"
-        found[frozenset({sensor.name})] = [_without(base, {sensor.name: lost}, text, met_exactly=True)]
+        width_K = LEVEL_FLOORS * sensor.noise_floor_K(s.sigma_K)
+        for run in (_longest_level(read, 0.0), _longest_level(read, width_K)):
+            level_K, (begin_s, end_s) = float(np.nanmedian(read[run])), t[run[[0, -1]]]
+            inside = s.mean_K[(s.time_s >= begin_s) & (s.time_s <= end_s)]
+            changes = len(inside) > 1 and np.ptp(inside) > STUCK * max(sensor.lsb_K, s.sigma_K)
+            unclipped = reading_intervals(sensor, read[run[:1]]).is_finite[0]
+            moves = _others_move(declared, sensor, (begin_s, end_s))
+            if len(run) < MIN_CONSTANT or not unclipped or not changes or not moves:
+                continue
+            exact, recovers = np.ptp(read[run]) == 0.0, run[-1] < np.flatnonzero(np.isfinite(read))[-1]
+            top = read >= np.min(read[run])
+            if recovers and np.nanmax(read) <= np.max(read[run]) and (exact or _has_corners(t, read, run, width_K)):
+                lost, text = top, f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
+            elif exact:
+                lost = np.isin(np.arange(len(read)), run)
+                text = f"{sensor.name} stuck at {level_K:.1f} K from {begin_s:.0f} to {end_s:.0f} s"
+            else:
+                continue
+            found[frozenset({sensor.name})] = [_without(base, {sensor.name: lost}, text, level_K)]
+            break
     return found
 
 
-def _longest_constant(read: FloatArray) -> IntArray:
-    """(run,) indices of the longest run of equal readings; lost ones within it do not end it."""
+def _others_move(channels: Sequence[PredictedSamples], stuck: Sensor, span_s: tuple[float, float]) -> bool:
+    """Whether another sensor changes between two times [s]; true of a record that has no other."""
+    others, (begin_s, end_s) = [s for s in channels if s.channel.sensor is not stuck], span_s
+    for s in others:
+        inside = _read_K(s)[(s.time_s >= begin_s) & (s.time_s <= end_s)]
+        known = inside[np.isfinite(inside)]
+        if len(known) and np.ptp(known) > OTHERS_MOVE * max(s.channel.sensor.lsb_K, 2.0 * s.sigma_K):
+            return True
+    return not others
+
+
+def _longest_level(read: FloatArray, width_K: float) -> IntArray:
+    """(run,) indices of the longest run of readings within a width of each other; lost ones within it do not end it."""
     known = np.flatnonzero(np.isfinite(read))
-    ends = np.append(np.flatnonzero(np.diff(read[known]) != 0.0), len(known) - 1)
-    begins = np.append(0, ends[:-1] + 1)
-    k = int(np.argmax(ends - begins))
-    return np.asarray(known[begins[k] : ends[k] + 1])
+    values, begin, best = read[known], 0, (0, 0)
+    lowest, highest = deque[int](), deque[int]()
+    for end, value in enumerate(values):
+        while lowest and values[lowest[-1]] >= value:
+            lowest.pop()
+        while highest and values[highest[-1]] <= value:
+            highest.pop()
+        lowest.append(end)
+        highest.append(end)
+        while values[highest[0]] - values[lowest[0]] > width_K:
+            begin += 1
+            for ends in (lowest, highest):
+                if ends[0] < begin:
+                    ends.popleft()
+        best = max(best, (end - begin, begin))
+    return np.asarray(known[best[1] : best[1] + best[0] + 1])
+
+
+def _has_corners(t: FloatArray, read: FloatArray, run: IntArray, width_K: float) -> bool:
+    """Whether readings reach a level and leave it at full speed.
+
+    A parabola that stays within a width w for a time T enters and leaves it at 4 w / T.
+    """
+    known = np.flatnonzero(np.isfinite(read))
+    before, after = known[known < run[0]][-CORNER_SAMPLES:], known[known > run[-1]][:CORNER_SAMPLES]
+    if min(len(before), len(after)) < CORNER_SAMPLES:
+        return False
+    slopes = [abs(float(np.polyfit(t[part], read[part], 1)[0])) for part in (before, after)]
+    return min(slopes) > CORNER * 4.0 * width_K / float(t[run[-1]] - t[run[0]])
 
 
 def broken_sensors(base: TrialFit) -> list[RecordChange]:
-    """Readings that carry no information: of each sensor without which some heating explains the others, else of two.
+    """Readings that carry no information: of each sensor whose readings show it, else of two.
 
     None where some heating explains all sensors: that is a missing effect and no broken sensor.
     """
@@ -265,27 +332,95 @@ def broken_sensors(base: TrialFit) -> list[RecordChange]:
     suspects = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)[:MAX_OMITTED]
     if not suspects or suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
         return []
-    alone = [s.sensor for s in suspects if _others_agree(base, s.sensor)]
-    chosen: list[tuple[Sensor, ...]] = [(s,) for s in alone]
-    if not chosen and len(residual.sensors) > MAX_BROKEN:
-        chosen = list(combinations([s.sensor for s in suspects], MAX_BROKEN))
-    return [_without(base, {s.name: None for s in c}, f"{' and '.join(s.name for s in c)} broken") for c in chosen]
+    for count in range(1, min(MAX_BROKEN, len(residual.sensors) - 1) + 1):
+        groups = [c for c in combinations(suspects, count) if _are_broken(base, c)]
+        if groups:
+            names = [[s.sensor.name for s in c] for c in groups]
+            return [_without(base, dict.fromkeys(own), f"{' and '.join(own)} broken") for own in names]
+    return []
 
 
-def _others_agree(base: TrialFit, sensor: Sensor) -> bool:
-    """Whether a heating explains all other sensors to their noise."""
-    others = residual_heating(base.problem, base.fit.values, without=sensor.name).sensors
-    return all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others)
+def _are_broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> bool:
+    """Whether a heating explains all other sensors to their noise, and the readings of each of these show a fault.
+
+    A reading that heat cannot cause at its depth shows it by itself. Otherwise two other sensors have to show what the
+    heating was, one of them at least as deep, which confirms the wall as well; the readings have to contradict that
+    heating by changes that are slow enough to be resolved. A ripple that is faster may be heating.
+    """
+    names = [s.sensor.name for s in suspects]
+    others = residual_heating(base.problem, base.fit.values, without=names)
+    if not all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
+        return False
+    deepest_m = max(s.sensor.depth_m for s in others.sensors)
+    confirmed = len(others.sensors) > 1 and not _deviate_alike(others, suspects)
+    return all(
+        is_too_rough(others, s) or (confirmed and s.sensor.depth_m <= deepest_m and is_resolved(others, s))
+        for s in suspects
+    )
+
+
+def _deviate_alike(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
+    """Whether two sensors deviate in the same way: a wrong wall, and not two faults."""
+    if len(suspects) < 2:
+        return False
+    a, b = suspects
+    of_a, of_b = deviation_from(others, a), np.interp(a.time_s, b.time_s, deviation_from(others, b))
+    return bool(abs(np.corrcoef(of_a, of_b)[0, 1]) > ALIKE)
+
+
+def is_resolved(others: ResidualHeating, suspect: SensorResidual) -> bool:
+    """Whether a sensor deviates from the heating that others show by changes no faster than a heating may have.
+
+    The deviation is nearly all in lines between times as far apart as those of the coarse history, COARSE of it.
+    """
+    deviation_K = deviation_from(others, suspect)
+    at_s = np.linspace(suspect.time_s[0], suspect.time_s[-1], MAX_COARSE_KNOTS)
+    weights = interpolation_weights(suspect.time_s, at_s)
+    faster_K = deviation_K - weights @ np.linalg.lstsq(weights, deviation_K, rcond=None)[0]
+    return bool(np.sum(faster_K**2) < COARSE * np.sum(deviation_K**2))
+
+
+def is_too_rough(others: ResidualHeating, suspect: SensorResidual) -> bool:
+    """Whether readings change faster than heat reaches the depth of their thermocouple.
+
+    In half the time that heat takes, a temperature at that depth is nearly a parabola in time. Compared with the
+    prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
+    """
+    record, t = others.record, suspect.time_s
+    span_s = 0.5 * diffusion_time_s(record, suspect.sensor.depth_m)
+    if span_s < ROUGH_SAMPLES * float(np.median(np.diff(t))):
+        return False
+    predicted_K = suspect.read_K - deviation_from(others, suspect)
+    allowed_K = max(AT_NOISE * suspect.floor_K, ROUGHER * _roughness_K(t, predicted_K, span_s))
+    return _roughness_K(t, suspect.read_K, span_s) > allowed_K
+
+
+def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float) -> float:
+    """RMS about a parabola in each span of a history [K]."""
+    squares, count = 0.0, 0
+    for own in np.array_split(np.arange(len(t)), max(math.ceil(float(np.ptp(t)) / span_s), 1)):
+        if len(own) > ROUGH_SAMPLES:
+            x = (t[own] - t[own[0]]) / span_s
+            about_K = values_K[own] - np.polyval(np.polyfit(x, values_K[own], 2), x)
+            squares, count = squares + float(about_K @ about_K), count + len(own) - 3
+    return math.sqrt(squares / count) if count else 0.0
+
+
+def deviation_from(others: ResidualHeating, suspect: SensorResidual) -> FloatArray:
+    """(sample,) readings of a sensor less what the heating that others show gives there [K]."""
+    node = others.mesh.sensors[[s.name for s in others.record.sensors].index(suspect.sensor.name)]
+    T_K = np.interp(suspect.time_s, others.march_s, others.input.temperature_K[:, node])
+    return np.asarray(suspect.read_K - indicated_temperature(suspect.sensor, T_K))
 
 
 def _without(
-    base: TrialFit, lost: Mapping[str, NDArray[np.bool_] | None], text: str, *, met_exactly: bool = False
+    base: TrialFit, lost: Mapping[str, NDArray[np.bool_] | None], text: str, level_K: float | None = None
 ) -> RecordChange:
     """Readings that are taken out of the record.
 
-    lost        : by name of the sensor, (sample,) which of its readings; None for all
-    met_exactly : whether they have the likelihood of readings that are met exactly, else that of scatter about the
-                  model fitted to the record as declared
+    lost    : by name of the sensor, (sample,) which of its readings; None for all
+    level_K : about which they have their noise; None where they scatter about the model fitted to the record as
+              declared
     """
 
     def apply(record: Record, _: float) -> Record:
@@ -296,12 +431,12 @@ def _without(
                 read[s.column] = np.full(len(read[s.column]), np.nan) if own is None else _blanked(read[s.column], own)
         return replace(record, thermocouples=read)
 
-    rms_K = {} if met_exactly else _scatter_K(base)
+    rms_K = {} if level_K is not None else _scatter_K(base)
     known = [
-        0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K)
+        0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K, level_K)
         for problem in (base.problem, base.held_out)
     ]
-    cost = 0.5 * math.log(sample_count(base.problem)) * (2 if met_exactly else len(lost))
+    cost = 0.5 * math.log(sample_count(base.problem)) * (len(lost) if level_K is None else 2)
     return RecordChange("sensor", text, None, apply, lambda _: text, known_log_likelihood=(known[0] - cost, known[1]))
 
 
@@ -318,11 +453,15 @@ def _scatter_K(base: TrialFit) -> dict[str, float]:
 
 
 def _log_likelihood_of(
-    problem: FitProblem, values: FloatArray, lost: Mapping[str, NDArray[np.bool_] | None], rms_K: Mapping[str, float]
+    problem: FitProblem,
+    values: FloatArray,
+    lost: Mapping[str, NDArray[np.bool_] | None],
+    rms_K: Mapping[str, float],
+    level_K: float | None,
 ) -> float:
     """Log likelihood of the readings of a problem that a change takes out, at the estimates.
 
-    rms_K : scatter about the predictions by sensor; a sensor without one is met exactly
+    rms_K : scatter about the predictions by sensor;  level_K : about which readings have their noise; else None
     """
     total, record = 0.0, problem.record_fits[0].record
     for s in problem.samples(values):
@@ -332,7 +471,6 @@ def _log_likelihood_of(
         own = lost[name]
         at = np.isin(s.time_s, record.time_s if own is None else record.time_s[own])
         intervals = s.channel.intervals.select(at)
-        middle = 0.5 * (intervals.lower_K + intervals.upper_K)
-        mean_K = s.mean_K[at] if name in rms_K else np.where(np.isfinite(middle), middle, s.mean_K[at])
+        mean_K = s.mean_K[at] if level_K is None else np.full(np.count_nonzero(at), level_K)
         total += scores(intervals, mean_K, rms_K.get(name, s.sigma_K))[0]
     return total
