@@ -25,7 +25,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit, is_of_table, problem_with, start_values
+from sim_heating.closure.search.trials.trial_fit import TrialFit, problem_with, start_values
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.march.ensemble import condition_history
