@@ -108,7 +108,7 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
     _print_rows([summary_row(loop.report) for loop in closed.loops])
     print_table(evidence_table(closed.report))
     report = closed.report
-    CONSOLE.print(f"{report.in_words()}. {report.statement.certainty()}")
+    CONSOLE.print(f"{report.in_words()}. {report.certainty()}")
     for cause in report.statement.not_effects:
         CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
     for effect in report.effects:

@@ -90,6 +90,10 @@ class JointClosure:
             return words
         return f"{words} in {_listed([n for n in self.names if n not in without])}, not in {_listed(without)}"
 
+    def certainty(self) -> str:
+        """How sure the finding is, in one line."""
+        return self.statement.certainty().replace("the record to its", "the records to their")
+
     def remarks(self) -> list[str]:
         """What differs between the records, a line each."""
         best, lines = self.search.best, []
@@ -216,9 +220,9 @@ def joint_page(found: JointClosure) -> Page:
     ]  # fmt: skip
     before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
-    certainty = found.statement.certainty().replace("the record to its", "the records to their")
     return Page(
-        f"{len(found.closures)} records, jointly", subtitle, sections, (found.in_words(), f"{certainty} {errors}"),
+        f"{len(found.closures)} records, jointly", subtitle, sections,
+        (found.in_words(), f"{found.certainty()} {errors}"),
         [*found.remarks(), *found.warnings],
     )  # fmt: skip
 

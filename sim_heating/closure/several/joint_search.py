@@ -53,7 +53,7 @@ class JointSearch:
     none       : the declared models of all records
     hypotheses : the best of each cause, best first; those that may not be named come last
     conclusion : what follows from them
-    rival      : the best hypothesis of another cause than the first; None without one
+    rival      : the best hypothesis of another cause than the first that has the same members; None without one
     evidence   : what each record adds to the first
     """
 
@@ -99,7 +99,9 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
         ranked[k] = _without_records(none, ranked[k], bases, explanations)
     ranked = _best_of_each(none, ranked)
     conclusion = conclude(none, ranked)
-    rival = next((h for h in ranked[1:] if h.admissible), ranked[1] if len(ranked) > 1 else None)
+    # one that the same records have, where there is one: by record, both are then judged alike
+    others = sorted(ranked[1:], key=lambda h: (not h.admissible, h.members != ranked[0].members, h.score))
+    rival = others[0] if others else None
     evidence = evidence_of_records(alone, none, ranked[0], rival) if ranked else ()
     return JointSearch(tuple(alone), none, tuple(ranked), conclusion, rival, tuple(evidence))
 
@@ -175,6 +177,7 @@ def _one_by_one(
     at = h
     while at.model is not None:
         models = [m for name in at.model.levels if (m := _narrowed(at, bases, name)) is not None]
+        models = [m for m in models if narrowest.model is None or m.levels != narrowest.model.levels]  # fitted already
         if not models:
             break
         price = 2.0 * math.log(len(models) + 1)
@@ -262,12 +265,14 @@ def _without_records(
 def _needed_gain(model: JointModel, member: int) -> float:
     """By how much the score has to be lower without a member for it to be left out [BIC].
 
-    A member with a magnitude of its own says nothing of the others': no more than its parameters cost.
+    Nothing where the member has a magnitude of its own, or another parameter that it could have in common: a magnitude
+    near none, or an onset beyond what was flown, then takes the cause away from the record.
     """
+    own = {u.parameter.name for u in model.problem.unknowns if u.records == (member,)}
+    own &= set(model.levels)
     magnitudes = {n for c in model.cause.candidates for n in _magnitudes(c)}
-    own = [u.records == (member,) for u in model.problem.unknowns
-           if u.parameter.name in magnitudes and member in u.records]  # fmt: skip
-    return 0.0 if own and all(own) else MIN_BIC_GAIN
+    narrower = any(model.levels[n] != model.cause.widest[n] for n in own)
+    return 0.0 if narrower or (magnitudes and magnitudes <= own) else MIN_BIC_GAIN
 
 
 def _magnitudes(candidate: Candidate) -> list[str]:
