@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.changes.record_change import ChangeFit, fit_changes
+from sim_heating.base.errors import RunError
+from sim_heating.base.parameters import Parameter
+from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, fit_changes
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.estimation.fit import estimate
@@ -103,6 +106,84 @@ def test_an_unknown_effect_is_no_broken_thermocouple():
     unknown = load_record(PRACTICE / "p02")  # a sine of the heating ratio: 90 times the noise
     base = base_trial(estimate([unknown]))
     assert not [c.what for c in sensor_changes(base) if "broken" in c.what or "swapped" in c.what]
+
+
+def test_a_ripple_faster_than_a_heating_can_be_resolved_breaks_no_thermocouple():
+    ripple = 12.0 * np.sin(2.0 * np.pi * TIME_S / 11.0)
+    base = base_trial(estimate([with_readings(words=True, LS_surface=READ["LS_surface"] + ripple)]))
+    assert base.excess_chi2 > 10.0
+    assert not [c.what for c in sensor_changes(base) if "broken" in c.what]
+
+
+def test_a_wall_that_is_other_than_declared_breaks_no_thermocouple():
+    apart = (TIME_S - TIME_S[0]) * (TIME_S[-1] - TIME_S) / np.ptp(TIME_S) ** 2  # as a heat capacity of the skin
+    base = base_trial(estimate([with_readings(words=True, LS_bond=READ["LS_bond"] + 100.0 * apart)]))
+    assert base.excess_chi2 > 5.0
+    assert not [c.what for c in sensor_changes(base) if "broken" in c.what]
+
+
+def plug(broken: Mapping[str, np.ndarray]) -> Record:
+    """The tile with four thermocouples, one above the other, whose readings have errors in K."""
+    depths_m, rng = (3.8e-4, 8e-3, 16e-3, BOND.depth_m), np.random.default_rng(4)
+    sensors = [
+        SURFACE.model_copy(
+            update={"name": f"T{i}", "column": f"T{i}_K", "depth_m": depth_m, "bits": None, "range_K": None}
+        )
+        for i, depth_m in enumerate(depths_m, 1)
+    ]
+    thermocouples = TILE.declared.thermocouples.model_copy(update={"sensor": sensors})
+    blank = {"time_s": TIME_S, **{s.column: np.full(len(TIME_S), 300.0) for s in sensors}}
+    declared = TILE.declared.model_copy(update={"thermocouples": thermocouples})
+    record = replace(TILE, declared=declared, thermocouples=blank)
+    read = {
+        s.column: T_K + rng.normal(0.0, s.noise_sigma_K, len(T_K)) + broken.get(s.name, 0.0)
+        for s, T_K in zip(sensors, predict(record).indicated_K, strict=True)
+    }
+    return replace(record, thermocouples={"time_s": TIME_S, **read})
+
+
+def test_one_broken_thermocouple_of_four_is_found_where_the_others_show_the_heating():
+    best = found_in(plug({"T2": 20.0 * np.sin(TIME_S / 60.0)}))[0]
+    assert best.describe() == "T2 broken"
+
+
+def test_two_broken_thermocouples_of_four_are_found_together():
+    wandering = {"T2": 25.0 * np.sin(TIME_S / 60.0), "T3": 25.0 * np.sin(TIME_S / 37.0)}
+    best = found_in(plug(wandering))[0]
+    assert best.change.what in ("T2 and T3 broken", "T3 and T2 broken")
+    assert best.trial.excess_chi2 < 0.3
+
+
+def test_readings_that_keep_still_while_no_other_sensor_moves_are_not_stuck():
+    at = int(np.searchsorted(TIME_S, 300.0))
+    still = {name: np.where(TIME_S < 300.0, read, read[at]) for name, read in READ.items()}
+    both = with_readings(words=True, **still)
+    assert not [c.what for c in sensor_changes(base_trial(estimate([both]))) if "stuck" in c.what]
+
+
+def test_a_thermocouple_that_is_clipped_before_its_noise_is_recognised():
+    limit_K, noise = 1040.0, np.random.default_rng(2).normal(0.0, 1.0, len(TIME_S))
+    clipped = np.where(READ["LS_surface"] > limit_K, limit_K + noise, READ["LS_surface"])
+    assert found_in(with_readings(LS_surface=clipped))[0].describe().startswith("LS_surface clipped at 1040 K")
+
+
+def test_a_change_that_cannot_be_marched_or_compared_is_left_out_and_ends_no_search():
+    def impossible(record: Record, value: float) -> Record:
+        raise RunError("no such wall")
+
+    def unread_where_held_out(record: Record, value: float) -> Record:
+        lost = record.holdout_mask()
+        read = {n: np.where(lost, np.nan, T) for n, T in record.thermocouples.items() if n != "time_s"}
+        return replace(record, thermocouples={"time_s": record.thermocouples["time_s"], **read})
+
+    base = base_trial(estimate([with_readings(words=True, LS_bond=READ["LS_bond"] + 10.0)]))
+    own = Parameter("x", "1", 0.0, 1.0)
+    tried = [
+        RecordChange("wall", "impossible wall", own, impossible, str, starts=(1.0,)),
+        RecordChange("wall", "another impossible wall", None, impossible, str),
+        RecordChange("sensor", "unread", None, unread_where_held_out, str, known_log_likelihood=(1e3, 0.0)),
+    ]
+    assert fit_changes(base, tried) == []
 
 
 def test_a_drift_can_be_estimated_by_its_name_and_predicted():

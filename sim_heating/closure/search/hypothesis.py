@@ -153,6 +153,20 @@ def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -
     return _with_far(found, far)
 
 
+def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
+    """A hypothesis with one effect more, or one derivative of the table.
+
+    trial : of it, fitted on top of the last one of the hypothesis;  forms : as in `hypothesis`
+    """
+    own = hypothesis([trial], forms)
+    return replace(
+        below,
+        trials=(*below.trials, trial),
+        objections=(*below.objections, *own.objections),
+        price=below.price + own.price,
+    )
+
+
 def _with_far(found: Hypothesis, far: Sequence[str]) -> Hypothesis:
     """A hypothesis with the objection that a declared value is further off than it scatters.
 

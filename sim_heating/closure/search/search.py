@@ -9,7 +9,8 @@ Where the best single cause explains the record to its noise the search ends. Ot
 top of each of several first ones, jointly with it. A further effect has to explain a good part of the remaining excess,
 and to improve the prediction of the segments held out; at the end each is left out in turn, and stays out where the
 score does not suffer. All models are then compared (hypothesis.py). Where none is adequate, a smooth curve against one
-variable shows what the residual follows; it is never named as a cause.
+variable shows what the residual follows; it is never named as a cause. Before that, one effect is sought besides the
+best change of the record, where that explains half of the residual.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from sim_heating.closure.search.hypothesis import (
     conclude,
     hypothesis,
     scored,
+    with_one_more,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
 from sim_heating.closure.search.refine import CONVERGE, Contender, refine
@@ -142,12 +144,15 @@ def search_effects(
             rounds.append(more)
             found += pairs
         rated = _accepted(none, found)
-        if _more_is_missing(none, rated) and len(rated[0].names) == 2:
+        if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
             more, triples = _with_one_more(rated[0].trials, first.forms, _part(progress, 0.8, 0.9, "three effects"))
             rounds.append(more)
             found += triples
         found += _pruned(base, _accepted(none, found), first.forms)
         rated = _accepted(none, found)
+        if _more_is_missing(none, rated):
+            found += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
+            rated = _accepted(none, found)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
@@ -232,13 +237,27 @@ def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]
 
 def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int]) -> list[Hypothesis]:
     """The best hypothesis without each of its effects in turn, where it has several."""
-    if not rated or len(rated[0].names) < 2:
+    if not rated or len(rated[0].trials) < 2 or rated[0].change is not None:
         return []
     best = rated[0]
-    return [
-        hypothesis(_stack_effects(base, [t for t in best.trials if t is not left_out], fitted_values(best.last)), forms)
+    stacks = [
+        _stack_effects(base, [t for t in best.trials if t is not left_out], fitted_values(best.last))
         for left_out in best.trials
     ]
+    return [hypothesis(stack, forms) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
+
+
+def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
+    """Hypotheses with one effect, or one derivative of the table, besides the best change of the record.
+
+    None where no change that may be named explains half of the excess: what explains less is no cause of its own.
+    """
+    best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
+    if best is None or none.excess_chi2 - best.excess_chi2 < MIN_SHARE * none.excess_chi2:
+        return []
+    more = search_round(best.last, best.effects, progress)
+    refined = sorted(_refined(best.last, more, progress), key=lambda k: (not k.admissible, k.trial.delta_bic))
+    return [with_one_more(best, k.trial, more.forms) for k in refined[:SECOND_PICKS]]
 
 
 def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE
@@ -53,6 +53,8 @@ GROSS_EXCESS = 10.0
 """Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
 RECORRECTED = 3
 """Leading changes that have the mesh correction of their own record."""
+CANNOT_BE = (InputError, RunError)
+"""What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
@@ -230,19 +232,29 @@ class _ChangedModel:
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several vectors; NaN where a march fails."""
-        split = [self.split(v) for v in vectors]
-        return np.array([self.problem(value).log_likelihoods(at[np.newaxis])[0] for at, value in split])
+        return np.array([self._log_likelihood(*self.split(v)) for v in vectors])
+
+    def _log_likelihood(self, values: FloatArray, value: float) -> float:
+        try:
+            return float(self.problem(value).log_likelihoods(values[np.newaxis])[0])
+        except CANNOT_BE:
+            return np.nan
 
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model on the record as changed by the value found."""
         values, value = self.split(fit.values)
-        held_out = None
-        if self.base.held_out is not None:
-            part = self.base.held_out.record_fits[0]
-            held_out = _problem_over(self.base, part, self.change.apply(part.record, value), part.names, held_out=True)
+        held_out = self._held_out(lambda record: self.change.apply(record, value))
+        if held_out is not None:
             held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
         kept = np.arange(len(values))
         return replace(self.base, problem=self.problem(value), held_out=held_out, fit=_selected(fit, kept))
+
+    def _held_out(self, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> FitProblem | None:
+        """The changed record's samples held out; None where there are none."""
+        if self.base.held_out is None:
+            return None
+        part = self.base.held_out.record_fits[0]
+        return _problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -275,10 +287,7 @@ class _EstimatedModel(_ChangedModel):
 
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model with the parameter of the change as one of its own."""
-        held_out = None
-        if self.base.held_out is not None:
-            part = self.base.held_out.record_fits[0]
-            held_out = _problem_over(self.base, part, part.record, self._names, held_out=True)
+        held_out = self._held_out(lambda record: record, self._names)
         return replace(self.base, problem=self._problem, held_out=held_out, fit=_selected(fit, self._order))
 
 
@@ -307,15 +316,25 @@ def _moved_K(mean_K: FloatArray, channel: FittedChannel, moved_K: FloatArray, mo
 
 def _evaluate_together(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[Evaluation]:
     """Evaluation of each model at its own vector, all marched side by side; NaN likelihood where a march failed."""
-    needed = [model.marches(vector) for model, vector in zip(models, vectors, strict=True)]
+    needed = [_marches(model, vector) for model, vector in zip(models, vectors, strict=True)]
     # several models may need the same march: that of the record as declared
-    flat = {id(p): (p, v) for pairs in needed for p, v in pairs if not p.has_cached(v)}
+    flat = {id(p): (p, v) for pairs in needed for p, v in pairs or () if not p.has_cached(v)}
     marched = JointMarch([p for p, _ in flat.values()]).march([v for _, v in flat.values()]) if flat else []
     failed = {key for key, done in zip(flat, marched, strict=True) if not done}
     return [
-        _failed(len(model.parameters)) if any(id(p) in failed for p, _ in pairs) else model.evaluate(vector)
+        _failed(len(model.parameters))
+        if pairs is None or any(id(p) in failed for p, _ in pairs)
+        else model.evaluate(vector)
         for model, vector, pairs in zip(models, vectors, needed, strict=True)
     ]
+
+
+def _marches(model: _ChangedModel, vector: FloatArray) -> list[tuple[FitProblem, FloatArray]] | None:
+    """The marches that an evaluation needs; None where there is no such record, as with a wall that has no mesh."""
+    try:
+        return model.marches(vector)
+    except CANNOT_BE:
+        return None
 
 
 def _failed(parameters: int) -> Evaluation:
@@ -408,7 +427,7 @@ def fit_changes(
         if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > NEARLY * largest:
             models[k], fits[k] = _with_best_ends(model, fit, MOST_SEARCHES)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
-    return sorted(found, key=lambda f: f.delta_bic)
+    return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
 
 def recorrected(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
@@ -426,15 +445,21 @@ def recorrected(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) ->
 
 
 def _recorrected(before: FitResult, fit: ChangeFit) -> ChangeFit:
-    """The fit of a change without a parameter with the mesh correction of the changed record, fitted on from there."""
+    """The fit of a change without a parameter with the mesh correction of the changed record, fitted on from there.
+
+    The fit as it is where the whole record cannot be marched there.
+    """
     trial, part = fit.trial, fit.trial.problem.record_fits[0]
     record = fit.change.apply(before.problem.record_fits[0].record, 0.0)
     options = FitOptions(
         priors=trial.problem.priors, prior_scale=WIDENED, sample_masks=[record.fit_mask() | record.holdout_mask()]
     )
-    full = FitProblem([record], part.names, before.problem.reference, options)
-    thinned = FitProblem([part.record], part.names, before.problem.reference, replace(options, **THINNED_STEPS))
-    error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
+    try:
+        full = FitProblem([record], part.names, before.problem.reference, options)
+        thinned = FitProblem([part.record], part.names, before.problem.reference, replace(options, **THINNED_STEPS))
+        error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
+    except CANNOT_BE:
+        return fit
     for problem in (trial.problem, *([trial.held_out] if trial.held_out else [])):
         own = problem.record_fits[0]
         own.correction_K = error_K[:, np.isin(at_s, own.sample_s)]
@@ -494,13 +519,18 @@ def _maximise(models: Sequence[_ChangedModel], starts: Sequence[FloatArray]) -> 
     return [fits[k] for k in range(len(models))]
 
 
-def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit:
-    """The result of a fit, with the model on the changed record as a trial of its own."""
+def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
+    """The result of a fit, with the model on the changed record as a trial of its own; None where the samples held out
+    cannot be predicted, as where a change leaves none of them: it could not be compared."""
     change, base, value = model.change, model.base, model.split(fit.values)[1]
     gained = fit.log_likelihood - base.fit.log_likelihood
     delta = float(-2.0 * gained + change.unknowns * np.log(sample_count(base.problem)))
     sigma = 0.0 if change.parameter is None else float(fit.sigma[-1])
-    return ChangeFit(change, value, sigma, replace(model.trial(fit), delta_bic=delta), fit, delta)
+    try:
+        trial = model.trial(fit)
+    except CANNOT_BE:
+        return None
+    return ChangeFit(change, value, sigma, replace(trial, delta_bic=delta), fit, delta)
 
 
 def _selected(fit: Fit, at: IntArray) -> Fit:

@@ -15,8 +15,7 @@ so that any cause that explains them is likelier. What is read off the readings 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
 from sim_heating.closure.record_checks import AT_NOISE, diffusion_time_s
@@ -68,11 +68,10 @@ COARSE = 0.25
 """Part of the mean square of a deviation that may be faster than the history of a heating."""
 ROUGH_SAMPLES, ROUGHER = 8, 3.0
 """Samples that half the time of diffusion has to hold; and how much rougher than the prediction readings may be."""
-LEVEL_FLOORS = 6.0
-"""Noise floors that readings on one level are within."""
-CORNER, CORNER_SAMPLES = 3.0, 10
-"""How much faster than on a parabola a reading reaches the level that it is clipped at, by a line through the samples
-before and after."""
+LEVEL_FLOORS, FLAT_FLOORS = 6.0, 1.5
+"""Noise floors that readings on one level are within, and by which a maximum may curve that looks flat."""
+CORNER = 3.0
+"""How much faster than at a smooth maximum readings reach the level that they are clipped at."""
 OTHERS_MOVE = 3.0
 """Steps of its recorder that another sensor moves by while one is stuck."""
 
@@ -252,11 +251,14 @@ def constant_readings(base: TrialFit) -> dict[frozenset[str], list[RecordChange]
     """
     record, found = base.problem.record_fits[0].record, dict[frozenset[str], list[RecordChange]]()
     # The fitted model may follow readings that do not change.
-    declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
+    try:
+        declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
+    except RunError:  # a declared model that cannot be marched tells nothing
+        return {}
     for s in declared:
         sensor, t, read = s.channel.sensor, record.time_s, record.thermocouples[s.channel.sensor.column]
-        width_K = LEVEL_FLOORS * sensor.noise_floor_K(s.sigma_K)
-        for run in (_longest_level(read, 0.0), _longest_level(read, width_K)):
+        floor_K = sensor.noise_floor_K(s.sigma_K)
+        for run in (_longest_constant(read), _largest_readings(read, floor_K)):
             level_K, (begin_s, end_s) = float(np.nanmedian(read[run])), t[run[[0, -1]]]
             inside = s.mean_K[(s.time_s >= begin_s) & (s.time_s <= end_s)]
             changes = len(inside) > 1 and np.ptp(inside) > STUCK * max(sensor.lsb_K, s.sigma_K)
@@ -265,9 +267,10 @@ def constant_readings(base: TrialFit) -> dict[frozenset[str], list[RecordChange]
             if len(run) < MIN_CONSTANT or not unclipped or not changes or not moves:
                 continue
             exact, recovers = np.ptp(read[run]) == 0.0, run[-1] < np.flatnonzero(np.isfinite(read))[-1]
-            top = read >= np.min(read[run])
-            if recovers and np.nanmax(read) <= np.max(read[run]) and (exact or _has_corners(t, read, run, width_K)):
-                lost, text = top, f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
+            largest = level_K >= np.nanmax(read) if exact else _is_cut_off(t, read, run, floor_K)
+            if recovers and largest:
+                lost = np.isin(np.arange(len(read)), run) | (read >= np.nanmedian(read[run]))
+                text = f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
             elif exact:
                 lost = np.isin(np.arange(len(read)), run)
                 text = f"{sensor.name} stuck at {level_K:.1f} K from {begin_s:.0f} to {end_s:.0f} s"
@@ -289,38 +292,39 @@ def _others_move(channels: Sequence[PredictedSamples], stuck: Sensor, span_s: tu
     return not others
 
 
-def _longest_level(read: FloatArray, width_K: float) -> IntArray:
-    """(run,) indices of the longest run of readings within a width of each other; lost ones within it do not end it."""
+def _longest_constant(read: FloatArray) -> IntArray:
+    """(run,) indices of the longest run of equal readings; lost ones within it do not end it."""
     known = np.flatnonzero(np.isfinite(read))
-    values, begin, best = read[known], 0, (0, 0)
-    lowest, highest = deque[int](), deque[int]()
-    for end, value in enumerate(values):
-        while lowest and values[lowest[-1]] >= value:
-            lowest.pop()
-        while highest and values[highest[-1]] <= value:
-            highest.pop()
-        lowest.append(end)
-        highest.append(end)
-        while values[highest[0]] - values[lowest[0]] > width_K:
-            begin += 1
-            for ends in (lowest, highest):
-                if ends[0] < begin:
-                    ends.popleft()
-        best = max(best, (end - begin, begin))
-    return np.asarray(known[best[1] : best[1] + best[0] + 1])
+    ends = np.append(np.flatnonzero(np.diff(read[known]) != 0.0), len(known) - 1)
+    begins = np.append(0, ends[:-1] + 1)
+    k = int(np.argmax(ends - begins))
+    return np.asarray(known[begins[k] : ends[k] + 1])
 
 
-def _has_corners(t: FloatArray, read: FloatArray, run: IntArray, width_K: float) -> bool:
-    """Whether readings reach a level and leave it at full speed.
+def _largest_readings(read: FloatArray, floor_K: float) -> IntArray:
+    """(run,) indices from the first to the last of the readings that are at the level of the largest."""
+    known = np.flatnonzero(np.isfinite(read))
+    largest = read[known] >= np.max(read[known]) - LEVEL_FLOORS * floor_K
+    high = np.flatnonzero(read[known] >= np.median(read[known][largest]) - floor_K)
+    return np.asarray(known[high[0] : high[-1] + 1])
 
-    A parabola that stays within a width w for a time T enters and leaves it at 4 w / T.
+
+def _is_cut_off(t: FloatArray, read: FloatArray, run: IntArray, floor_K: float) -> bool:
+    """Whether readings are constant but for their noise, and reach and leave their level at full speed.
+
+    A smooth maximum T = T_0 - w (2 t / d)^4 of the duration d that is as flat as its noise shows, w = FLAT_FLOORS noise
+    floors, rises and falls by 16 w / d on either side.
     """
-    known = np.flatnonzero(np.isfinite(read))
-    before, after = known[known < run[0]][-CORNER_SAMPLES:], known[known > run[-1]][:CORNER_SAMPLES]
-    if min(len(before), len(after)) < CORNER_SAMPLES:
+    known, n = np.flatnonzero(np.isfinite(read)), len(run)
+    about_K, d = read[run] - np.mean(read[run]), float(t[run[-1]] - t[run[0]])
+    if n < MIN_CONSTANT or np.mean(about_K**2) > floor_K**2 * (1.0 + 3.0 * math.sqrt(2.0 / n)):
         return False
-    slopes = [abs(float(np.polyfit(t[part], read[part], 1)[0])) for part in (before, after)]
-    return min(slopes) > CORNER * 4.0 * width_K / float(t[run[-1]] - t[run[0]])
+    before = known[(t[known] < t[run[0]]) & (t[known] >= t[run[0]] - 0.25 * d)]
+    after = known[(t[known] > t[run[-1]]) & (t[known] <= t[run[-1]] + 0.25 * d)]
+    if min(len(before), len(after)) < ROUGH_SAMPLES:
+        return False
+    slopes = [float(np.polyfit(t[part], read[part], 1)[0]) for part in (before, after)]
+    return min(slopes[0], -slopes[1]) > CORNER * 16.0 * FLAT_FLOORS * floor_K / d
 
 
 def broken_sensors(base: TrialFit) -> list[RecordChange]:
@@ -328,9 +332,11 @@ def broken_sensors(base: TrialFit) -> list[RecordChange]:
 
     None where some heating explains all sensors: that is a missing effect and no broken sensor.
     """
-    residual = residual_heating(base.problem, base.fit.values)
+    residual = _heating_without(base, [])
+    if residual is None:
+        return []
     suspects = sorted(residual.sensors, key=lambda s: -s.after_rmse_K / s.floor_K)[:MAX_OMITTED]
-    if not suspects or suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
+    if suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
         return []
     for count in range(1, min(MAX_BROKEN, len(residual.sensors) - 1) + 1):
         groups = [c for c in combinations(suspects, count) if _are_broken(base, c)]
@@ -348,8 +354,8 @@ def _are_broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> bool:
     heating by changes that are slow enough to be resolved. A ripple that is faster may be heating.
     """
     names = [s.sensor.name for s in suspects]
-    others = residual_heating(base.problem, base.fit.values, without=names)
-    if not all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
+    others = _heating_without(base, names)
+    if others is None or not all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
         return False
     deepest_m = max(s.sensor.depth_m for s in others.sensors)
     confirmed = len(others.sensors) > 1 and not _deviate_alike(others, suspects)
@@ -357,6 +363,14 @@ def _are_broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> bool:
         is_too_rough(others, s) or (confirmed and s.sensor.depth_m <= deepest_m and is_resolved(others, s))
         for s in suspects
     )
+
+
+def _heating_without(base: TrialFit, names: Collection[str]) -> ResidualHeating | None:
+    """The heating that explains the sensors but for some; None where it cannot be found, its march failing."""
+    try:
+        return residual_heating(base.problem, base.fit.values, without=names)
+    except RunError:
+        return None
 
 
 def _deviate_alike(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
@@ -434,7 +448,7 @@ def _without(
     rms_K = {} if level_K is not None else _scatter_K(base)
     known = [
         0.0 if problem is None else _log_likelihood_of(problem, base.fit.values, lost, rms_K, level_K)
-        for problem in (base.problem, base.held_out)
+        for problem in (base.problem, None if base.held_out_chi2 == 0.0 else base.held_out)
     ]
     cost = 0.5 * math.log(sample_count(base.problem)) * (len(lost) if level_K is None else 2)
     return RecordChange("sensor", text, None, apply, lambda _: text, known_log_likelihood=(known[0] - cost, known[1]))

@@ -217,8 +217,8 @@ def thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, fl
     returns : (sensor, sample) [K] and (sample,) times [s]
     """
     at, part = start_values(full, start), full.record_fits[0]
-    full.correct_meshes(at)
     try:
+        full.correct_meshes(at)
         exact, coarse = (p.record_fits[0].corrected(p.marched(at)[0], at).temperature_K for p in (full, thinned))
     except RunError:  # a model so wrong that it cannot be marched everywhere: no correction
         return np.zeros((len(part.mesh.sensors), len(part.sample_s))), part.sample_s
