@@ -120,12 +120,12 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
-    """Print the table of all records; what was found in red where the run failed or the data are faulty."""
+    """Print the table of all records; the finding in red where the run failed or the data are faulty."""
     from sim_heating.closure.report import closures_table
 
     table = closures_table(rows)
-    found = [column.head for column in table.layout].index("found")
-    print_table(table, lambda i, k: "red" if k == found and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
+    finding = [column.head for column in table.layout].index("finding")
+    print_table(table, lambda i, k: "red" if k == finding and ("failed" in rows[i] or rows[i]["data_faults"]) else "")
 
 
 def _print_details(report: Closure) -> None:
@@ -135,6 +135,8 @@ def _print_details(report: Closure) -> None:
     CONSOLE.print(f"{report.statement.in_words()}. {report.statement.certainty()}")
     for cause in report.statement.not_effects:
         CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
+    for line in report.statement.would_tell():
+        CONSOLE.print(f"Would tell them apart: {line}")
     for effect in report.effects:
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")

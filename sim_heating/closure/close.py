@@ -27,6 +27,7 @@ from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.tell_apart import tell_apart
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -229,7 +230,20 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         probability=None,
         not_effects=not_effects,
         converged=fitted.fit.converged,
+        would_tell_apart=tell_apart(result.none, conclusion.best, _rivals(result)),
     )
+
+
+def _rivals(result: SearchResult) -> list[Hypothesis]:
+    """The best hypothesis with each name that the record cannot tell from the one named first."""
+    best = result.conclusion.best
+    others = [name for names in result.conclusion.alternatives for name in names if name not in best.names]
+    rivals: dict[Hypothesis, None] = {}
+    for name in others:
+        found = next((h for h in result.hypotheses if h.admissible and name in h.names), None)
+        if found is not None:
+            rivals.setdefault(found)
+    return list(rivals)
 
 
 def _in_words(result: SearchResult, name: str) -> str:

@@ -138,7 +138,7 @@ class Closure:
     def named(self) -> str:
         """What was found, joined: the effects, else causes that are none; "unknown" or "none"."""
         if self.added:
-            return " + ".join(" or ".join(names) for names in self.statement.alternatives)
+            return self.statement.named
         return self.effects[0].name
 
     @property
@@ -203,9 +203,9 @@ def closure_page(found: Closure) -> Page:
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in found.faults), *found.warnings]
     sections = [
-        *_not_effects_section(found), _errors_section(found), *_adequacy_section(found), _comparison_section(found),
-        _parameters_section(found), _candidates_section(found),
-        _heating_section(found), _evidence_section(found), _sensors_section(found),
+        *_not_effects_section(found), *_tell_apart_section(found), _errors_section(found), *_adequacy_section(found),
+        _comparison_section(found), _parameters_section(found), _candidates_section(found), _heating_section(found),
+        _evidence_section(found), _sensors_section(found),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
 
@@ -220,34 +220,36 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "before, held out": "before_holdout_rmse_K", "after, held out": "after_holdout_rmse_K",
         "noise floor": "noise_floor_K",
     }  # fmt: skip
-    columns = [Column("record"), Column("found", is_text=True), Column("p-value", "p_value", ".2g")]
+    columns = [Column("record"), Column("finding", is_text=True)]
+    columns += [Column("prob.", "probability", ".2f"), Column("p-value", "p_value", ".2g")]
     columns += [Column(head, key, ".2f", "K") for head, key in errors.items()]
     cells = [
         [r["record"], "failed", *[""] * (len(columns) - 2)]
         if "failed" in r
-        else [r["record"], _found_text(r), r["p_value"], *(r[key] for key in errors.values())]
+        else [r["record"], _finding_text(r), r["probability"], r["p_value"], *(r[key] for key in errors.values())]
         for r in rows
     ]
     return Table("What the declared models lack", columns, cells)
 
 
-def _found_text(row: Mapping[str, Any]) -> str:
-    """What a row names; faults of the record's data come first, as an effect is no finding then."""
-    words = {"partly": f"resembles {row['named']}", "unknown": "unknown", "none": "none"}
-    named, faults = words.get(row["finding"], row["named"]), ", ".join(dict.fromkeys(row["data_faults"]))
-    return f"{faults} ({named})" if faults else named
+def _finding_text(row: Mapping[str, Any]) -> str:
+    """The finding of a row; faults of the record's data come first, as an effect is no finding then."""
+    finding = f"{row['finding']}: {row['named']}" if row["named"] else row["finding"]
+    faults = ", ".join(dict.fromkeys(row["data_faults"]))
+    return f"{faults} ({finding})" if faults else finding
 
 
 def _headline(found: Closure) -> tuple[str, str]:
     """The outcome, and one line on it."""
     before, after = found.before.segment_errors(), found.after.segment_errors()
     errors = _change("fitted", before["fit"], after["fit"]) + _change("held out", before["holdout"], after["holdout"])
+    words, certainty = found.statement.in_words(), found.statement.certainty()
     if found.faults:
-        return f"No aerothermal finding: {found.faults[0].kind}", found.faults[0].message
-    words = found.statement.in_words()
+        line = f"{found.faults[0].message} The search states: {words[0].lower()}{words[1:]}. {certainty}"
+        return f"No aerothermal finding: {found.faults[0].kind}", line
     if found.statement.finding == UNKNOWN:
-        return words, " ".join([*found.evidence.proposal()[:1], found.statement.certainty()])
-    return words, f"{found.statement.certainty()} {errors}"
+        return words, " ".join([certainty, *found.evidence.proposal()[:1]])
+    return words, f"{certainty} {errors}"
 
 
 def _change(what: str, before: Mapping[str, float] | None, after: Mapping[str, float] | None) -> str:
@@ -265,6 +267,18 @@ def _not_effects_section(found: Closure) -> list[Section]:
     if not causes:
         return []
     return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
+
+
+def _tell_apart_section(found: Closure) -> list[Section]:
+    """What would tell the alternatives apart, with expected odds."""
+    lines = found.statement.would_tell()
+    if not lines:
+        return []
+    text = (
+        "Expected odds between the alternatives after one more flight like this one, with the change named: the same "
+        "trajectory, instruments and noise, and no other error of the model. Odds below 20 to 1 tell nothing apart."
+    )
+    return [Section("What would tell them apart", [text], points=lines)]
 
 
 def _adequacy_section(found: Closure) -> list[Section]:
@@ -351,21 +365,27 @@ def _candidates_section(found: Closure) -> Section:
     ranked = sorted(found.candidates, key=lambda c: c.delta_bic)
     if not ranked:
         return Section("Candidates", ["No candidate was tried."])
-    rows = [[c.name, c.delta_bic, c.fit_rmse_K, c.holdout_rmse_K, c.posterior] for c in ranked]
+    rows = [[c.name, c.delta_bic, c.fit_rmse_K, c.holdout_rmse_K, _share_cell(c.posterior)] for c in ranked]
     chosen = [e.name for e in found.effects]
     marked = [i for i, c in enumerate(ranked) if c.name in chosen]
     caption = (
-        "Probabilities include more than BIC: the fit of segments held out, priors on magnitudes, the number of forms."
+        "Share: of the likelihood of all that may be named, held-out segments, priors on magnitudes and the number of "
+        "forms included. It compares single causes of this list and is no probability: something else may be the cause."
     )
     columns: list[Column | str] = [
         "", Column("BIC - BIC of none", "delta_bic", "+.1f"), Column("RMSE fitted, K", "fit_rmse_K", ".2f"),
-        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("probability", "posterior", ".3f"),
+        Column("RMSE held out, K", "holdout_rmse_K", ".2f"), Column("share", "posterior", ".2g"),
     ]  # fmt: skip
     table = Table(caption, columns, rows, strong=marked)
     figure = partial(ranking_figure, [c.name for c in ranked], [c.delta_bic for c in ranked], chosen)
     text = [found.false_alarm] if found.false_alarm else []
     picture = Picture(figure, "Blue: added effects. The axis is linear within 10.")
     return Section("Candidates", text, tables=[table], pictures=[picture])
+
+
+def _share_cell(share: float) -> float | str:
+    """A share of the likelihood, never as certain."""
+    return "above 0.99" if share > 0.99 else "below 0.001" if share < 0.001 else share
 
 
 def _heating_section(found: Closure) -> Section:

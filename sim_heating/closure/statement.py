@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy
+from sim_heating.closure.search.tell_apart import Experiment
 
 FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
 """The findings of a closure report."""
+LEAST_P_VALUE = 1e-6
+"""p-value below which its size says no more."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ class Statement:
     probability  : calibrated, that the finding as stated is right; None where no calibration is at hand
     not_effects  : causes that are no aerothermal effect
     converged    : whether the last fit converged
+    would_tell_apart : measurements and manoeuvres that are expected to tell the alternatives apart, the best first
     """
 
     finding: str
@@ -77,6 +81,7 @@ class Statement:
     probability: float | None = None
     not_effects: Sequence[NotEffect] = ()
     converged: bool = True
+    would_tell_apart: Sequence[Experiment] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Its keys in closure.json."""
@@ -87,6 +92,7 @@ class Statement:
             "probability": self.probability,
             "not_effects": [n.as_json() for n in self.not_effects],
             "converged": self.converged,
+            "would_tell_apart": [e.as_json() for e in self.would_tell_apart],
         }
 
     @property
@@ -97,28 +103,59 @@ class Statement:
         chi2 = self.adequacy.chi2_fit if self.adequacy.chi2_holdout is None else self.adequacy.chi2_holdout
         return math.sqrt(max(chi2, 0.0))
 
+    @property
+    def named(self) -> str:
+        """What was found or what the residual resembles: things joined by "+", those of a set by "or"."""
+        return " + ".join(" or ".join(names) for names in self.alternatives)
+
     def in_words(self) -> str:
         """The finding in a few words."""
-        named = " + ".join(" or ".join(names) for names in self.alternatives)
-        if self.finding in (FOUND, ONE_OF):
-            return f"Found: {named}"
+        if self.finding == FOUND:
+            return f"Found: {self.named}"
+        if self.finding == ONE_OF:
+            return f"One of several that the record cannot tell apart: {self.named}"
         if self.finding == PARTLY:
-            held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
-            where = "on the segments held out" if held_out else "in the fitted samples"
-            return f"Resembles {named}, which leaves {self.noise_floors:.1f} noise floors {where}"
+            return f"Resembles {self.named}, which leaves {self.noise_floors:.1f} noise floors {self._where}"
         if self.finding == UNKNOWN:
-            return "Something is missing that no candidate explains"
-        return "The declared model and its derivatives explain the record"
+            return "Unknown: something is missing that no candidate explains"
+        return "None: nothing is missing that the record shows"
+
+    @property
+    def _where(self) -> str:
+        """The samples that `noise_floors` is of."""
+        held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
+        return "on the segments held out" if held_out else "in the fitted samples"
 
     def certainty(self) -> str:
-        """How sure the finding is, in one line."""
+        """How sure the finding is, in a few sentences."""
         lines = []
         if self.probability is not None:
             lines.append(f"Probability that this finding is right: {_percent(self.probability)} (calibrated).")
         if self.adequacy is not None:
-            verdict = "explains" if self.adequacy.p_value >= ADEQUATE else "does not explain"
-            lines.append(f"The model {verdict} the record to its noise (p = {self.adequacy.p_value:.2g}).")
+            model = "The declared model" if self.finding in (UNKNOWN, NONE) else "The model with it"
+            lines.append(f"{model} {self._adequacy_in_words(self.adequacy)}.")
         return " ".join(lines)
+
+    def _adequacy_in_words(self, adequacy: Adequacy) -> str:
+        """What a model does to the record."""
+        p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= LEAST_P_VALUE else f"p below {LEAST_P_VALUE:g}"
+        if adequacy.p_value >= ADEQUATE:
+            return f"explains the record to its noise ({p})"
+        if adequacy.unstructured:
+            times = math.sqrt(adequacy.chi2_fit)
+            return f"leaves noise alone, {times:.2f} times as large as declared ({p})"
+        parts = {f"at sensor {n}": v for n, v in adequacy.by_sensor.items()}
+        parts |= {f"from {n}": v for n, v in adequacy.by_phase.items()}
+        worst = max(parts, key=lambda n: parts[n], default="")
+        most = f", {math.sqrt(parts[worst]):.1f} {worst}" if worst else ""
+        return (
+            f"does not explain the record to its noise ({p}): {self.noise_floors:.1f} noise floors remain "
+            f"{self._where}{most}"
+        )
+
+    def would_tell(self) -> list[str]:
+        """What would tell the alternatives apart, a line each; none where nothing has to be told apart."""
+        return [e.in_words() for e in self.would_tell_apart]
 
 
 def _percent(probability: float) -> str:

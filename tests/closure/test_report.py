@@ -31,6 +31,7 @@ from sim_heating.closure.report import (
 )
 from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.statement import ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
@@ -70,8 +71,8 @@ def closed() -> Closure:
     named = Finding("impingement-onset", posterior, {"slope": parameters["effect.impingement-onset.slope"]})
     return Closure(
         record, before.before[0], before.after[0], after.after[0], record.noise_floor_K(), before.problem.reference,
-        [named], scores, parameters, residual, residual_after, residual_evidence(residual), FOUND_ONSET, (),
-        "Calibrated on null records: 2 %.",
+        [named], scores, parameters, residual, residual_after, residual_evidence(residual), FOUND_ONSET,
+        false_alarm="Calibrated on null records: 2 %.",
     )  # fmt: skip
 
 
@@ -125,6 +126,28 @@ def test_holdout_errors_of_a_record_without_holdout_are_null():
         ),
     )
     assert replace(closed().after, record=bare).segment_errors()["holdout"] is None
+
+
+def test_a_set_is_stated_first_with_what_would_tell_it_apart():
+    tell = (Experiment("a thermocouple at the bondline", 4.0), Experiment("the same flight again", 0.5))
+    names = [["impingement-onset", "alpha-curvature"]]
+    stated = replace(FOUND_ONSET, finding="one of", alternatives=names, would_tell_apart=tell)
+    found = replace(closed(), statement=stated)
+    assert closure_json(found)["would_tell_apart"][0] == {"what": "a thermocouple at the bondline", "log_odds": 4.0}
+    page = closure_page(found)
+    assert page.conclusion is not None
+    assert page.conclusion[0].endswith("the record cannot tell apart: impingement-onset or alpha-curvature")
+    section = next(s for s in page.sections if s.title == "What would tell them apart")
+    assert section.points == [
+        "a thermocouple at the bondline: odds of 55 to 1",
+        "the same flight again: odds of 1.6 to 1",
+    ]
+
+
+def test_no_share_of_a_candidate_is_stated_as_certain():
+    html = page_html(closure_page(closed()))
+    assert "1.000" not in html
+    assert "above 0.99" in html
 
 
 def test_posteriors_have_equal_priors():
@@ -182,8 +205,10 @@ def test_the_page_is_self_contained_and_has_every_section():
 
 
 def test_a_fault_of_the_record_comes_before_any_finding():
-    page = closure_page(replace(closed(), faults=[DataFault(SENSOR, "TC1 is stuck")]))
-    assert page.conclusion == ("No aerothermal finding: broken sensor", "TC1 is stuck")
+    page = closure_page(replace(closed(), faults=[DataFault(SENSOR, "TC1 is stuck.")]))
+    assert page.conclusion is not None
+    assert page.conclusion[0] == "No aerothermal finding: broken sensor"
+    assert page.conclusion[1].startswith("TC1 is stuck. The search states: found: impingement-onset.")
     assert 'role="alert">TC1 is stuck' in page_html(page)
 
 

@@ -152,7 +152,7 @@ def summary_row(report: Any) -> dict[str, Any]:
         "control_point": report.record.declared.control_point,
         "effects": [e.name for e in report.effects],
         "finding": report.statement.finding,
-        "named": " + ".join(" or ".join(names) for names in report.statement.alternatives),
+        "named": report.statement.named,
         "not_effects": [f"{c.kind}: {c.what}" for c in report.statement.not_effects],
         "probability": report.statement.probability,
         "p_value": None if report.statement.adequacy is None else report.statement.adequacy.p_value,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.design.information import PRESSURE, Experiment
 from sim_heating.estimation.design.planned_flight import Instruments, PlannedFlight, Planner
-from sim_heating.thermal.stack import Sensor
+from sim_heating.thermal.stack import Sensor, Stack
 
 BITS = (8, 10, 12)
 RATES_HZ = (1.0, 5.0, 10.0)
@@ -70,18 +70,21 @@ def _variants_with_march(
     sensors = planner.instruments.sensors
     for rate in RATES_HZ:
         yield "rate", f"{rate:g} Hz", planner.experiment(flown, names, priors, Instruments(sensors, rate))
-    for what, extra in _extra_sensors(planner):
+    for what, extra in extra_sensors(planner.point.construction.stack, sensors):
         instruments = Instruments((*sensors, extra), planner.instruments.rate_hz)
         yield "extra sensor", what, planner.experiment(flown, names, priors, instruments)
 
 
-def _extra_sensors(planner: Planner) -> Iterator[tuple[str, Sensor]]:
-    """A thermocouple in the insulation and one at the bondline, with a recorder like the outermost one's."""
-    stack, sensors = planner.point.construction.stack, planner.instruments.sensors
+def extra_sensors(stack: Stack, sensors: Sequence[Sensor]) -> Iterator[tuple[str, Sensor]]:
+    """Thermocouples in the insulation and at the bondline where a stack has none, recorded like the outermost one.
+
+    stack   : with a coating as its first layer;  sensors : those that it has
+    returns : place in words, sensor
+    """
     like = min(sensors, key=lambda s: s.depth_m)
     deeper = stack.layer[0].thickness_m + DEEPER_M
     places = {f"{1e3 * DEEPER_M:g} mm below the coating": (deeper, like.range_K)}
-    places["bondline"] = (stack.bondline_m, BONDLINE_RANGE_K)
+    places["bondline"] = (stack.bondline_m, BONDLINE_RANGE_K if like.range_K else None)
     for what, (depth, span) in places.items():
         if depth < stack.bondline_m + NEAR_M and all(abs(depth - s.depth_m) > NEAR_M for s in sensors):
             update = {"name": what, "column": f"extra_{1e6 * depth:.0f}_K", "depth_m": depth, "range_K": span}

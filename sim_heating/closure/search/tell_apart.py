@@ -1,0 +1,314 @@
+"""What would tell the causes of a set apart: each measurement's or manoeuvre's expected odds, from the fitted models.
+
+Both models of a pair predict the readings of another flight, mean m and sensitivities S to their parameters, of which
+the present record has the information M (priors included). Where the first is true and the second is fitted to both
+flights, its log likelihood is expected to fall behind by
+
+    D = min over x of  (d - S x)' W (d - S x) / 2 + x' M x / 2,    d = m_1 - m_2,
+
+W the inverse squares of the noise, rounding included, over the scale of the residuals where that is above 1. The odds
+are exp(D), of either model as the true one the smaller. Source: docs/closing_the_loop.md, section "Sets".
+
+Flights are the present one again, with a change: another thermocouple, another recorder, or one manoeuvre more.
+Density, velocity and reference heating stay as they are in a manoeuvre, which is short against the flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.trials.trial_fit import THINNED_STEPS, TrialFit, fitted_effects
+from sim_heating.estimation.design.instruments import extra_sensors
+from sim_heating.estimation.inference.newton import Fit
+from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.side_by_side import JointMarch
+from sim_heating.inputs.record import Record
+from sim_heating.thermal.stack import Sensor
+
+REPEATED = "the same flight again"
+PERIOD_S = {"alpha_deg": 30.0, "beta_deg": 20.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0}
+"""Duration of a manoeuvre in each variable [s]: that of the founding paper's."""
+AMPLITUDE_DEG = {"alpha_deg": 5.0, "beta_deg": 2.0, "elevon_deg": 5.0, "bodyflap_deg": 5.0}
+IN_WORDS = {
+    "alpha_deg": "a push-over pull-up of 5 deg", "beta_deg": "a sideslip doublet of 2 deg",
+    "elevon_deg": "an elevon pulse of 5 deg", "bodyflap_deg": "a body-flap pulse of 5 deg",
+}  # fmt: skip
+PLACES = (0.2, 0.5, 0.8)
+"""Where a manoeuvre begins, as parts of the time that is read."""
+STEP = 0.1
+"""Step in a change without exact derivative, over the usual standard deviation of its parameter."""
+MOST_ODDS = 1000.0
+"""Odds above which a number says no more."""
+FINER_BITS, MORE_OFTEN = 12, 5
+"""Bits of finer recorder words, and readings in place of one."""
+WORTH_IT = math.log(2.0)
+"""Log odds by which an experiment has to exceed those of the same flight again."""
+MOST_RIVALS, MOST_NAMED = 3, 2
+"""Rivals of the likeliest cause that are compared with it, and experiments that are named."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A flight, or measurement, and how well it is expected to tell causes apart.
+
+    what     : in words
+    log_odds : natural logarithm of the odds that it is expected to give between them [-], of the closest pair
+    """
+
+    what: str
+    log_odds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        return asdict(self)
+
+    def in_words(self) -> str:
+        """What it is, and its odds."""
+        if self.log_odds > math.log(MOST_ODDS):
+            return f"{self.what}: odds above {MOST_ODDS:g} to 1"
+        odds = math.exp(self.log_odds)
+        return f"{self.what}: odds of {odds:.{1 if odds < 10.0 else 0}f} to 1"
+
+
+@dataclass(frozen=True, eq=False)
+class _Flight:
+    """A change of the present flight: what it is, its name among others of its kind, and its record."""
+
+    what: str
+    kind: str
+    record: Record
+
+
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    """Predictions of one model for a flight, all samples of its channels, which are in the order of their columns.
+
+    mean_K   : (sample,);  jacobian : (sample, parameter) [K] per unit of each parameter
+    weight   : (sample,) inverse square of noise and rounding [1/K2]
+    """
+
+    mean_K: FloatArray
+    jacobian: FloatArray
+    weight: FloatArray
+
+
+def tell_apart(
+    none: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], most: int = MOST_NAMED
+) -> list[Experiment]:
+    """The experiments that are expected to tell the likeliest cause from its rivals best, with their odds.
+
+    none    : the declared model, on the record as declared
+    best    : the likeliest cause;  rivals : those that the record cannot tell from it
+    most    : how many are returned
+    returns : the best first, those that do little more than the same flight again left out; none
+              where a cause is a change of the readings
+    """
+    models = [best, *rivals[:MOST_RIVALS]]
+    part = none.last.problem.record_fits[0]
+    if len(models) < 2 or any(_changes_readings(h, part.record) for h in models):
+        return []
+    flights = list(_flights(part.record))
+    predicted = _predict(none.last, models, flights)
+    scale = max(1.0, 1.0 + best.excess_chi2)
+    kinds: dict[str, Experiment] = {}
+    for flight, of_models in zip(flights, predicted, strict=True):
+        if any(p is None for p in of_models):
+            continue
+        log_odds = min(
+            _expected(truth, fitted, model, scale)
+            for k in range(1, len(models))
+            for truth, fitted, model in (
+                (of_models[0], of_models[k], models[k]), (of_models[k], of_models[0], models[0]),
+            )
+        )  # fmt: skip
+        found = Experiment(flight.what, log_odds)
+        if flight.kind not in kinds or found.log_odds > kinds[flight.kind].log_odds:
+            kinds[flight.kind] = found
+    again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
+    # What hardly does more than the same flight again is not worth its cost.
+    better = [e for e in kinds.values() if e.log_odds > again.log_odds + WORTH_IT]
+    return [*sorted(better, key=lambda e: -e.log_odds), again][:most]
+
+
+def _changes_readings(hypothesis: Hypothesis, record: Record) -> bool:
+    """Whether a cause is a change of the readings themselves, which no model predicts."""
+    if hypothesis.change is None or hypothesis.change.change.in_model:
+        return False
+    changed = hypothesis.change.change.apply(record, hypothesis.change.value)
+    return any(
+        not np.array_equal(column, changed.thermocouples[name], equal_nan=True)
+        for name, column in record.thermocouples.items()
+    )
+
+
+# Flights --------------------------------------------------------------------------------------------------------------
+
+
+def _flights(record: Record) -> Iterator[_Flight]:
+    """The record's flight again, and with one change each."""
+    yield _Flight(REPEATED, REPEATED, record)
+    yield from _recorders(record)
+    for place, sensor in extra_sensors(record.declared.stack, record.used_sensors):
+        columns = {**record.thermocouples, sensor.column: record.thermocouples[record.used_sensors[0].column]}
+        changed = replace(_with_sensors(record, [*record.sensors, sensor]), thermocouples=columns)
+        where = "at the bondline" if place == "bondline" else place
+        yield _Flight(f"a thermocouple {where}", place, changed)
+    yield from _manoeuvres(record)
+
+
+def _recorders(record: Record) -> Iterator[_Flight]:
+    """The readings in finer words, and more often."""
+    finer = [
+        s.model_copy(update={"bits": FINER_BITS}) if s.bits is not None and s.bits < FINER_BITS else s
+        for s in record.sensors
+    ]
+    if finer != list(record.sensors):
+        yield _Flight(f"recorder words of {FINER_BITS} bits", "words", _with_sensors(record, finer))
+    t = record.time_s
+    between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(MORE_OFTEN) / MORE_OFTEN).ravel()
+    often = np.append(between, t[-1])
+    columns = {n: np.interp(often, t, column) for n, column in record.thermocouples.items() if n != "time_s"}
+    interval = float(np.median(np.diff(often)))
+    changed = replace(record, thermocouples={"time_s": often, **columns})
+    yield _Flight(f"readings every {interval:.2g} s", "rate", changed)
+
+
+def _with_sensors(record: Record, sensors: Sequence[Sensor]) -> Record:
+    """The record with other thermocouples, of which it has the columns."""
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": list(sensors)})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+
+
+def _manoeuvres(record: Record) -> Iterator[_Flight]:
+    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state."""
+    flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
+    begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
+    if not np.any(flown["velocity_m_s"] > 0.0) or end - begin < 3.0 * max(PERIOD_S.values()):
+        return
+    starts = [begin + place * (end - begin) for place in PLACES]
+    # One grid for all, so that all are marched side by side.
+    fine = [t + s for t in starts for s in np.arange(0.0, max(PERIOD_S.values()) + 1.0)]
+    flown = flown.at(np.union1d(flown.time_s, np.clip(fine, flown.time_s[0], flown.time_s[-1])))
+    for variable, period in PERIOD_S.items():
+        for t in starts:
+            excursion = AMPLITUDE_DEG[variable] * _wave(variable, (flown.time_s - t) / period)
+            columns = {variable: _within_table(record, variable, flown[variable] + excursion)}
+            changed = replace(record, conditions=flown.with_columns(**columns))
+            yield _Flight(f"{IN_WORDS[variable]} at {t:.0f} s", variable, changed)
+
+
+def _wave(variable: str, phase: FloatArray) -> FloatArray:
+    """A manoeuvre of size 1 over phases 0 to 1: down and up for the angles of the vehicle, a pulse for flaps."""
+    inside = (phase > 0.0) & (phase < 1.0)
+    wave = np.sin(np.pi * phase) ** 2 if variable in ("elevon_deg", "bodyflap_deg") else -np.sin(2.0 * np.pi * phase)
+    return np.where(inside, wave, 0.0)
+
+
+def _within_table(record: Record, variable: str, values: FloatArray) -> FloatArray:
+    """Values of a ratio variable within the record's table, beyond which it says nothing."""
+    table = record.ratio_table
+    if table is None:
+        return values
+    axis = table.axes[RATIO_VARIABLES.index(variable)]
+    return np.clip(values, axis[0], axis[-1]) if len(axis) > 1 else values
+
+
+# Predictions ----------------------------------------------------------------------------------------------------------
+
+
+def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Flight]) -> list[list[_Predicted | None]]:
+    """By flight and model, its predictions; None where it cannot be marched there."""
+    wanted = [[_marches(base, h, f.record) for h in models] for f in flights]
+    flat = [pair for row in wanted for marches in row for pair in marches]
+    done = JointMarch([p for p, _ in flat]).march([v for _, v in flat])
+    marched = {id(p) for (p, _), succeeded in zip(flat, done, strict=True) if succeeded}
+    return [
+        [
+            _predicted(h, marches) if marches and all(id(p) in marched for p, _ in marches) else None
+            for h, marches in zip(models, row, strict=True)
+        ]
+        for row in wanted
+    ]
+
+
+def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[FitProblem, FloatArray]]:
+    """Problems, each with its vector: a model over a record, and one step away in a change that has no exact
+    derivative. None where the change does not exist there."""
+    trial, change = model.last, model.change
+    values = [0.0]
+    if change is not None and not change.change.in_model:
+        step = 0.0 if change.change.parameter is None else STEP * change.change.parameter.sigma
+        values = [change.value, change.value + step] if step else [change.value]
+    try:
+        return [(_problem(base, trial, _changed(model, record, value)), trial.fit.values) for value in values]
+    except InputError:
+        return []
+
+
+def _changed(model: Hypothesis, record: Record, value: float) -> Record:
+    """A record with the change of a hypothesis, where it has one that is no parameter of the model."""
+    if model.change is None or model.change.change.in_model:
+        return record
+    return model.change.change.apply(record, value)
+
+
+def _problem(base: TrialFit, trial: TrialFit, record: Record) -> FitProblem:
+    """The model of a trial over all samples of a record that are fitted or held out, with the noise of its own."""
+    part = trial.problem.record_fits[0]
+    options = FitOptions(
+        effects=fitted_effects(trial),
+        priors=trial.problem.priors,
+        sample_masks=[record.fit_mask() | record.holdout_mask()],
+        **THINNED_STEPS,
+    )
+    problem = FitProblem([record], part.names, base.problem.reference, options)
+    own = problem.record_fits[0]
+    for channel in own.channels:
+        if channel.sensor.noise_sigma_K is None:
+            own.sigma_K[channel.number] = part.sigma_K.get(channel.number, max(part.sigma_K.values()))
+    return problem
+
+
+def _predicted(model: Hypothesis, marches: Sequence[tuple[FitProblem, FloatArray]]) -> _Predicted:
+    """The predictions of a model whose marches are made."""
+    found = [sorted(p.samples(v), key=lambda s: s.channel.sensor.column) for p, v in marches]
+    mean = [np.concatenate([s.mean_K for s in samples]) for samples in found]
+    jacobian = np.concatenate([s.jacobian for s in found[0]])
+    if len(mean) == 2 and model.change is not None and model.change.change.parameter is not None:
+        slope = (mean[1] - mean[0]) / (STEP * model.change.change.parameter.sigma)
+        jacobian = np.column_stack([jacobian, slope])
+    weight = [np.full(len(s.mean_K), s.channel.sensor.noise_floor_K(s.sigma_K) ** -2.0) for s in found[0]]
+    return _Predicted(mean[0], jacobian, np.concatenate(weight))
+
+
+def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: float) -> float:
+    """By how much the log likelihood of a model falls behind that of the true one, its parameters adjusted [-].
+
+    fitted : predictions of the model;  scale : of the residuals, a reduced chi-square
+    """
+    if len(truth.mean_K) != len(fitted.mean_K):
+        return 0.0
+    fit = _fit_of(model)
+    free = ~fit.on_bound
+    J, w, d = fitted.jacobian[:, free], truth.weight / scale, truth.mean_K - fitted.mean_K
+    known = fit.information[np.ix_(free, free)] / scale + np.diag(fit.prior_information[free])
+    A, b = (J * w[:, np.newaxis]).T @ J + known, J.T @ (w * d)
+    s = 1.0 / np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    adjusted = s * (np.linalg.pinv(A * np.outer(s, s), rcond=1e-12, hermitian=True) @ (s * b))
+    return max(0.5 * float(d @ (w * d)) - 0.5 * float(b @ adjusted), 0.0)
+
+
+def _fit_of(model: Hypothesis) -> Fit:
+    """The fit of a hypothesis with all of its unknowns, that of a change last where it is none of the model."""
+    change = model.change
+    separate = change is not None and not change.change.in_model and change.change.parameter is not None
+    return change.fit if change is not None and separate else model.last.fit
