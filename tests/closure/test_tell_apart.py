@@ -9,49 +9,65 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.search import tell_apart as module
-from sim_heating.closure.search.hypothesis import Hypothesis
-from sim_heating.closure.search.search import SearchResult, search_effects
+from sim_heating.closure.search.hypothesis import Hypothesis, hypothesis
 from sim_heating.closure.search.tell_apart import REPEATED, Experiment, tell_apart
+from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.trial_fit import (
+    QUICK,
+    TrialFit,
+    base_trial,
+    declared_fit,
+    fitted_values,
+    problem_with,
+    start_values,
+)
+from sim_heating.estimation.side_by_side import maximise_together
+from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from tests.support.paths import PRACTICE
 
 
 @cache
-def coated() -> SearchResult:
-    """The search on a record with a thicker coating, which a larger heat capacity resembles."""
-    return search_effects(load_record(PRACTICE / "p01"))
-
-
-def pair() -> list[Hypothesis]:
-    found = {h.names: h for h in reversed(coated().hypotheses) if h.admissible}
-    return [found["coating-thickness",], found["heat-capacity",]]
+def coated() -> tuple[Hypothesis, Hypothesis, Hypothesis]:
+    """The declared model of a record with a thicker coating; with that, and with another heat capacity of the coating."""
+    record = load_record(PRACTICE / "p01")
+    base, flown = base_trial(declared_fit(record)), conditions_of_record(record)
+    tried = {c.names: c for c in candidates(record, flown)}
+    found = [hypothesis([base], {})]
+    for name in ("stack.coating.thickness_factor", "stack.coating.heat_capacity_factor"):
+        candidate = tried[name,]
+        problem = problem_with(base, candidate)
+        fit = maximise_together([problem], [start_values(problem, fitted_values(base))], QUICK)[0]
+        found.append(hypothesis([TrialFit(candidate.name, candidate, problem, None, fit)], {}))
+    none, best, rival = found
+    return none, best, rival
 
 
 def test_more_readings_and_a_deeper_thermocouple_tell_coating_from_heat_capacity_better() -> None:
-    best, rival = pair()
-    odds = {e.what: e.log_odds for e in tell_apart(coated().none, best, [rival], most=99)}
+    none, best, rival = coated()
+    odds = {e.what: e.log_odds for e in tell_apart(none, best, [rival], most=99)}
     again = odds.pop(REPEATED)
     assert again > 0.0
     assert {"a thermocouple 4 mm below the coating", "recorder words of 12 bits", "readings every 0.2 s"} <= set(odds)
     assert all(v > again for v in odds.values())
     # five readings in place of one, next to a first flight that tells as much as one of these
     assert 2.0 * again < odds["readings every 0.2 s"] < 5.0 * again
-    named = tell_apart(coated().none, best, [rival])
+    named = tell_apart(none, best, [rival])
     assert len(named) == 2
     assert named[0].log_odds == max(odds.values()) > named[1].log_odds
 
 
 def test_a_cause_is_not_told_from_itself_and_one_alone_needs_nothing() -> None:
-    best, _ = pair()
-    assert tell_apart(coated().none, best, []) == []
-    same = tell_apart(coated().none, best, [best])
+    none, best, _ = coated()
+    assert tell_apart(none, best, []) == []
+    same = tell_apart(none, best, [best])
     assert [e.what for e in same] == [REPEATED]
     assert same[0].log_odds == pytest.approx(0.0, abs=1e-6)
 
 
 def test_expected_log_odds_are_those_of_a_fit_to_both_flights() -> None:
     """Linear models: by how much the best fit of the wrong one falls short, with what the first flight said of it."""
-    rng, (best, _) = np.random.default_rng(1), pair()
+    rng, (_, best, _) = np.random.default_rng(1), coated()
     n, m = 40, 3
     J, d, sigma = rng.normal(size=(n, m)), rng.normal(size=n), 0.5
     first = rng.normal(size=(20, m))

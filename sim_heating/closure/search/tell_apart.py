@@ -121,15 +121,14 @@ def tell_apart(
     scale = max(1.0, 1.0 + best.excess_chi2)
     kinds: dict[str, Experiment] = {}
     for flight, of_models in zip(flights, predicted, strict=True):
-        if any(p is None for p in of_models):
+        known = [p for p in of_models if p is not None]
+        if len(known) < len(models):
             continue
         log_odds = min(
             _expected(truth, fitted, model, scale)
-            for k in range(1, len(models))
-            for truth, fitted, model in (
-                (of_models[0], of_models[k], models[k]), (of_models[k], of_models[0], models[0]),
-            )
-        )  # fmt: skip
+            for other, rival in zip(known[1:], models[1:], strict=True)
+            for truth, fitted, model in ((known[0], other, rival), (other, known[0], models[0]))
+        )
         found = Experiment(flight.what, log_odds)
         if flight.kind not in kinds or found.log_odds > kinds[flight.kind].log_odds:
             kinds[flight.kind] = found
