@@ -29,13 +29,13 @@ from tests.support.paths import PRACTICE
 
 @cache
 def coated() -> tuple[Hypothesis, Hypothesis, Hypothesis]:
-    """The declared model of a record with a thicker coating; with that, and with another heat capacity of the coating."""
+    """The declared model of a record with a thicker coating, with that and with another heat capacity of it."""
     record = load_record(PRACTICE / "p01")
     base, flown = base_trial(declared_fit(record)), conditions_of_record(record)
     tried = {c.names: c for c in candidates(record, flown)}
     found = [hypothesis([base], {})]
-    for name in ("stack.coating.thickness_factor", "stack.coating.heat_capacity_factor"):
-        candidate = tried[name,]
+    for name in ("coating-thickness.coating_factor", "heat-capacity.coating_heat_capacity_factor"):
+        candidate = tried[f"effect.{name}",]
         problem = problem_with(base, candidate)
         fit = maximise_together([problem], [start_values(problem, fitted_values(base))], QUICK)[0]
         found.append(hypothesis([TrialFit(candidate.name, candidate, problem, None, fit)], {}))

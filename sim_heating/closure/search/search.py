@@ -189,7 +189,7 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
     flown = conditions_of_record(record)
     fitted = [n.split(".")[1] for n in base.problem.record_fits[0].march_names if n.startswith(EFFECT_PREFIX)]
     found = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), [*taken, *fitted])
-    return [c for c in found if not any(is_fitted(base, name) for name in c.names)]
+    return [c for c in found if not any(is_fitted(base, name) for name in c.model_names)]
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:

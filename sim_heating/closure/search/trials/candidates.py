@@ -64,6 +64,14 @@ class Candidate:
     priors: Mapping[str, Parameter] = field(default_factory=dict)
 
     @property
+    def model_names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters, those of the model that they set included."""
+        effect = effects().get(self.name)
+        set_by = [] if effect is None else zip(effect.parameters, effect.model_parameters, strict=False)
+        prefix = f"{EFFECT_PREFIX}{self.name}."
+        return (*self.names, *(of_model for own, of_model in set_by if f"{prefix}{own.name}" in self.names))
+
+    @property
     def form(self) -> Form:
         """The form; candidates of one form differ in where they start."""
         values = {

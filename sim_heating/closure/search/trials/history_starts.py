@@ -21,11 +21,11 @@ from scipy.optimize import least_squares
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
-from sim_heating.closure.search.trials.trial_fit import TrialFit, problem_with, start_values
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.march.ensemble import condition_history
@@ -78,11 +78,15 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
     """The heating history of a record, as a model with one effect at its neutral values sees it.
 
     base    : the declared model;  neutral : a candidate that has no effect at its start
-    returns : None where the model cannot be marched, or has no tabulated heating
+    returns : None where the model cannot be marched, has no tabulated heating, or none that is fitted
     """
+    parameters = tuple(p for p in base.problem.parameters if p.name == SCALE or p.name in DERIVATIVES)
+    if not parameters:
+        return None
     problem = problem_with(base, neutral)
     own = problem.record_fits[0]
-    at = start_values(problem, {**dict.fromkeys(base.problem.record_fits[0].names, 0.0), **neutral.start})
+    tabulated_alone = dict.fromkeys([*(p.name for p in parameters), CLOCK_SKEW.name], 0.0)
+    at = start_values(problem, {**fitted_values(base), **tabulated_alone, **neutral.start})
     try:
         found = residual_heating(problem, at)
     except (InputError, RunError):
@@ -97,7 +101,6 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
         return None
     sigma = np.hypot(found.sigma[inside], MODEL_ERROR * np.abs(y))
     wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
-    parameters = tuple(p for p in base.problem.parameters if p.name == SCALE or p.name in DERIVATIVES)
     reference = np.array(base.problem.reference)
     return HeatingHistory(y, sigma, tabulated, x - reference, condition_history(flown), wall, parameters)
 
