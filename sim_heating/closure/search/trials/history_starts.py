@@ -66,7 +66,7 @@ class HeatingHistory:
             self.tabulated if p.name == SCALE else self.apart[:, DERIVATIVES[p.name]] for p in self.parameters
         ])  # fmt: skip
 
-    def values_of(self, effect: Effect, values: Sequence[float]) -> FloatArray:
+    def values_of(self, effect: Effect, values: Sequence[float] | FloatArray) -> FloatArray:
         """(knot,) value of an effect's kernel along the history."""
         width = self.rows.shape[1]
         B = np.column_stack([self.rows, np.tile(np.asarray(values, dtype=float), (len(self.rows), 1))])
