@@ -76,6 +76,20 @@ def evidence_of_records(
     return [_evidence_of(i, result, none, best, rival, own.get(i), at_common.get(i)) for i, result in enumerate(alone)]
 
 
+def evidence_without_cause(alone: Sequence[SearchResult]) -> list[Evidence]:
+    """Evidence of records to which no cause could be fitted: what each found by itself."""
+    return [
+        Evidence(
+            r.record.name, r.record.declared.control_point, r.conclusion.finding, _named(r), True, 0.0, None, {}, None
+        )
+        for r in alone
+    ]
+
+
+def _named(result: SearchResult) -> str:
+    return " + ".join(" or ".join(names) for names in result.conclusion.alternatives)
+
+
 def _values(h: JointHypothesis) -> dict[str, float]:
     """Values of the cause's parameters, common ones or those of a member."""
     assert h.model is not None
@@ -127,7 +141,7 @@ def _evidence_of(
         record=result.record.name,
         point=result.record.declared.control_point,
         alone=result.conclusion.finding,
-        named=" + ".join(" or ".join(names) for names in result.conclusion.alternatives),
+        named=_named(result),
         member=member,
         for_cause=float(for_cause),
         over_rival=None if rival is None else float(rival.shares[i] - best.shares[i]),

@@ -109,7 +109,7 @@ class JointClosure:
                 lines.append(f"{e.record} gives other values than those in common (p = {e.agreement:.1g})")
         for name, level in best.model.levels.items():
             own = {k: p for k, p in self.parameters.items() if k.partition(AT)[0] == name and AT in k}
-            if own and level != best.model.cause.widest[name]:
+            if len(own) > 1 and level != best.model.cause.widest[name]:
                 values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
                 lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
         return lines
@@ -158,8 +158,7 @@ def joint_closure_json(found: JointClosure) -> dict[str, Any]:
         "residual_heating": None,
         "by_record": [
             _record_json(c, e, after)
-            for c, e, after in zip(found.closures, found.search.evidence or [None] * len(found.closures), found.after,
-                                   strict=True)
+            for c, e, after in zip(found.closures, found.search.evidence, found.after, strict=True)
         ],
         "common_cost": best.common,
         "common_parameters": {} if best.model is None else dict(best.model.levels),
@@ -174,23 +173,20 @@ def _condition(closure: Closure) -> dict[str, float]:
     return dict(zip(RATIO_VARIABLES, map(float, closure.reference), strict=True))
 
 
-def _record_json(closure: Closure, e: Evidence | None, after: Prediction) -> dict[str, Any]:
+def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, Any]:
     """One record in closure.json; scores are differences of BIC, below 0 where they speak for the cause."""
-    added: dict[str, Any] = {}
-    if e is not None:
-        added = {
-            "verdict": e.verdict, "has_cause": e.member, "delta_score": -e.for_cause,
-            "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
-            "agreement_p": e.agreement,
-            "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
-        }  # fmt: skip
     return {
         "record": closure.record.name,
         "control_point": closure.record.declared.control_point,
         "closure": f"{closure.record.name}/closure.json",
         "finding": closure.statement.finding,
         "alternatives": [list(names) for names in closure.statement.alternatives],
-        **added,
+        "verdict": e.verdict,
+        "has_cause": e.member,
+        "delta_score": -e.for_cause,
+        "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
+        "agreement_p": e.agreement,
+        "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
         "reference_condition": _condition(closure),
         "before": closure.before.segment_errors(),
         "after": after.segment_errors(),
@@ -230,7 +226,7 @@ def joint_page(found: JointClosure) -> Page:
 def evidence_table(found: JointClosure) -> Table:
     """What each record adds: its own finding, and its part of the joint scores."""
     best, rival = found.search.best, found.search.rival
-    against = "none" if rival is None else " + ".join(rival.names)
+    against = "the next one" if rival is None else " + ".join(rival.names)
     columns: list[Column | str] = [
         "record", Column("point", is_text=True), Column("by itself", "alone", is_text=True),
         Column("for the cause", "for_cause", "+.1f"), Column(f"over {against}", "over_rival", "+.1f"),
@@ -320,13 +316,14 @@ def _values_section(found: JointClosure) -> Section:
     columns += [Column(f"{e.record} alone", is_text=True) for e in found.search.evidence]
     whose = {"all": "all records", "point": "each point", RECORD: "each record"}
     one_point = len({e.point for e in found.search.evidence}) == 1
+    only = found.names[best.members[0]] if len(best.members) == 1 else ""
     rows = []
     for name in best.model.cause.candidate.names:
         level = best.model.levels[name]
         together = [p for label, p in found.parameters.items() if label.partition(AT)[0] == name]
         own = [e.own.get(name) for e in found.search.evidence]
         rows.append([
-            name, whose["all" if one_point and level != RECORD else level],
+            name, only or whose["all" if one_point and level != RECORD else level],
             "; ".join(_bound(p.value, p.sigma) for p in together) or "-",
             *("-" if o is None else _bound(*o) for o in own),
         ])  # fmt: skip

@@ -24,7 +24,7 @@ from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.several.causes import applies, leading_causes
 from sim_heating.closure.several.common_parameters import narrower_levels
-from sim_heating.closure.several.evidence import Evidence, evidence_of_records
+from sim_heating.closure.several.evidence import Evidence, evidence_of_records, evidence_without_cause
 from sim_heating.closure.several.joint_fit import (
     FEW_STEPS,
     Cause,
@@ -95,14 +95,17 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     ranked = _best_of_each(none, [*_with_own_parameters(none, ranked[:RICHER], bases), *ranked[RICHER:]])
     progress(0.75, "records without the cause")
     explanations = [_own_explanation(result) for result in alone]
-    for k in range(min(LEFT_OUT, len(ranked))):
-        ranked[k] = _without_records(none, ranked[k], bases, explanations)
-    ranked = _best_of_each(none, ranked)
+    without = [_without_records(none, h, bases, explanations) for h in ranked[:LEFT_OUT]]
+    if without:
+        best = rated(none, [*without, *ranked])[0]
+        # the others are compared over all records: what one of them leaves out may be explained by the best itself
+        ranked = [best, *(h for h in ranked if h.names != best.names)]
+        ranked = _best_of_each(none, ranked)
     conclusion = conclude(none, ranked)
     # one that the same records have, where there is one: by record, both are then judged alike
     others = sorted(ranked[1:], key=lambda h: (not h.admissible, h.members != ranked[0].members, h.score))
     rival = others[0] if others else None
-    evidence = evidence_of_records(alone, none, ranked[0], rival) if ranked else ()
+    evidence = evidence_of_records(alone, none, ranked[0], rival) if ranked else evidence_without_cause(alone)
     return JointSearch(tuple(alone), none, tuple(ranked), conclusion, rival, tuple(evidence))
 
 
