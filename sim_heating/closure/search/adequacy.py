@@ -117,7 +117,7 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
         by_sensor={n: s.chi2() for n, s in own.items()},
         by_phase={n: s.chi2() for n, s in parts.items()},
         statistic=statistic,
-        unstructured=lag1 <= COLOUR + 2.0 * scatter and all(_is_even(s, everything) for s in chi2.values()),
+        unstructured=lag1 <= COLOUR + scatter and all(_is_even(s, everything) for s in chi2.values()),
     )
 
 

@@ -61,20 +61,26 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
 )
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.newton import Fit
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
-FIRST_PICKS, SECOND_PICKS = 3, 2
+FIRST_PICKS, SECOND_PICKS = 6, 2
 """Effects that a second one is sought on top of, and second ones that are kept of each."""
+PAIR_SHARE, MOST_PAIRS, STARTS_OF_PAIR, REFINED_PAIRS = 0.3, 24, 1, 6
+"""Of the most that a further effect promises, on top of any first one: the share that another has to promise to be
+fitted, how many are, how many starts of a form, and how many are fitted to convergence."""
 MIN_SHARE = 0.5
 """Part of the remaining excess chi-square that a further effect has to explain."""
 MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
 MAX_EFFECTS = 3
-CHANGE_SHARE, MOST_CHANGES = 0.5, 8
-"""Part of the best gain in log likelihood that a change of the record has to predict to be fitted; how many are."""
+CHANGE_SHARE, SHARE_BESIDE_ADEQUATE, MOST_CHANGES = 0.5, 0.8, 8
+"""Part of the best gain in log likelihood that a change of the record has to predict to be fitted, also where an effect
+explains the record to its noise; how many are."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,19 +140,20 @@ def search_effects(
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(before, base, singles, discrepancies, progress)
+    found += _changes(before, base, singles, discrepancies, _explained(found), progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
-        picks = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)[:FIRST_PICKS]
-        for n, pick in enumerate(picks):
-            at = 0.5 + 0.3 * n / len(picks)
-            more, pairs = _with_one_more([pick.trial], first.forms, _part(progress, at, at + 0.1, "two effects"))
-            rounds.append(more)
-            found += pairs
+        leading = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)
+        stacks = [[k.trial] for k in leading[:FIRST_PICKS]]
+        more, pairs = _with_one_more(stacks, first.forms, _part(progress, 0.5, 0.8, "two effects"))
+        rounds += more
+        found += pairs
         rated = _accepted(none, found)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
-            more, triples = _with_one_more(rated[0].trials, first.forms, _part(progress, 0.8, 0.9, "three effects"))
-            rounds.append(more)
+            more, triples = _with_one_more(
+                [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
+            )
+            rounds += more
             found += triples
         found += _pruned(base, _accepted(none, found), first.forms)
         rated = _accepted(none, found)
@@ -170,17 +177,27 @@ def _changes(
     base: TrialFit,
     singles: Sequence[Contender],
     discrepancies: Sequence[Discrepancy],
+    explained: bool,
     progress: Progress,
 ) -> list[Hypothesis]:
-    """Hypotheses that the record's flight, wall or sensors are other than declared."""
+    """Hypotheses that the record's flight, wall or sensors are other than declared.
+
+    explained : whether an effect explains the record to its noise already
+    """
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
     changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
     changes = [c for c in changes if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
-    fits = recorrected(before, base, fit_changes(base, changes, best, share=CHANGE_SHARE, most=MOST_CHANGES))
+    share = SHARE_BESIDE_ADEQUATE if explained else CHANGE_SHARE
+    fits = recorrected(before, base, fit_changes(base, changes, best, share=share, most=MOST_CHANGES))
     whole = before.problem.record_fits[0].record
     return [change_hypothesis(f, len(changes), motion_evidence(whole, f)) for f in fits]
+
+
+def _explained(found: Sequence[Hypothesis]) -> bool:
+    """Whether one of the hypotheses may be named and explains the record to its noise."""
+    return any(h.admissible and h.adequate for h in found)
 
 
 def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
@@ -206,13 +223,57 @@ def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Con
 
 
 def _with_one_more(
-    below: Sequence[TrialFit], forms: Mapping[str, int], progress: Progress
-) -> tuple[SearchRound, list[Hypothesis]]:
-    """The round on top of some effects, and the hypotheses with one effect more."""
-    more = search_round(below[-1], [t.name for t in below], progress)
-    refined = _refined(below[-1], more, progress)
-    leading = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[:SECOND_PICKS]
-    return more, [hypothesis([*below, k.trial], {**forms, **more.forms}) for k in leading]
+    stacks: Sequence[Sequence[TrialFit]], forms: Mapping[str, int], progress: Progress
+) -> tuple[list[SearchRound], list[Hypothesis]]:
+    """A round on top of each of several stacks of effects, all side by side, and hypotheses with one effect more.
+
+    stacks : effects, each fitted on top of those before
+    """
+    progress(0.0, "screening candidates")
+    bases = [stack[-1] for stack in stacks]
+    screened = [_screened(stack) for stack in stacks]
+    best = max(b.fit.log_likelihood for b in bases)
+    reached = [
+        (bases[i].fit.log_likelihood + gain - best, i, k)
+        for i, (_, gains) in enumerate(screened)
+        for k, gain in enumerate(gains)
+    ]
+    least = PAIR_SHARE * max((r for r, _, _ in reached), default=0.0)
+    chosen: list[tuple[float, int, int]] = []
+    for total, i, k in sorted(reached, reverse=True):
+        if total < least or len(chosen) == MOST_PAIRS:
+            break
+        form = screened[i][0][k].form
+        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < STARTS_OF_PAIR:
+            chosen.append((total, i, k))
+    progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
+    tried = [screened[i][0][k] for _, i, k in chosen]
+    problems = [problem_with(bases[i], c) for c, (_, i, _) in zip(tried, chosen, strict=True)]
+    firsts = [
+        start_values(p, {**fitted_values(bases[i]), **c.start})
+        for p, c, (_, i, _) in zip(problems, tried, chosen, strict=True)
+    ]
+    fits = fit_in_stages(problems, firsts, best, [total for total, _, _ in chosen])
+    rounds, hypotheses = [], []
+    for i, (candidates_of, gains) in enumerate(screened):
+        own = [(c, p, f) for c, p, f, (_, j, _) in zip(tried, problems, fits, chosen, strict=True) if j == i]
+        rounds.append(_round_of(bases[i], own, candidates_of, gains))
+    progress(0.7, "fitting the leading ones to convergence")
+    leading = sorted(
+        ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
+    )
+    for i, found in enumerate(rounds):
+        trials = [t for _, j, t in leading[:REFINED_PAIRS] if j == i]
+        refined = refine(bases[i], trials, found.tried, found.predicted) if trials else []
+        ordered = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[:SECOND_PICKS]
+        hypotheses += [hypothesis([*stacks[i], k.trial], {**forms, **found.forms}) for k in ordered]
+    return rounds, hypotheses
+
+
+def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
+    """Candidates on top of a stack of effects, and the gain in log likelihood that each predicts."""
+    tried = _candidates(stack[-1], [t.name for t in stack])
+    return tried, predicted_gains(stack[-1], tried)
 
 
 def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -273,28 +334,42 @@ def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[
 
 
 def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> SearchRound:
-    """Screen every candidate on top of a model, fit the promising ones, keep the best trial of each effect.
+    """Screen all candidates on top of the declared model, fit the promising ones, keep the best of each effect.
 
-    taken : names of the effects that are no candidates
+    taken : names of the effects that are no candidates; where there are any, nor are errors of the table
     """
     progress(0.0, "screening candidates")
-    tried = _candidates(base, taken)
-    tried += table_candidates(base) if not taken else []
+    tried = [*_candidates(base, taken), *(table_candidates(base) if not taken else [])]
     gains = predicted_gains(base, tried)
-    if not taken:
-        by_history = history_starts(base, tried)
-        gains += gains_from(base, by_history)
-        tried += by_history
+    by_history = history_starts(base, tried)
+    gains += gains_from(base, by_history)
+    tried += by_history
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
     problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)
     firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, selected, strict=True)]
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
-    fits = fit_in_stages(problems, firsts, base.fit.log_likelihood, [gains[i] for i in selected])
+    fits = fit_in_stages(
+        problems, firsts, base.fit.log_likelihood, [gains[i] for i in selected], [tried[i].name for i in selected]
+    )
+    fitted = [(tried[i], problem, fit) for i, problem, fit in zip(selected, problems, fits, strict=True)]
+    return _round_of(base, fitted, tried, gains)
+
+
+def _round_of(
+    base: TrialFit,
+    fitted: Sequence[tuple[Candidate, FitProblem, Fit]],
+    tried: Sequence[Candidate],
+    gains: Sequence[float],
+) -> SearchRound:
+    """A round with the best trial of each effect.
+
+    fitted : candidates that were fitted on top of the base;  tried, gains : all of them, with their predicted gains
+    """
     best: dict[str, TrialFit] = {}
-    for i, problem, fit in zip(selected, problems, fits, strict=True):
-        name, delta = tried[i].name, delta_bic(base, fit, tried[i], 1.0)
+    for candidate, problem, fit in fitted:
+        name, delta = candidate.name, delta_bic(base, fit, candidate, 1.0)
         if np.isfinite(fit.log_likelihood) and (name not in best or delta < best[name].delta_bic):
-            best[name] = TrialFit(name, tried[i], problem, None, fit, delta)
+            best[name] = TrialFit(name, candidate, problem, None, fit, delta)
     trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):

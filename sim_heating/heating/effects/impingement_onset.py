@@ -34,9 +34,13 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     """Search starts for flow impingement (docs/effects.md, equation 12), with no rise yet.
 
     flown   : conditions of the flight
-    returns : onsets at six quantiles, 0.3 to 0.99, of the angle of attack flown [deg]
+    returns : onsets at six quantiles, 0.3 to 0.99, of the angle of attack flown [deg], and at nine between the lowest
+              and the highest: a flight that holds its angle of attack has all quantiles in one place
     """
-    onsets = np.quantile(flown["alpha_deg"], [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
+    alpha = flown["alpha_deg"]
+    quantiles = np.quantile(alpha, [0.3, 0.6, 0.8, 0.9, 0.96, 0.99])
+    between = np.linspace(np.min(alpha), np.max(alpha), 11)[1:-1]
+    onsets = np.unique(np.round(np.append(quantiles, between), 1))
     return [SearchStart(("alpha_onset_deg", "slope"), {"alpha_onset_deg": float(x)}) for x in onsets]
 
 

@@ -45,6 +45,8 @@ from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
+HALF = 0.5
+"""Factor on the share of gain that is asked of a change with ends, which gains more where these are moved."""
 NEARLY, MOST_SEARCHES = 0.95, 3
 """Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
@@ -398,7 +400,7 @@ def fit_changes(
 
     base      : the model, fitted to the record as declared
     best_gain : best gain in log likelihood that is known of other explanations [-]
-    share     : part of that gain, or of what the best change predicts, below which a change is not fitted; a quarter
+    share     : part of that gain, or of what the best change predicts, below which a change is not fitted; half of it
                 for a change with ends, which gains more where they are moved. Nor is one that predicts less than its
                 unknowns cost
     most      : how many without ends are fitted, those that predict most; all by default
@@ -409,7 +411,7 @@ def fit_changes(
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        form, least = change.form or change.what, (share if change.near is None else MIN_GAIN_SHARE) * largest
+        form, least = change.form or change.what, (share if change.near is None else HALF * share) * largest
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):
@@ -420,9 +422,14 @@ def fit_changes(
     fits = _maximise(models, [start for _, _, start in best.values()])
     reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > MIN_GAIN_SHARE * reached:
+        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > HALF * share * reached:
             models[k], fits[k] = _with_best_ends(model, fit)
-    largest = max([0.0, *(f.log_likelihood - base.fit.log_likelihood for f in fits if np.isfinite(f.log_likelihood))])
+    largest = max(
+        [
+            share * best_gain,
+            *(f.log_likelihood - base.fit.log_likelihood for f in fits if np.isfinite(f.log_likelihood)),
+        ]
+    )
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
         if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > NEARLY * largest:
             models[k], fits[k] = _with_best_ends(model, fit, MOST_SEARCHES)

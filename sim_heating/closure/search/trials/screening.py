@@ -21,16 +21,17 @@ from sim_heating.closure.search.trials.trial_fit import (
     candidate_problem,
     fitted_values,
     problem_with,
-    sample_count,
     start_values,
 )
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
-from sim_heating.estimation.inference.likelihood import scores
+from sim_heating.estimation.inference.likelihood import likelihood, scores
 from sim_heating.estimation.inference.newton import Fit, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
+TIE = 1e-6
+"""Weight of the gain that a start has made already where several promise the same."""
 MAX_STARTS = 2
 """Starts of one form that are fitted, the most promising ones."""
 SECOND_START_SHARE = 0.5
@@ -48,6 +49,9 @@ STAGES = (
 """Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
 PREDICTED_SHARE = 0.8
 """A candidate also enters the second stage with a gain, predicted at its start, of this part of the best."""
+EFFECT_SHARE = 0.5
+"""The best candidate of an effect also enters it with this part of the best gain: what is second by itself may be one
+of two causes."""
 STEPS_AHEAD = 3.0
 """A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
 LIKELIHOOD_MARGIN = 5.0
@@ -85,31 +89,41 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
 def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
     """Gain in log likelihood that one Gauss-Newton step predicts from starts where candidates have an effect already.
 
-    returns : minus infinity where the model cannot be marched there, or a start is less likely than the base
+    returns : minus infinity where the model cannot be marched there
+
+    The gain that the start has made already counts, where it is more; of starts that promise the same, those that have
+    gained most come first.
     """
     problems = [problem_with(base, c) for c in candidates]
     firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
     limit, gains = _largest_gain(base), []
     for problem, first, done in zip(problems, firsts, JointMarch(problems).march(firsts), strict=True):
-        found = problem.evaluate(first) if done else None
-        if found is None or not found.log_likelihood > base.fit.log_likelihood:
+        if not done:
             gains.append(-np.inf)
             continue
+        found = problem.evaluate(first)
         prior = np.array([p.sigma**-2.0 for p in problem.parameters])
         towards = prior * (np.array([p.value for p in problem.parameters]) - first)
         step = predicted_gain(found.gradient + towards, covariance(found.information + np.diag(prior)))
-        gains.append(min(found.log_likelihood - base.fit.log_likelihood + step, limit))
+        gained = found.log_likelihood - base.fit.log_likelihood
+        gains.append(max(gained, min(gained + step, limit)) + TIE * gained)
     return gains
 
 
 def _largest_gain(base: TrialFit) -> float:
-    """Gain in log likelihood of a model that leaves noise alone: more is predicted only beyond the linear range.
+    """Gain in log likelihood of a model that predicts every reading as it is: more is predicted only beyond the linear
+    range.
 
     A declared transition is started from onsets all over the flight, where it may change temperatures by hundreds of
     kelvin; the prediction of such a start knows no bounds. What a start loses is taken off as well, so that of many
     such starts those near the readings are fitted.
     """
-    return max(0.5 * sample_count(base.problem) * base.excess_chi2, 0.0) + GAIN_MARGIN
+    largest = 0.0
+    for s in base.problem.samples(base.fit.values):
+        readings = s.channel.intervals
+        middle = np.where(readings.is_finite, 0.5 * (readings.lower_K + readings.upper_K), s.mean_K)
+        largest += float(np.sum(likelihood(readings, middle, s.spread_K).log_likelihood))
+    return max(largest - base.fit.log_likelihood, 0.0) + GAIN_MARGIN
 
 
 class _KnownPart(NamedTuple):
@@ -175,13 +189,18 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
 
 
 def fit_in_stages(
-    problems: Sequence[FitProblem], firsts: Sequence[FloatArray], base: float, predicted: Sequence[float]
+    problems: Sequence[FitProblem],
+    firsts: Sequence[FloatArray],
+    base: float,
+    predicted: Sequence[float],
+    names: Sequence[str] = (),
 ) -> list[Fit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
 
     firsts    : (parameter,) values that each starts from
     base      : log likelihood of the model without them
     predicted : gain in log likelihood of each, predicted at its start
+    names     : of their effects; the best fit of an effect goes on with half the gain of the best of all
     """
     fits = maximise_together(problems, firsts, STAGES[0][1])
     history = [_gains(fits, base)]
@@ -193,6 +212,10 @@ def fit_in_stages(
             # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
             # first steps gain little.
             goes_on |= (np.array(predicted) >= PREDICTED_SHARE * best) | (gains + STEPS_AHEAD * next_step >= best)
+            for name in set(names):
+                own = [k for k, n in enumerate(names) if n == name]
+                leads = max(own, key=lambda k: gains[k])
+                goes_on[leads] |= gains[leads] >= EFFECT_SHARE * best
         elif stage == 2:
             goes_on &= gains + STEPS_AHEAD * next_step >= best - LIKELIHOOD_MARGIN
         else:
