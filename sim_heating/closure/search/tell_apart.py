@@ -24,7 +24,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError
+from sim_heating.closure.search.changes.record_change import CANNOT_BE
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.trials.trial_fit import THINNED_STEPS, TrialFit, fitted_effects
 from sim_heating.estimation.design.instruments import extra_sensors
@@ -242,15 +242,21 @@ def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Fl
 def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[FitProblem, FloatArray]]:
     """Problems, each with its vector: a model over a record, and one step away in a change that has no exact
     derivative. None where the change does not exist there."""
-    trial, change = model.last, model.change
-    values = [0.0]
-    if change is not None and not change.change.in_model:
-        step = 0.0 if change.change.parameter is None else STEP * change.change.parameter.sigma
-        values = [change.value, change.value + step] if step else [change.value]
+    value = 0.0 if model.change is None else model.change.value
+    values = [value, value + _step(model)] if _step(model) else [value]
     try:
-        return [(_problem(base, trial, _changed(model, record, value)), trial.fit.values) for value in values]
-    except InputError:
+        return [(_problem(base, model.last, _changed(model, record, at)), model.last.fit.values) for at in values]
+    except CANNOT_BE:
         return []
+
+
+def _step(model: Hypothesis) -> float:
+    """Step in a change whose value is an unknown without exact derivative; 0 for any other model.
+
+    The value of a change that an effect was added to stays as it was found.
+    """
+    change = None if model.change is None or model.added else model.change.change
+    return 0.0 if change is None or change.in_model or change.parameter is None else STEP * change.parameter.sigma
 
 
 def _changed(model: Hypothesis, record: Record, value: float) -> Record:
@@ -282,9 +288,8 @@ def _predicted(model: Hypothesis, marches: Sequence[tuple[FitProblem, FloatArray
     found = [sorted(p.samples(v), key=lambda s: s.channel.sensor.column) for p, v in marches]
     mean = [np.concatenate([s.mean_K for s in samples]) for samples in found]
     jacobian = np.concatenate([s.jacobian for s in found[0]])
-    if len(mean) == 2 and model.change is not None and model.change.change.parameter is not None:
-        slope = (mean[1] - mean[0]) / (STEP * model.change.change.parameter.sigma)
-        jacobian = np.column_stack([jacobian, slope])
+    if len(mean) == 2:
+        jacobian = np.column_stack([jacobian, (mean[1] - mean[0]) / _step(model)])
     weight = [np.full(len(s.mean_K), s.channel.sensor.noise_floor_K(s.sigma_K) ** -2.0) for s in found[0]]
     return _Predicted(mean[0], jacobian, np.concatenate(weight))
 
@@ -308,6 +313,4 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
 
 def _fit_of(model: Hypothesis) -> Fit:
     """The fit of a hypothesis with all of its unknowns, that of a change last where it is none of the model."""
-    change = model.change
-    separate = change is not None and not change.change.in_model and change.change.parameter is not None
-    return change.fit if change is not None and separate else model.last.fit
+    return model.change.fit if model.change is not None and _step(model) else model.last.fit
