@@ -1,1 +1,1 @@
-"""Closing the loop: the effect that a declared model lacks, the evidence for it, revised tables of the vehicle."""
+"""Closing the loop: what a declared model lacks, in one record or in several, the evidence for it, revised tables."""

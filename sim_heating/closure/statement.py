@@ -147,11 +147,9 @@ class Statement:
         parts = {f"at sensor {n}": v for n, v in adequacy.by_sensor.items()}
         parts |= {f"from {n}": v for n, v in adequacy.by_phase.items()}
         worst = max(parts, key=lambda n: parts[n], default="")
-        most = f", {math.sqrt(parts[worst]):.1f} {worst}" if worst else ""
-        return (
-            f"does not explain the record to its noise ({p}): {self.noise_floors:.1f} noise floors remain "
-            f"{self._where}{most}"
-        )
+        remain = "" if self.finding == PARTLY else f": {self.noise_floors:.1f} noise floors remain {self._where}"
+        most = f"; most, {math.sqrt(parts[worst]):.1f} noise floors, {worst}" if worst else ""
+        return f"does not explain the record to its noise ({p}){remain}{most}"
 
     def would_tell(self) -> list[str]:
         """What would tell the alternatives apart, a line each; none where nothing has to be told apart."""
