@@ -26,8 +26,8 @@ from scipy.stats import beta
 
 from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.record import make_and_write
-from benchmarks.measure import RESULTS, Figure, save, table
-from sim_heating.base.files import toml_text, write_json
+from benchmarks.measure import Figure, save, table
+from sim_heating.base.files import toml_text
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.inputs.record import load_record
 
@@ -40,7 +40,6 @@ EFFECTS, NULLS = 315, 210
 MAX_RATIO = 1.1
 """Ratio of RMSE after to that of the truth itself, which is noise, up to which the record counts as explained."""
 LEDGER = Path("out") / "closure_benchmark"
-CALIBRATION = RESULTS.parents[1] / "sim_heating" / "closure" / "closure_calibration.json"
 NAMES = tuple(name for name in FAMILIES if name != "none")
 UNKNOWN = "unknown"
 
@@ -195,12 +194,9 @@ def run() -> list[Figure]:
 
 
 def figures_and_results(rows: Sequence[dict[str, Any]]) -> list[Figure]:
-    """Figures of finished records, saved with confusion matrix and rows; also the false alarms for the reports."""
-    figures, nulls = figures_of(rows), [r for r in rows if r["effect"] == "none"]
+    """Figures of finished records, saved with confusion matrix and rows."""
+    figures = figures_of(rows)
     save("closure", figures, {"seed": SEED, "confusion": confusion(rows), "records": list(rows)})
-    if nulls:
-        counted = {"named": sum(r["named"] != ["none"] for r in nulls), "records": len(nulls)}
-        write_json(CALIBRATION, counted | {"source": "python -m benchmarks closure"})
     return figures
 
 

@@ -1,12 +1,12 @@
-"""Probability that a finding is right, from the rows of closure_challenge.py, judged on groups that it did not see.
+"""Calibration of findings, from the finished records of closure.py and closure_challenge.py.
 
-    python -m benchmarks.closure_calibration        # of the finished records
+    python -m benchmarks.closure_calibration            # figures and reliability
+    python -m benchmarks.closure_calibration --write    # and the calibration that close-loop states
 
-    P(right) = 1 / (1 + exp(-b . f)),   f = 1, log(1 + rival), log10 p, explained, set, none
-
-rival is the score of the next hypothesis over that of the finding, p the p-value of the adequacy. b maximises the
-likelihood with a normal prior of PRIOR_SIGMA on all but the constant. Probabilities of a group (a class, a flight, a
-wall, or a random half) come from b of all the others. Source of the form: logistic regression, Cox (1958).
+Adequacy: the statistics of records without an effect as declared, and of records with effects in a form of the package
+as fitted with these, are those of true models. Probability: sim_heating/closure/search/calibration.py has the form; b
+maximises the likelihood with a normal prior of PRIOR_SIGMA on all but the constant. Reliability is judged on groups (a
+class, a flight, a wall, a random half) with b of all the others.
 """
 
 from __future__ import annotations
@@ -18,28 +18,44 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.closure_challenge import finished, is_right, is_statement, reliability
+from benchmarks.closure_challenge import finished, in_library, is_right, is_statement, reliability, verdict
 from benchmarks.measure import save
+from sim_heating.base.files import read_json, write_json
+from sim_heating.closure.search.adequacy import p_value
+from sim_heating.closure.search.calibration import CALIBRATION, FEATURES, logistic
+from sim_heating.closure.search.calibration import features as features_of
 
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
 
-FEATURES = ("constant", "log(1 + rival)", "log10 p", "explained", "set", "none")
 GROUPS = ("class", "flight", "wall", "half")
 PRIOR_SIGMA = 3.0
-LEAST_P = 1e-6
-"""Smaller p-values tell no more."""
 
 
 def features(row: Row) -> FloatArray:
     """(feature,) of a finding."""
-    p = 1.0 if row["p_value"] is None else max(float(row["p_value"]), LEAST_P)
-    rival = min(max(float(row.get("rival") or 0.0), 0.0), 1e6)
-    explained = float(np.clip(row.get("explained") or 0.0, 0.0, 1.0))
-    return np.array(
-        [1.0, np.log1p(rival), np.log10(p), explained, row["finding"] == "one of", row["finding"] == "none"],
-        dtype=float,
+    return features_of(
+        row["finding"], row.get("rival") or 0.0, row["p_value"], row.get("explained") or 0.0, len(row["alternatives"])
     )
+
+
+def statistics_of_truth(rows: Sequence[Row]) -> FloatArray:
+    """(record,) statistics of the adequacy of true models, ascending: nulls as declared, effects in a form of the
+    package as fitted with all of them."""
+    found = [row["none_statistic"] for row in rows if row["class"] == "null" and "none_statistic" in row]
+    for row in rows:
+        if row["class"] not in ("one", "two", "three", "flown") or not row["effects"] or "hypotheses" not in row:
+            continue
+        if row["class"] != "flown" and not in_library(row):
+            continue
+        truth = sorted(row["effects"])
+        found += [h[3] for h in row["hypotheses"] if sorted(h[0].split(" + ")) == truth][:1]
+    return np.sort(np.array(found, dtype=float))
+
+
+def with_p_values(rows: Sequence[Row], known: FloatArray) -> list[dict[str, Any]]:
+    """The rows with p-values by these statistics of true models."""
+    return [dict(r) | ({"p_value": p_value(r["statistic"], known)} if r["p_value"] is not None else {}) for r in rows]
 
 
 def fitted(rows: Sequence[Row]) -> FloatArray:
@@ -48,7 +64,7 @@ def fitted(rows: Sequence[Row]) -> FloatArray:
     precision = np.diag([1e-6] + [PRIOR_SIGMA**-2] * (len(FEATURES) - 1))
     b = np.zeros(len(FEATURES))
     for _ in range(100):
-        mean = _logistic(F @ b)
+        mean = logistic(F @ b)
         hessian = F.T @ (F * (mean * (1.0 - mean))[:, np.newaxis]) + precision
         step = np.linalg.solve(hessian, F.T @ (y - mean) - precision @ b)
         b += step * min(1.0, 2.0 / max(float(np.max(np.abs(step))), 1e-12))
@@ -59,11 +75,7 @@ def fitted(rows: Sequence[Row]) -> FloatArray:
 
 def probability(b: FloatArray, row: Row) -> float:
     """That a finding is right."""
-    return float(_logistic(features(row) @ b))
-
-
-def _logistic(x: Any) -> Any:
-    return 1.0 / (1.0 + np.exp(-np.clip(x, -40.0, 40.0)))
+    return float(logistic(features(row) @ b))
 
 
 def splits(rows: Sequence[Row], by: str) -> Iterator[tuple[list[Row], list[Row]]]:
@@ -86,12 +98,16 @@ def left_out(rows: Sequence[Row], by: str) -> list[dict[str, Any]]:
 
 
 @click.command(help="Reliability of probabilities on groups that they were not fitted to.")
-def main() -> None:
+@click.option("--write", is_flag=True, help="the calibration that close-loop states")
+def main(write: bool) -> None:
     """Print and save."""
-    rows = [r for r in finished() if is_statement(r)]
-    if not rows:
+    everything = [r for r in finished() if r["finding"] != "refused"]
+    if not everything:
         raise click.ClickException("no finished records; run python -m benchmarks.closure_challenge first")
+    known = statistics_of_truth(everything)
+    rows = [r for r in with_p_values(everything, known) if is_statement(r)]
     b = fitted(rows)
+    click.echo(f"true models: {len(known)}; findings: {len(rows)}, right {sum(map(is_right, rows))}")
     click.echo("  ".join(f"{name} {value:.3g}" for name, value in zip(FEATURES, b, strict=True)))
     tables = {by: reliability(left_out(rows, by)) for by in GROUPS}
     for by, bins in tables.items():
@@ -103,6 +119,12 @@ def main() -> None:
                 f"of {part['n']}  95% limits {low:.3f} to {high:.3f}"
             )
     save("closure_calibration", [], {"features": FEATURES, "coefficients": b.tolist(), "reliability": tables})
+    if write:
+        nulls = [r for r in everything if r["class"] == "null"]
+        named = sum(verdict(r) != "right" for r in nulls)
+        found = {"named": named, "records": len(nulls), "true_statistics": known.tolist(),
+                 "features": FEATURES, "coefficients": b.tolist()}  # fmt: skip
+        write_json(CALIBRATION, read_json(CALIBRATION) | found | {"source": "python -m benchmarks closure"})
 
 
 if __name__ == "__main__":

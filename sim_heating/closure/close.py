@@ -22,7 +22,8 @@ from sim_heating.closure.curves import curve_of
 from sim_heating.closure.fit_checks import check_fit
 from sim_heating.closure.record_checks import CLOCK, TRAJECTORY, DataFault, check_record, unresolved
 from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import CandidateScore, Closure, Finding, false_alarm_statement, write_closure
+from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
+from sim_heating.closure.search.calibration import false_alarm_statement, probability
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
@@ -227,10 +228,18 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         alternatives=[[_in_words(result, name) for name in names] for names in conclusion.alternatives],
         adequacy=best.adequacy,
         explained=conclusion.explained,
-        probability=None,
+        probability=probability_of(result),
         not_effects=not_effects,
         converged=fitted.fit.converged,
         would_tell_apart=tell_apart(result.none, conclusion.best, _rivals(result)),
+    )
+
+
+def probability_of(result: SearchResult) -> float | None:
+    """Calibrated probability that the finding of a search is right; None where it states nothing."""
+    found = result.conclusion
+    return probability(
+        found.finding, found.rival, found.best.adequacy.p_value, found.explained, len(found.alternatives)
     )
 
 

@@ -18,11 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scipy.stats import beta
-
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.files import read_json, write_json
-from sim_heating.base.files.package import PACKAGE, package_version
+from sim_heating.base.files import write_json
+from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
@@ -465,18 +463,3 @@ def _sensors_section(found: Closure) -> Section:
         "sensor, its clock."
     ]
     return Section("Residuals that no heating explains", text, points=[s.describe() for s in found.residual.sensors])
-
-
-CALIBRATION = PACKAGE / "closure" / "closure_calibration.json"
-CONFIDENCE_LEVEL = 0.95
-
-
-def false_alarm_statement() -> str:
-    """The chance of a false alarm with its calibration, in one line."""
-    calibration = read_json(CALIBRATION)
-    named, records = int(calibration["named"]), int(calibration["records"])
-    limit = float(beta.ppf(CONFIDENCE_LEVEL, named + 1, records - named))
-    return (
-        f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
-        f"{limit:.1%} with {CONFIDENCE_LEVEL:.0%} confidence on such records"
-    )

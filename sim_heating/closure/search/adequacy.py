@@ -17,18 +17,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.files import read_json
+from sim_heating.closure.search.calibration import true_statistics
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.record_fit import PredictedSamples
 
-CALIBRATION = Path(__file__).parents[1] / "closure_calibration.json"
 ADEQUATE, UNEXPLAINED = 0.01, 1e-3
 """p-value from which on a model explains the record to its noise, and below which something is missing although no
 candidate explains any of it."""
@@ -121,24 +118,20 @@ def assess(fitted: Sequence[PredictedSamples], held_out: Sequence[PredictedSampl
     )
 
 
-def p_value(statistic: float) -> float:
+def p_value(statistic: float, known: FloatArray | None = None) -> float:
     """Share of records of known truth whose statistic is larger, (k + 1) / (n + 1) of n, linear between them.
+
+    known : (record,) their statistics, ascending; by default those of the calibration
 
     Beyond the largest it falls exponentially, at the mean rate of the largest tenth of them.
     """
-    known = _true_statistics()
+    known = true_statistics() if known is None else known
     largest = known[-1]
     if statistic <= largest:
         larger = float(np.interp(statistic, known, np.arange(len(known) - 1.0, -1.0, -1.0)))
         return (larger + 1.0) / (len(known) + 1.0)
     tail = known[-max(len(known) // 10, 2) :]
     return math.exp(-(statistic - largest) / float(np.mean(tail - tail[0]))) / (len(known) + 1.0)
-
-
-@cache
-def _true_statistics() -> FloatArray:
-    """(record,) statistics of records fitted with the true effect, ascending."""
-    return np.sort(np.asarray(read_json(CALIBRATION)["true_statistics"], dtype=float))
 
 
 def _scores(samples: PredictedSamples) -> _Scores:

@@ -36,10 +36,6 @@ SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
-NEARLY_ALL, NEAR_NOISE = 0.97, 1.3
-"""Part of the excess chi-square from which on a single effect of a slightly different form is found, and the largest
-residual over noise that it may leave."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Hypothesis:
@@ -234,12 +230,11 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
     share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
-    near = len(best.names) == 1 and share >= NEARLY_ALL and best.excess_chi2 <= NEAR_NOISE**2 - 1.0
     inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
     outside = [h.score for h in admissible if h not in inside] + [0.0]
     alternatives = _alternatives(best, inside)
     rival = float(min(outside) - best.score)
-    if best.adequate or near:
+    if best.adequate:
         several = any(len(slot) > 1 for slot in alternatives)
         return Conclusion("one of" if several else "found", best, alternatives, rival, share)
     if share >= MIN_SHARE:

@@ -1,0 +1,80 @@
+"""How often findings are right: counted on records of known truth, and stated with every new finding.
+
+closure_calibration.json holds what `python -m benchmarks.closure_calibration` has counted: the adequacy of models that
+hold the truth, findings in records that lack nothing, and the coefficients of
+
+    P(right) = 1 / (1 + exp(-b . f))
+
+with the features f of `features`. Source of the form: logistic regression, Cox (1958), J. R. Stat. Soc. B 20, 215.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.files import read_json
+
+CALIBRATION = Path(__file__).with_name("closure_calibration.json")
+CONFIDENCE_LEVEL = 0.95
+FEATURES = ("constant", "log(1 + rival)", "log10 p", "explained", "set", "none", "further effects")
+STATED = ("found", "one of", "none")
+"""Findings that have a probability; the others say that they do not know."""
+LEAST_P, LARGEST_RIVAL = 1e-6, 1e6
+"""Limits beyond which a p-value, or the distance of a rival, says no more."""
+
+
+@cache
+def calibration() -> dict[str, Any]:
+    """The contents of closure_calibration.json."""
+    return dict(read_json(CALIBRATION))
+
+
+def features(finding: str, rival: float, p_value: float | None, explained: float, effects: int) -> FloatArray:
+    """(feature,) of a finding [-].
+
+    rival     : score of the best other hypothesis above that of the finding
+    p_value   : of its adequacy;  explained : part of the excess chi-square that it explains
+    effects   : how many are named together
+    """
+    p = 1.0 if p_value is None else max(float(p_value), LEAST_P)
+    apart = min(max(float(rival), 0.0), LARGEST_RIVAL)
+    part = float(np.clip(explained, 0.0, 1.0))
+    return np.array([
+        1.0, math.log1p(apart), math.log10(p), part, finding == "one of", finding == "none", max(effects - 1, 0)
+    ], dtype=float)  # fmt: skip
+
+
+def probability(finding: str, rival: float, p_value: float | None, explained: float, effects: int) -> float | None:
+    """Probability that a finding is right, from its `features`; None for one that states nothing, or where no
+    coefficients are at hand."""
+    coefficients = calibration().get("coefficients")
+    if finding not in STATED or coefficients is None:
+        return None
+    return float(logistic(features(finding, rival, p_value, explained, effects) @ np.array(coefficients)))
+
+
+def logistic(x: Any) -> Any:
+    """1 / (1 + exp(-x)) [-]."""
+    return 1.0 / (1.0 + np.exp(-np.clip(x, -40.0, 40.0)))
+
+
+def true_statistics() -> FloatArray:
+    """(record,) statistics of the adequacy of records fitted with the true model, ascending [-]."""
+    return np.sort(np.asarray(calibration()["true_statistics"], dtype=float))
+
+
+def false_alarm_statement() -> str:
+    """The chance of a false alarm with its calibration, in one line."""
+    named, records = int(calibration()["named"]), int(calibration()["records"])
+    limit = float(beta.ppf(CONFIDENCE_LEVEL, named + 1, records - named))
+    return (
+        f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
+        f"{limit:.1%} with {CONFIDENCE_LEVEL:.0%} confidence on such records"
+    )
