@@ -168,7 +168,7 @@ def _with_far(found: Hypothesis, far: Sequence[str]) -> Hypothesis:
 
     Such a fault of a declaration may have any size, but has to explain the record.
     """
-    explains = not far or found.adequate or found.excess_chi2 <= NEAR_NOISE**2 - 1.0
+    explains = not far or found.adequate
     return found if explains else replace(found, objections=(*found.objections, *far))
 
 
