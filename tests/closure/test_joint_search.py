@@ -110,6 +110,12 @@ def test_a_record_without_the_effect_of_the_other_contradicts_it() -> None:
     assert evidence["C"].for_cause < -100.0
 
 
+def test_nothing_is_found_in_records_that_have_nothing() -> None:
+    found, evidence = joint(flown("C", 6, 41.0, 0.0), flown("E", 7, 41.0, 0.0))
+    assert found.conclusion.finding == "none"
+    assert [e.verdict for e in evidence.values()] == ["does not tell"] * 2
+
+
 def test_another_onset_at_the_same_point_is_each_records_own_and_the_slope_stays_common() -> None:
     found, evidence = joint(flown("A", 5, 41.0, 0.002), flown("D", 6, 38.0, 0.002))
     assert found.best.model.levels == {ONSET: "record", SLOPE: "point"}

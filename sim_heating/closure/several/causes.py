@@ -44,9 +44,13 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
     forms = {names: [c for c in causes.values() if frozenset(c.names) == names][:FORMS] for names in known}
     log_n = math.log(sample_count(alone[0].none.last.problem))
 
+    def reached(i: int, names: frozenset[str]) -> float:
+        # several effects explain at least what each of them does
+        return known[names].get(i, min((known[n].get(i, 0.0) for n in known if n < names), default=0.0))
+
     def bound(names: frozenset[str]) -> float:
         common = max(sum(level != RECORD for level in c.widest.values()) for c in forms[names])
-        return sum(known[names].values()) - (len(alone) - 1) * common * log_n
+        return sum(reached(i, names) for i in range(len(alone))) - (len(alone) - 1) * common * log_n
 
     order = sorted(known, key=bound)
     best = bound(order[0]) if order else 0.0

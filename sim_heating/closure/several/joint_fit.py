@@ -267,13 +267,15 @@ def joint_hypothesis(
     split = model.split(fit)
     gained = sum(t.fit.log_likelihood - bases[i].fit.log_likelihood for i, t in zip(model.members, split, strict=True))
     against: list[tuple[str, ...]] = []
+    judged = model.cause.candidates
+    if model.cause.kind == "wall":  # far from its declared scatter a wall is fined, as in the search of one record
+        judged = tuple(replace(c, with_prior=()) for c in judged)
     for i, trial in zip(model.members, split, strict=True):
         # of several effects together it is not known what the last one gained
         gain = gained if len(model.cause.names) == 1 else 0.0
         delta = len(trial.candidate.names) * float(np.log(sample_count(trial.problem))) - 2.0 * gain
         by_record[i] = replace(trial, name=model.cause.names[-1], delta_bic=delta)
-        effects = model.cause.candidates if model.cause.change is None else (NO_EFFECT,)
-        against.append(objections(replace(by_record[i], candidate=effects[-1]), effects))
+        against.append(objections(replace(by_record[i], candidate=judged[-1]), judged))
     # what may be named in one of the records, with the values common to all, may be named
     fewest = min(against, key=len)
     joint = [TrialFit(n, model.cause.candidates[-1], model.problem, None, fit) for n in model.cause.names]

@@ -95,10 +95,11 @@ class JointClosure:
         return self.statement.certainty().replace("the record to its", "the records to their")
 
     def remarks(self) -> list[str]:
-        """What differs between the records, a line each."""
-        best, lines = self.search.best, []
+        """What differs between the records, and faults of their data, a line each."""
+        best = self.search.best
+        lines = [f"{c.record.name}, by itself: {f.message}" for c in self.closures for f in c.faults]
         if best.model is None or not self.search.explained:
-            return []
+            return lines
         for e in self.search.evidence:
             if e.verdict == "contradicts it":
                 lines.append(
@@ -186,6 +187,7 @@ def _record_json(closure: Closure, e: Evidence, after: Prediction) -> dict[str, 
         "delta_score": -e.for_cause,
         "delta_score_rival": None if e.over_rival is None else e.over_rival - e.for_cause,
         "agreement_p": e.agreement,
+        "data_faults": [{"kind": f.kind, "message": f.message} for f in closure.faults],
         "own_values": {n: {"value": v, "sigma": finite(s)} for n, (v, s) in e.own.items()},
         "reference_condition": _condition(closure),
         "before": closure.before.segment_errors(),
