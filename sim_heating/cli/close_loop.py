@@ -114,6 +114,8 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
     for effect in report.effects:
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
+    for line in report.statement.would_tell():
+        CONSOLE.print(f"Would tell them apart: {line}")
     for line in (*report.remarks(), *report.warnings):
         CONSOLE.print(line)
     print_outputs(out, names)

@@ -201,7 +201,7 @@ def closure_page(found: Closure) -> Page:
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in found.faults), *found.warnings]
     sections = [
-        *_not_effects_section(found), *_tell_apart_section(found), _errors_section(found), *_adequacy_section(found),
+        *_not_effects_section(found), *tell_apart_section(found.statement), _errors_section(found), *_adequacy_section(found),
         _comparison_section(found), _parameters_section(found), _candidates_section(found), _heating_section(found),
         _evidence_section(found), _sensors_section(found),
     ]  # fmt: skip
@@ -267,9 +267,9 @@ def _not_effects_section(found: Closure) -> list[Section]:
     return [Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])]
 
 
-def _tell_apart_section(found: Closure) -> list[Section]:
+def tell_apart_section(statement: Statement) -> list[Section]:
     """What would tell the alternatives apart, with expected odds."""
-    lines = found.statement.would_tell()
+    lines = statement.would_tell()
     if not lines:
         return []
     text = (

@@ -26,6 +26,7 @@ from sim_heating.closure.close import (
 )
 from sim_heating.closure.report import CandidateScore, Finding
 from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, sample_count
 from sim_heating.closure.several.common_parameters import owner
 from sim_heating.closure.several.joint_fit import JointHypothesis
@@ -96,8 +97,9 @@ def close_loops(
                over different reference heatings; InputError, RunError where the declared model of one cannot be fitted
 
     >>> import sim_heating as sh
-    >>> sh.close_loops(["scenarios/records/practice/p01", "scenarios/records/practice/p03"])
-    <JointClosedLoop of p01, p03>
+    >>> flown = sh.synthesize("scenarios/sts2.toml")
+    >>> sh.close_loops([flown["V07T9975"], flown["V07T9976"]])
+    <JointClosedLoop of V07T9975, V07T9976: impingement-onset + coating-thickness or heat-capacity, RMSE 2.16 K ...>
     """
     loaded = [load_record(record) for record in records]
     if len(loaded) < 2:
@@ -199,12 +201,24 @@ def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult 
             explained=conclusion.explained,
             not_effects=_not_effects(best, estimated) if search.explained else [],
             converged=fitted is None or fitted.fit.converged,
+            would_tell_apart=_would_tell_apart(loops, conclusion.alternatives),
         ),
         candidates=_candidates(search, shares),
         parameters=estimated,
         after=after,
         warnings=() if fitted is None else fitted.warnings,
     )
+
+
+def _would_tell_apart(loops: Sequence[ClosedLoop], alternatives: Sequence[Sequence[str]]) -> list[Experiment]:
+    """What is expected to tell a joint set apart, by the records that have the same set by themselves."""
+    sets = {frozenset(names) for names in alternatives if len(names) > 1}
+    best: dict[str, Experiment] = {}
+    for statement in (loop.report.statement for loop in loops):
+        if sets and sets == {frozenset(names) for names in statement.alternatives if len(names) > 1}:
+            for e in statement.would_tell_apart:
+                best[e.what] = max(best.get(e.what, e), e, key=lambda x: x.log_odds)
+    return sorted(best.values(), key=lambda e: -e.log_odds)
 
 
 def _parameters(

@@ -9,6 +9,7 @@ a point, or of a record), and `estimated` with labels `name@owner`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +26,7 @@ from sim_heating.base.parameters import AT
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
-from sim_heating.closure.report import CandidateScore, Closure, Finding
+from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
 from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
@@ -84,7 +85,7 @@ class JointClosure:
 
     def in_words(self) -> str:
         """The finding in a few words, with the records that have it where not all do."""
-        words = self.statement.in_words().replace("explain the record", "explain the records")
+        words = _plural(self.statement.in_words())
         without = [e.record for e in self.search.evidence if not e.member]
         if not self.search.explained or not without:
             return words
@@ -92,7 +93,7 @@ class JointClosure:
 
     def certainty(self) -> str:
         """How sure the finding is, in one line."""
-        return self.statement.certainty().replace("the record to its", "the records to their")
+        return _plural(self.statement.certainty())
 
     def remarks(self) -> list[str]:
         """What differs between the records, and faults of their data, a line each."""
@@ -114,6 +115,13 @@ class JointClosure:
                 values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
                 lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
         return lines
+
+
+def _plural(text: str) -> str:
+    """A statement on one record as one on several."""
+    for one, several in (("the record to its", "the records to their"), ("the record shows", "the records show")):
+        text = text.replace(one, several)
+    return re.sub(r"\bthe record\b", "the records", text)
 
 
 def _pooled(errors: Sequence[Mapping[str, float] | None]) -> dict[str, float] | None:
@@ -213,8 +221,8 @@ def joint_page(found: JointClosure) -> Page:
     causes = found.statement.not_effects
     sections = [
         *([Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])] if causes else []),
-        _evidence_section(found), _errors_section(found), _adequacy_section(found), _values_section(found),
-        _candidates_section(found),
+        _evidence_section(found), *tell_apart_section(found.statement), _errors_section(found),
+        _adequacy_section(found), _values_section(found), _candidates_section(found),
     ]  # fmt: skip
     before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
