@@ -201,7 +201,8 @@ def closure_page(found: Closure) -> Page:
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in found.faults), *found.warnings]
     sections = [
-        *_not_effects_section(found), *tell_apart_section(found.statement), _errors_section(found), *_adequacy_section(found),
+        *_not_effects_section(found), *tell_apart_section(found.statement),
+        _errors_section(found), *_adequacy_section(found),
         _comparison_section(found), _parameters_section(found), _candidates_section(found), _heating_section(found),
         _evidence_section(found), _sensors_section(found),
     ]  # fmt: skip

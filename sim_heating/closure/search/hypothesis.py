@@ -37,6 +37,7 @@ SET_MARGIN = 2.0 * float(np.log(20.0))
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Hypothesis:
     """A fitted model of a record.
