@@ -37,7 +37,7 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
-from sim_heating.closure.statement import FOUND, ONE_OF, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
 from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
@@ -138,6 +138,11 @@ class Closure:
         if self.added:
             return self.statement.named
         return self.effects[0].name
+
+    @property
+    def fitted_with(self) -> str:
+        """What the model after has and the one before has not: of a set, its first alone."""
+        return " + ".join(names[0] for names in self.statement.alternatives) if self.added else ""
 
     @property
     def added(self) -> bool:
@@ -290,10 +295,13 @@ def _adequacy_section(found: Closure) -> list[Section]:
         rows.append(["segments held out", adequacy.chi2_holdout])
     rows += [[f"sensor {n}", v] for n, v in adequacy.by_sensor.items()]
     rows += [[n, v] for n, v in adequacy.by_phase.items()]
+    resembled = found.statement.finding == PARTLY
+    whose = f"With {found.statement.named}, which is not added to the model. " if resembled else ""
     text = (
-        "Residuals over what noise and rounding give. For the true model the reduced chi-square is 1 in every row. The "
-        f"autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. A share of {adequacy.p_value:.2g} of "
-        "synthetic records, fitted with the true effect, deviates more (p-value)."
+        f"{whose}Residuals over what noise and rounding give. For the true model the reduced chi-square is 1 in every "
+        f"row. The autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. The p-value, "
+        f"{_p_value_text(adequacy.p_value)}, is the share of synthetic records, fitted with their true effect, that "
+        "deviate more."
     )
     return [
         Section(
@@ -307,7 +315,7 @@ def _adequacy_section(found: Closure) -> list[Section]:
 def _errors_section(found: Closure) -> Section:
     stages = [("Declared tables, nothing fitted", found.predicted), ("Derivatives fitted (before)", found.before)]
     if found.added:
-        stages.append((f"With {found.named} (after)", found.after))
+        stages.append((f"With {found.fitted_with} (after)", found.after))
     rows = []
     for label, prediction in stages:
         errors = prediction.segment_errors()
@@ -337,7 +345,7 @@ def _comparison_section(found: Closure) -> Section:
     return Section(
         "Measured against predicted",
         pictures=[
-            Picture(partial(comparison_figure, found.predicted, found.before, found.after, found.named), caption)
+            Picture(partial(comparison_figure, found.predicted, found.before, found.after, found.fitted_with), caption)
         ],
     )
 

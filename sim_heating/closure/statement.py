@@ -113,12 +113,12 @@ class Statement:
         if self.finding == FOUND:
             return f"Found: {self.named}"
         if self.finding == ONE_OF:
-            return f"One of several that the record cannot tell apart: {self.named}"
+            return f"One of: {self.named}, which the record cannot tell apart"
         if self.finding == PARTLY:
-            return f"Resembles {self.named}, which leaves {self.noise_floors:.1f} noise floors {self._where}"
+            return f"Partly: it resembles {self.named}, which leaves {self.noise_floors:.1f} noise floors {self._where}"
         if self.finding == UNKNOWN:
             return "Unknown: something is missing that no candidate explains"
-        return "None: nothing is missing that the record shows"
+        return "None: nothing is missing as far as can be seen"
 
     @property
     def _where(self) -> str:
@@ -132,7 +132,9 @@ class Statement:
         if self.probability is not None:
             lines.append(f"Probability that this finding is right: {_percent(self.probability)} (calibrated).")
         if self.adequacy is not None:
-            model = "The declared model" if self.finding in (UNKNOWN, NONE) else "The model with it"
+            model = {ONE_OF: "The model with the first", UNKNOWN: "The declared model", NONE: "The declared model"}.get(
+                self.finding, "The model with it"
+            )
             lines.append(f"{model} {self._adequacy_in_words(self.adequacy)}.")
         return " ".join(lines)
 

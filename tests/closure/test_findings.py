@@ -112,7 +112,7 @@ def test_an_inadmissible_form_is_disqualified_however_well_it_fits() -> None:
 def test_a_finding_that_leaves_many_noise_floors_says_what_it_resembles() -> None:
     bad = Adequacy(1e-9, 5.0, 36.0, 0.6, 0.2, {"surface": 5.0}, {}, 40.0, False)
     text = Statement("partly", [["transition"]], bad, 0.7).in_words()
-    assert text == "Resembles transition, which leaves 6.0 noise floors on the segments held out"
+    assert text == "Partly: it resembles transition, which leaves 6.0 noise floors on the segments held out"
 
 
 def test_causes_that_are_no_effect_are_listed_with_their_estimates() -> None:

@@ -116,7 +116,7 @@ def tell_apart(
     part = none.last.problem.record_fits[0]
     if len(models) < 2 or any(_changes_readings(h, part.record) for h in models):
         return []
-    flights = list(_flights(part.record))
+    flights = list(_flights(part.record, recorders=best.adequate))
     predicted = _predict(none.last, models, flights)
     scale = max(1.0, 1.0 + best.excess_chi2)
     kinds: dict[str, Experiment] = {}
@@ -152,10 +152,14 @@ def _changes_readings(hypothesis: Hypothesis, record: Record) -> bool:
 # Flights --------------------------------------------------------------------------------------------------------------
 
 
-def _flights(record: Record) -> Iterator[_Flight]:
-    """The record's flight again, and with one change each."""
+def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
+    """The record's flight again, and with one change each.
+
+    recorders : whether other recorders are among them, which average noise and no error of a model
+    """
     yield _Flight(REPEATED, REPEATED, record)
-    yield from _recorders(record)
+    if recorders:
+        yield from _recorders(record)
     for place, sensor in extra_sensors(record.declared.stack, record.used_sensors):
         columns = {**record.thermocouples, sensor.column: record.thermocouples[record.used_sensors[0].column]}
         changed = replace(_with_sensors(record, [*record.sensors, sensor]), thermocouples=columns)
