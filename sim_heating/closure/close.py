@@ -19,8 +19,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of
-from sim_heating.closure.fit_checks import check_fit
-from sim_heating.closure.record_checks import CLOCK, TRAJECTORY, DataFault, check_record, unresolved
+from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import false_alarm_statement, probability
@@ -122,17 +121,15 @@ def close_loop(
     times = int(np.count_nonzero(record.read_mask))
     if times < MIN_SAMPLES:
         raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")
-    faults = check_record(record)
-    # On a clock in another unit every candidate would be fitted to the wrong flight; other faults may still be
-    # explained by the closed loop and are judged after it.
-    of_clock = [f.message for f in faults if f.kind == CLOCK]
-    if of_clock:
-        raise InputError(*of_clock)
+    # On a clock in another unit every candidate would be fitted to the wrong flight.
+    of_clock = clock_fault(record)
+    if of_clock is not None:
+        raise InputError(of_clock.message)
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found")
     fitted = refit(result)
     progress(0.9, "residual as heating")
-    return ClosedLoop(result, fitted, _closure(result, fitted, faults))
+    return ClosedLoop(result, fitted, _closure(result, fitted))
 
 
 def refit(result: SearchResult) -> FitResult:
@@ -174,8 +171,8 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     return priors
 
 
-def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault]) -> Closure:
-    """The results of a search and its refit, for the report; `faults` are those found before any fit."""
+def _closure(result: SearchResult, fitted: FitResult) -> Closure:
+    """The results of a search and its refit, for the report."""
     before, values = result.before, result.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0]
@@ -184,8 +181,9 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
     }
-    contradictions = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
     not_effects = _not_effects(result)
+    faults = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
+    faults += [fault for fault in [magnitude_fault(fitted.problem, fitted.fit.values)] if fault is not None]
     return Closure(
         record=result.record,
         predicted=before.before[0],
@@ -199,13 +197,9 @@ def _closure(result: SearchResult, fitted: FitResult, faults: Sequence[DataFault
         residual=residual,
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
-        statement=_statement(result, fitted, not_effects),
+        statement=_statement(result, fitted, [*_left_out(result), *not_effects]),
         curve=_curve(result),
-        faults=[
-            *(contradictions if not not_effects else []),
-            *unresolved(faults, after),
-            *([] if not_effects else check_fit(fitted.problem, fitted.fit.values, residual_after or residual)),
-        ],
+        faults=[] if not_effects else faults,
         false_alarm=false_alarm_statement(),
         warnings=[*fitted.warnings, *_residual_warning(result, residual_after), *collinear_directions(fitted)],
     )
@@ -274,6 +268,16 @@ def _not_effects(result: SearchResult) -> list[NotEffect]:
     return [
         NotEffect("table", f.what, {n: ParameterEstimate(v, s, MODEL[n].unit) for n, (v, s) in f.parameters.items()})
         for f in table_findings(result.before, prior)
+    ]
+
+
+def _left_out(result: SearchResult) -> list[NotEffect]:
+    """Thermocouples that are stuck in all their readings: every fit leaves them out."""
+    fitted = {s.name for s in result.before.problem.record_fits[0].record.used_sensors}
+    stuck = [s for s in result.record.used_sensors if s.name not in fitted]
+    return [
+        NotEffect("sensor", f"{s.name} stuck at {np.nanmax(result.record.thermocouples[s.column]):.1f} K throughout")
+        for s in stuck
     ]
 
 

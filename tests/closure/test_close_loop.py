@@ -173,7 +173,7 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert estimated["effect.impingement-onset.slope"]["value"] > 0.0
 
 
-def test_a_stuck_sensor_is_reported_before_any_effect(tmp_path: Path) -> None:
+def test_a_stuck_sensor_is_reported_and_no_effect(tmp_path: Path) -> None:
     record = tmp_path / "stuck"
     shutil.copytree(PRACTICE / "p06", record)
     header, *rows = (record / "thermocouples.csv").read_text().splitlines()
@@ -181,8 +181,8 @@ def test_a_stuck_sensor_is_reported_before_any_effect(tmp_path: Path) -> None:
     (record / "thermocouples.csv").write_text("\n".join([header, *stuck]) + "\n")
     result = CliRunner().invoke(cli, ["close-loop", str(record), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "│ broken sensor" in result.output
-    assert "stuck, sensor LS_surface: is stuck at 300.0 K" in result.output
+    assert "Not an aerothermal effect (sensor): LS_surface stuck at 300.0 K" in result.output
+    assert json.loads((tmp_path / "out" / "closure.json").read_text())["effect"]["name"] == "none"
 
 
 @pytest.mark.parametrize("name", ["closure.json", "fit.png", "p07/report.html", "summary.csv"])

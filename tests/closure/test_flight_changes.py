@@ -56,6 +56,11 @@ def test_a_clean_record_has_no_change_of_its_flight():
     assert fit_changes(declared(), flight.flight_changes(CLEAN)) == []
 
 
+def test_temperatures_of_a_flight_minutes_later_say_by_how_much():
+    later = replace(CLEAN, thermocouples={**CLEAN.thermocouples, "time_s": CLEAN.time_s + 150.0})
+    assert flight.likeliest_shift_s(later) == pytest.approx(150.0, abs=flight.SHIFT_STEP_S)
+
+
 def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
     best = found(flight.shift_trajectory(CLEAN, -20.0))[0]
     assert best.change.what == "time of velocity, altitude and air against the angles"

@@ -20,7 +20,7 @@ from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Table
 from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.record_checks import SENSOR, DataFault
+from sim_heating.closure.record_checks import TRAJECTORY, DataFault
 from sim_heating.closure.report import (
     CandidateScore,
     Closure,
@@ -205,9 +205,9 @@ def test_the_page_is_self_contained_and_has_every_section():
 
 
 def test_a_fault_of_the_record_comes_before_any_finding():
-    page = closure_page(replace(closed(), faults=[DataFault(SENSOR, "TC1 is stuck.")]))
+    page = closure_page(replace(closed(), faults=[DataFault(TRAJECTORY, "TC1 is stuck.")]))
     assert page.conclusion is not None
-    assert page.conclusion[0] == "No aerothermal finding: broken sensor"
+    assert page.conclusion[0] == "No aerothermal finding: trajectory"
     assert page.conclusion[1].startswith("TC1 is stuck. The search states: found: impingement-onset.")
     assert 'role="alert">TC1 is stuck' in page_html(page)
 
@@ -274,5 +274,5 @@ def test_no_name_of_a_record_or_effect_runs_in_the_report(tmp_path: Path):
     for where in ("directory", "control-point", "effect", "parameter", "candidate-0"):
         assert f"{where} &lt;script&gt;" in html  # shown, and as a text
     assert_harmless(html, tmp_path)
-    fault = DataFault(hostile("fault"), hostile("message"), hostile("sensor"))
+    fault = DataFault(hostile("fault"), hostile("message"))
     assert_harmless(page_html(closure_page(replace(report, faults=(fault,)))), tmp_path)

@@ -142,9 +142,29 @@ def plug(broken: Mapping[str, np.ndarray]) -> Record:
     return replace(record, thermocouples={"time_s": TIME_S, **read})
 
 
+def test_a_jump_faster_than_heat_reaches_the_depth_is_told():
+    jumping = with_readings(words=True, LS_bond=READ["LS_bond"] + 40.0 * (TIME_S > 600.0))
+    described = [f.describe() for f in found_in(jumping) if f.change.what == "LS_bond broken"]
+    assert described
+    assert described[0].startswith("LS_bond broken: LS_bond jumps by +")
+
+
+def test_a_gap_of_the_telemetry_and_a_declared_end_of_the_range_are_no_faults_of_a_thermocouple():
+    lost = (TIME_S > 500.0) & (TIME_S < 650.0)
+    gap = with_readings(words=True, LS_bond=np.where(lost, np.nan, READ["LS_bond"]))
+    ends = with_sensors(
+        with_readings(words=True, LS_surface=np.minimum(READ["LS_surface"], 900.0)),
+        {"LS_surface": {"range_K": [255.0, 900.0]}},
+    )
+    for record in (gap, ends):
+        found = [c.what for c in sensor_changes(base_trial(estimate([record])))]
+        assert not [what for what in found if any(word in what for word in ("broken", "stuck", "clipped"))]
+
+
 def test_one_broken_thermocouple_of_four_is_found_where_the_others_show_the_heating():
     best = found_in(plug({"T2": 20.0 * np.sin(TIME_S / 60.0)}))[0]
-    assert best.describe() == "T2 broken"
+    assert best.change.what == "T2 broken"
+    assert best.describe().startswith("T2 broken: T2 wanders by 1")
 
 
 def test_two_broken_thermocouples_of_four_are_found_together():

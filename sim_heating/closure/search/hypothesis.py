@@ -131,7 +131,7 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
 def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -> Hypothesis:
     """The hypothesis that the record is changed.
 
-    tried          : number of changes that were tried
+    tried          : number of changes of its family that were tried
     against_motion : what the motion of the flight says against the change, in units of BIC
     """
     against = []

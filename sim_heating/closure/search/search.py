@@ -15,6 +15,7 @@ best change of the record, where that explains half of the residual.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -192,7 +193,8 @@ def _changes(
     share = SHARE_BESIDE_ADEQUATE if explained else CHANGE_SHARE
     fits = recorrected(before, base, fit_changes(base, changes, best, share=share, most=MOST_CHANGES))
     whole = before.problem.record_fits[0].record
-    return [change_hypothesis(f, len(changes), motion_evidence(whole, f)) for f in fits]
+    tried = Counter(c.family for c in changes)
+    return [change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f)) for f in fits]
 
 
 def _explained(found: Sequence[Hypothesis]) -> bool:
@@ -311,14 +313,16 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
 def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:
     """Hypotheses with one effect, or one derivative of the table, besides the best change of the record.
 
-    None where no change that may be named explains half of the excess: what explains less is no cause of its own.
+    None where no change that may be named explains half of the excess: what explains less is no cause of its own. Those
+    that do not explain the record either are left out: with a free effect more, any change comes near many residuals.
     """
     best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
     if best is None or none.excess_chi2 - best.excess_chi2 < MIN_SHARE * none.excess_chi2:
         return []
     more = search_round(best.last, best.effects, progress)
     refined = sorted(_refined(best.last, more, progress), key=lambda k: (not k.admissible, k.trial.delta_bic))
-    return [with_one_more(best, k.trial, more.forms) for k in refined[:SECOND_PICKS]]
+    found = [with_one_more(best, k.trial, more.forms) for k in refined[:SECOND_PICKS]]
+    return [h for h in found if h.adequate]
 
 
 def _stack_effects(base: TrialFit, effects: Sequence[TrialFit], values: Mapping[str, float]) -> list[TrialFit]:

@@ -20,8 +20,10 @@ import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
+from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, misfit_of_motion
+from sim_heating.closure.record_checks import declared_readings
 from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
@@ -36,8 +38,11 @@ ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less sta
 SHIFT = replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flight later than its conditions")
 """Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
 velocity are usual, as is half a degree of angle of attack. Conditions that are too early are thermocouples that lag."""
-SHIFT_STARTS = (-300.0, -100.0, -30.0, -10.0, 10.0, 30.0, 100.0, 300.0)
+SHIFT_STARTS = (-30.0, -10.0, 10.0, 30.0)
 """Shifts that a fit may start from [s]: its likelihood has a maximum of its own at each steep part of the heating."""
+SHIFT_STEP_S, MIN_OVERLAP = 10.0, 0.6
+"""Step between the shifts of a flight that are compared [s], and the part of the readings that has to lie within the
+conditions."""
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets")
 """Columns that a trajectory that is merged with them may be earlier or later than."""
 MIN_FLIGHT_M_S = 1000.0
@@ -84,9 +89,11 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
     layers = [span for span in layers if span[1] - span[0] >= THINNEST_M]
     times = [(d.begin_s, d.end_s) for d in spans] + _parts(t_span, DRIFTS)
     times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
+    likeliest_s = likeliest_shift_s(record)
+    starts = SHIFT_STARTS if likeliest_s is None else tuple(dict.fromkeys((*SHIFT_STARTS, likeliest_s)))
     return [
-        time_shift(),
-        trajectory_shift(),
+        time_shift(starts),
+        trajectory_shift(starts),
         density_scale(),
         velocity_scale(),
         alpha_bias(),
@@ -109,18 +116,58 @@ def _parts(whole: Span, count: int) -> list[Span]:
     return [(float(at[i]), float(at[i + k])) for k in (1, 2, 4) for i in range(0, count + 1 - k)]
 
 
-def time_shift() -> RecordChange:
-    """The flight was earlier or later than the clock of its conditions states."""
+def likeliest_shift_s(record: Record) -> float | None:
+    """Time by which the flight was later than its conditions, by the shape of the temperatures [s]; None where unknown.
+
+    Readings are fitted by a + b (prediction of the declared model, shifted), so that an error of the heating as a whole
+    does not count.
+    """
+    try:
+        flown_s, indicated_K = declared_readings(record)
+    except RunError:
+        return None
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    t, read, fitted = record.time_s, record.temperatures_K()[used], record.fit_mask()
+    shifts = np.arange(SHIFT.lower, SHIFT.upper + SHIFT_STEP_S, SHIFT_STEP_S)
+    error_K = np.array([_shape_error_K(s, t[fitted], read[:, fitted], flown_s, indicated_K[used]) for s in shifts])
+    return float(shifts[np.nanargmin(error_K)]) if np.any(np.isfinite(error_K)) else None
+
+
+def _shape_error_K(
+    shift_s: float, t: FloatArray, read: FloatArray, flown_s: FloatArray, indicated: FloatArray
+) -> float:
+    """RMS about the line of measured over shifted predicted temperatures [K]; NaN for too little overlap."""
+    at = t - shift_s
+    inside = (at >= flown_s[0]) & (at <= flown_s[-1])
+    if np.count_nonzero(inside) < MIN_OVERLAP * len(t):
+        return float("nan")
+    squares, count = 0.0, 0
+    for measured, predicted in zip(read, indicated, strict=True):
+        known = inside & np.isfinite(measured)
+        x, y = np.interp(at[known], flown_s, predicted), measured[known]
+        if len(y) < 10 or np.ptp(x) == 0.0:
+            continue
+        # The shape alone, free in level and scale: a wrong table must not be mistaken for another flight.
+        x, y = x - np.mean(x), y - np.mean(y)
+        squares, count = squares + max(float(y @ y - (x @ y) ** 2 / (x @ x)), 0.0), count + len(y)
+    return float(np.sqrt(squares / count)) if count else float("nan")
+
+
+def time_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
+    """The flight was earlier or later than the clock of its conditions states; starts : as of a change [s]."""
 
     def describe(value: float) -> str:
         return f"flight conditions {abs(value):.3g} s too {'early' if value > 0.0 else 'late'}"
 
     what = "time of the flight conditions"
-    return RecordChange("flight", what, SHIFT, shift_conditions, describe, SHIFT_STARTS, effect="time-skew")
+    return RecordChange("flight", what, SHIFT, shift_conditions, describe, tuple(starts), effect="time-skew")
 
 
-def trajectory_shift() -> RecordChange:
-    """Velocity, altitude and air were earlier or later than stated, and the angles were not: two sources, merged."""
+def trajectory_shift(starts: Sequence[float] = SHIFT_STARTS) -> RecordChange:
+    """Velocity, altitude and air were earlier or later than stated, and the angles were not: two sources, merged.
+
+    starts : as of a change [s]
+    """
 
     def describe(value: float) -> str:
         return (
@@ -128,7 +175,7 @@ def trajectory_shift() -> RecordChange:
         )
 
     what = "time of velocity, altitude and air against the angles"
-    return RecordChange("flight", what, SHIFT, shift_trajectory, describe, SHIFT_STARTS)
+    return RecordChange("flight", what, SHIFT, shift_trajectory, describe, tuple(starts))
 
 
 def density_scale() -> RecordChange:

@@ -106,6 +106,15 @@ class RecordChange:
         return self.effect or self.what
 
     @property
+    def family(self) -> str:
+        """What shares one prior probability, as the forms of an effect do.
+
+        Changes of one form, all of the sensors, or all properties of the layers; else the change by itself.
+        """
+        together = self.kind if self.kind == "sensor" or self.in_model else self.what
+        return self.form or together
+
+    @property
     def unknowns(self) -> int:
         """Number of unknowns that it adds to a model: its parameter, and its ends."""
         return (0 if self.parameter is None else 1) + (0 if self.near is None else 2)

@@ -26,7 +26,6 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
-from sim_heating.closure.record_checks import AT_NOISE, diffusion_time_s
 from sim_heating.closure.search.changes.record_change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.filter.heating_input import MAX_COARSE_KNOTS, interpolation_weights
@@ -36,6 +35,7 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples, sensor_parameter
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import indicated_temperature
+from sim_heating.thermal.mesh import layer_diffusivities
 from sim_heating.thermal.stack import Sensor
 
 CELSIUS_0_K, KELVIN_PER_FAHRENHEIT, FAHRENHEIT_0 = 273.15, 5.0 / 9.0, 459.67
@@ -66,6 +66,8 @@ ALIKE = 0.5
 """Correlation from which on two sensors deviate in the same way."""
 COARSE = 0.25
 """Part of the mean square of a deviation that may be faster than the history of a heating."""
+AT_NOISE = 1.6
+"""Residual over the noise below which a sensor is at its noise."""
 ROUGH_SAMPLES, ROUGHER = 8, 3.0
 """Samples that half the time of diffusion has to hold; and how much rougher than the prediction readings may be."""
 LEVEL_FLOORS, FLAT_FLOORS = 6.0, 1.5
@@ -339,23 +341,31 @@ def broken_sensors(base: TrialFit) -> list[RecordChange]:
     if suspects[0].after_rmse_K < CONTRADICTION_FLOORS * suspects[0].floor_K:
         return []
     for count in range(1, min(MAX_BROKEN, len(residual.sensors) - 1) + 1):
-        groups = [c for c in combinations(suspects, count) if _are_broken(base, c)]
-        if groups:
-            names = [[s.sensor.name for s in c] for c in groups]
-            return [_without(base, dict.fromkeys(own), f"{' and '.join(own)} broken") for own in names]
+        found = [_broken(base, c) for c in combinations(suspects, count)]
+        if any(found):
+            return [change for change in found if change is not None]
     return []
 
 
-def _are_broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> bool:
+def _broken(base: TrialFit, suspects: Sequence[SensorResidual]) -> RecordChange | None:
+    """The change without some sensors; None where their readings do not show a fault."""
+    names = [s.sensor.name for s in suspects]
+    others = _heating_without(base, names)
+    if others is None or not _are_broken(others, suspects):
+        return None
+    words = [f"{s.sensor.name} {_describe_deviation(s.time_s, deviation_from(others, s), s.floor_K)}" for s in suspects]
+    text = f"{' and '.join(names)} broken"
+    return _without(base, dict.fromkeys(names), text, words=f"{text}: {', '.join(words)}")
+
+
+def _are_broken(others: ResidualHeating, suspects: Sequence[SensorResidual]) -> bool:
     """Whether a heating explains all other sensors to their noise, and the readings of each of these show a fault.
 
     A reading that heat cannot cause at its depth shows it by itself. Otherwise two other sensors have to show what the
     heating was, one of them at least as deep, which confirms the wall as well; the readings have to contradict that
     heating by changes that are slow enough to be resolved. A ripple that is faster may be heating.
     """
-    names = [s.sensor.name for s in suspects]
-    others = _heating_without(base, names)
-    if others is None or not all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
+    if not all(s.after_rmse_K < AT_NOISE * s.floor_K for s in others.sensors):
         return False
     deepest_m = max(s.sensor.depth_m for s in others.sensors)
     confirmed = len(others.sensors) > 1 and not _deviate_alike(others, suspects)
@@ -401,12 +411,22 @@ def is_too_rough(others: ResidualHeating, suspect: SensorResidual) -> bool:
     prediction, since the heating, or a layer that conducts better than declared, may bend it a little.
     """
     record, t = others.record, suspect.time_s
-    span_s = 0.5 * diffusion_time_s(record, suspect.sensor.depth_m)
+    span_s = 0.5 * _diffusion_time_s(record, suspect.sensor.depth_m)
     if span_s < ROUGH_SAMPLES * float(np.median(np.diff(t))):
         return False
     predicted_K = suspect.read_K - deviation_from(others, suspect)
     allowed_K = max(AT_NOISE * suspect.floor_K, ROUGHER * _roughness_K(t, predicted_K, span_s))
     return _roughness_K(t, suspect.read_K, span_s) > allowed_K
+
+
+def _diffusion_time_s(record: Record, depth_m: float) -> float:
+    """Time that heat takes to a depth [s]: (sum of dx / sqrt(a) over layers)^2 / 4."""
+    root_s, remaining_m = 0.0, depth_m
+    for layer, a in zip(record.declared.stack.layer, layer_diffusivities(record.construction), strict=True):
+        through = min(layer.thickness_m, remaining_m)
+        root_s += through / np.sqrt(a)
+        remaining_m -= through
+    return float(0.25 * root_s**2)
 
 
 def _roughness_K(t: FloatArray, values_K: FloatArray, span_s: float) -> float:
@@ -427,14 +447,41 @@ def deviation_from(others: ResidualHeating, suspect: SensorResidual) -> FloatArr
     return np.asarray(suspect.read_K - indicated_temperature(suspect.sensor, T_K))
 
 
+def _describe_deviation(t: FloatArray, deviation_K: FloatArray, floor_K: float) -> str:
+    """A deviation in words: a jump or a drift, whichever fits better, or neither."""
+    begins = np.linspace(t[0], t[-1], 60)[:-3]
+    forms: Mapping[str, Sequence[FloatArray]] = {
+        "jumps": [(t > b).astype(float) for b in begins], "drifts": [np.maximum(t - b, 0.0) for b in begins],
+    }  # fmt: skip
+    best = ("", 0.0, 0.0, np.inf)
+    for name, columns in forms.items():
+        for begin, column in zip(begins, columns, strict=True):
+            X = np.column_stack([np.ones_like(t), column])
+            fit = np.linalg.lstsq(X, deviation_K, rcond=None)[0]
+            remaining = float(np.std(deviation_K - X @ fit))
+            if remaining < best[3]:
+                best = (name, float(begin), float(fit[1]), remaining)
+    name, begin, size, remaining = best
+    if remaining > 0.5 * np.std(deviation_K) and remaining > 3.0 * floor_K:
+        return f"wanders by {np.std(deviation_K):.1f} K (RMS)"
+    if name == "jumps":
+        return f"jumps by {size:+.1f} K at {begin:.0f} s"
+    return f"drifts by {100.0 * size:+.2f} K in 100 s from {begin:.0f} s on"
+
+
 def _without(
-    base: TrialFit, lost: Mapping[str, NDArray[np.bool_] | None], text: str, level_K: float | None = None
+    base: TrialFit,
+    lost: Mapping[str, NDArray[np.bool_] | None],
+    text: str,
+    level_K: float | None = None,
+    words: str = "",
 ) -> RecordChange:
     """Readings that are taken out of the record.
 
     lost    : by name of the sensor, (sample,) which of its readings; None for all
     level_K : about which they have their noise; None where they scatter about the model fitted to the record as
               declared
+    words   : the change in words, with what shows it; else the text
     """
 
     def apply(record: Record, _: float) -> Record:
@@ -451,7 +498,9 @@ def _without(
         for problem in (base.problem, None if base.held_out_chi2 == 0.0 else base.held_out)
     ]
     cost = 0.5 * math.log(sample_count(base.problem)) * (len(lost) if level_K is None else 2)
-    return RecordChange("sensor", text, None, apply, lambda _: text, known_log_likelihood=(known[0] - cost, known[1]))
+    return RecordChange(
+        "sensor", text, None, apply, lambda _: words or text, known_log_likelihood=(known[0] - cost, known[1])
+    )
 
 
 def _blanked(read: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
