@@ -33,14 +33,16 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
     causes: dict[tuple[object, ...], Cause] = {}
     known: dict[frozenset[str], dict[int, float]] = {}
     for i, result in enumerate(alone):
-        proposed = [c for h in result.hypotheses if (c := _cause_of(h, one_point)) is not None]
+        proposed = [c for h in result.hypotheses if (c := _cause_of(i, h, one_point)) is not None]
         proposed += [_cause_of_trial(trial, result.rounds[0].forms) for trial in result.rounds[0].trials]
         for cause, score, values in sorted(proposed, key=lambda p: p[1]):
             names = frozenset(cause.names)
             known.setdefault(names, {}).setdefault(i, score)
             key = (names, *sorted(cause.candidate.names), cause.candidate.form.fixed)
             first = causes.setdefault(key, cause)
-            causes[key] = replace(first, price=max(first.price, cause.price), found={i: values} | dict(first.found))
+            changed = {**cause.changed, **first.changed}
+            found = {i: values} | dict(first.found)
+            causes[key] = replace(first, price=max(first.price, cause.price), found=found, changed=changed)
     forms = {names: [c for c in causes.values() if frozenset(c.names) == names][:FORMS] for names in known}
     log_n = math.log(sample_count(alone[0].none.last.problem))
 
@@ -65,8 +67,8 @@ def _cause_of_trial(trial: TrialFit, forms: Mapping[str, int]) -> tuple[Cause, f
     return cause, trial.score, fitted_values(trial)
 
 
-def _cause_of(h: Hypothesis, one_point: bool) -> tuple[Cause, float, dict[str, float]] | None:
-    """A hypothesis on one record as a cause that others may share, its score, and its values; None for causes of one
+def _cause_of(i: int, h: Hypothesis, one_point: bool) -> tuple[Cause, float, dict[str, float]] | None:
+    """A hypothesis on record i as a cause that others may share, its score, and its values; None for causes of one
     flight or one thermocouple, and for those of a wall that the others do not have."""
     values = fitted_values(h.last)
     if h.change is None:
@@ -75,7 +77,7 @@ def _cause_of(h: Hypothesis, one_point: bool) -> tuple[Cause, float, dict[str, f
     if change.kind != "wall" or not one_point or (change.parameter is not None and not change.in_model):
         return None
     if change.parameter is None:
-        return Cause(h.names, "wall", (NO_EFFECT,), price, change), h.score, values
+        return Cause(h.names, "wall", (NO_EFFECT,), price, change, changed={i: h.last}), h.score, values
     name = change.parameter.name
     candidate = Candidate(change.what, (), (name,), {name: h.change.value}, active=(name,), with_prior=(name,))
     return Cause(h.names, "wall", (candidate,), price), h.score, values

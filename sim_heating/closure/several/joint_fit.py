@@ -50,6 +50,8 @@ class Cause:
     price      : of the number of forms that were tried, in units of BIC
     change     : of the wall, where it is one that has no parameter, such as another material
     found      : index of a record -> values of all parameters of its model that were found in this record alone
+    changed    : index of a record -> its trial on the changed record, where it was fitted alone: it has the mesh
+                 correction of that wall
     """
 
     names: tuple[str, ...]
@@ -58,6 +60,7 @@ class Cause:
     price: float
     change: RecordChange | None = None
     found: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    changed: Mapping[int, TrialFit] = field(default_factory=dict)
 
     @property
     def candidate(self) -> Candidate:
@@ -135,7 +138,7 @@ def joint_model(
 
     bases : by record, the declared model;  members : indices of records that have the cause
     """
-    parts = [_part(cause, bases[i]) for i in members]
+    parts = [cause.changed[i] if i in cause.changed else _part(cause, bases[i]) for i in members]
     records = [p.problem.record_fits[0].record for p in parts]
     one_point = len({r.declared.control_point for r in records}) == 1
     owners = [{n: owner(level, r, one_point) for n, level in levels.items()} for r in records]
