@@ -313,7 +313,7 @@ def _adequacy_section(found: Closure) -> list[Section]:
 
 
 def _errors_section(found: Closure) -> Section:
-    stages = [("Declared tables, nothing fitted", found.predicted), ("Derivatives fitted (before)", found.before)]
+    stages = [("Declared tables, nothing fitted", found.predicted), ("Declared model fitted (before)", found.before)]
     if found.added:
         stages.append((f"With {found.fitted_with} (after)", found.after))
     rows = []

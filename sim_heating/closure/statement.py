@@ -111,7 +111,9 @@ class Statement:
     def in_words(self) -> str:
         """The finding in a few words."""
         if self.finding == FOUND:
-            return f"Found: {self.named}"
+            causes = {c.what for c in self.not_effects}
+            aerothermal = any(name not in causes for names in self.alternatives for name in names)
+            return f"Found: {self.named}" if aerothermal else f"Found, and no aerothermal effect: {self.named}"
         if self.finding == ONE_OF:
             return f"One of: {self.named}, which the record cannot tell apart"
         if self.finding == PARTLY:

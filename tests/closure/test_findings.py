@@ -119,7 +119,9 @@ def test_causes_that_are_no_effect_are_listed_with_their_estimates() -> None:
     cause = NotEffect(
         "flight", "density of the flight conditions 8 % too low", {"f": ParameterEstimate(1.08, 0.01, "1")}
     )
-    data = Statement("found", [[cause.what]], not_effects=[cause]).as_json()
+    stated = Statement("found", [[cause.what]], not_effects=[cause])
+    assert stated.in_words() == f"Found, and no aerothermal effect: {cause.what}"
+    data = stated.as_json()
     assert data["not_effects"] == [
         {
             "kind": "flight", "what": cause.what, "parameters": {"f": {"value": 1.08, "sigma": 0.01, "unit": "1"}},
