@@ -32,6 +32,9 @@ from sim_heating.estimation.inference.newton import Status
 
 MIN_BIC_GAIN = 10.0
 """How much lower the score of an effect has to be than that of none, or of the model without it."""
+GAIN_OVER_ADEQUATE = 30.0
+"""The same where the declared model explains the record to its noise already. Errors of its form that noise hides, such
+as a table whose error is not linear, give some of this gain to any effect."""
 SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
 MIN_SHARE = 0.5
@@ -225,7 +228,8 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
-    if best is None or best.score > -MIN_BIC_GAIN:
+    least = GAIN_OVER_ADEQUATE if none.adequate else MIN_BIC_GAIN
+    if best is None or best.score > -least:
         unexplained = none.adequacy.p_value < UNEXPLAINED and not none.adequacy.unstructured
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))

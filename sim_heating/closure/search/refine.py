@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate
@@ -27,8 +28,9 @@ from sim_heating.estimation.side_by_side import maximise_together
 
 CONTENDERS = 6
 """Effects of a round that are fitted to convergence, at most."""
-CONTENDER_SHARE, CONTENDER_MARGIN = 0.5, 30.0
-"""Part of the best gain in log likelihood, or distance from it, within which an effect is a contender."""
+CONTENDER_SHARE, SHARE_OF_ADEQUATE, CONTENDER_MARGIN = 0.5, 0.85, 30.0
+"""Part of the best gain in log likelihood, or distance from it, within which an effect is a contender; the second part
+where the best explains the record to its noise, so that a rival has to come near it."""
 RICHER_FORMS, STARTS_OF_RICHER = 3, 2
 """Richer forms of an effect that are fitted, and starts of each by predicted gain besides the values of the simpler."""
 CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
@@ -68,8 +70,10 @@ def refine(
     """
     gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
     best = max(gains.values(), default=0.0)
-    led = sorted((t for t in trials if gains[t.name] >= min(CONTENDER_SHARE * best, best - CONTENDER_MARGIN)),
-                 key=lambda t: t.delta_bic)[:CONTENDERS]  # fmt: skip
+    share = SHARE_OF_ADEQUATE if any(_is_adequate(t) for t in trials if gains[t.name] == best) else CONTENDER_SHARE
+    led = sorted(
+        (t for t in trials if gains[t.name] >= min(share * best, best - CONTENDER_MARGIN)), key=lambda t: t.delta_bic
+    )[:CONTENDERS]
     wanted = [(c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
     problems = [problem_with(base, c) for c, _ in wanted]
     firsts = [start_values(p, start) for p, (_, start) in zip(problems, wanted, strict=True)]
@@ -84,6 +88,11 @@ def refine(
         replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
     ]
     return sorted(complete, key=lambda k: k.trial.delta_bic)
+
+
+def _is_adequate(trial: TrialFit) -> bool:
+    """Whether a trial explains the fitted samples to their noise."""
+    return assess(trial.problem.samples(trial.fit.values)).p_value >= ADEQUATE
 
 
 def _forms(

@@ -79,9 +79,10 @@ MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
 MAX_EFFECTS = 3
-CHANGE_SHARE, SHARE_BESIDE_ADEQUATE, MOST_CHANGES = 0.5, 0.8, 8
-"""Part of the best gain in log likelihood that a change of the record has to predict to be fitted, also where an effect
-explains the record to its noise; how many are."""
+CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
+"""Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
+and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
+noise. How many without ends are fitted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,8 +191,10 @@ def _changes(
     changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
     changes = [c for c in changes if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))]
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
-    share = SHARE_BESIDE_ADEQUATE if explained else CHANGE_SHARE
-    fits = recorrected(before, base, fit_changes(base, changes, best, share=share, most=MOST_CHANGES))
+    share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
+    fits = recorrected(
+        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=MOST_CHANGES)
+    )
     whole = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f)) for f in fits]

@@ -23,7 +23,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE
+from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE, STEPS_AHEAD
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     THINNED_STEPS,
@@ -37,7 +37,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
-from sim_heating.estimation.inference.newton import Evaluation, Fit, iteration
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
@@ -45,8 +45,8 @@ from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
-HALF = 0.5
-"""Factor on the share of gain that is asked of a change with ends, which gains more where these are moved."""
+FIRST_STEPS = replace(QUICK, iterations=5)
+"""Settings of the first stage, after which changes that stay far behind are not fitted on."""
 NEARLY, MOST_SEARCHES = 0.95, 3
 """Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
@@ -403,15 +403,16 @@ def fit_changes(
     best_gain: float = 0.0,
     *,
     share: float = MIN_GAIN_SHARE,
+    near_share: float = MIN_GAIN_SHARE,
     most: int | None = None,
 ) -> list[ChangeFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
     base      : the model, fitted to the record as declared
     best_gain : best gain in log likelihood that is known of other explanations [-]
-    share     : part of that gain, or of what the best change predicts, below which a change is not fitted; half of it
-                for a change with ends, which gains more where they are moved. Nor is one that predicts less than its
-                unknowns cost
+    share     : part of that gain, or of what the best change predicts, below which a change is not fitted. Nor is one
+                that predicts less than its unknowns cost
+    near_share: the same for a change with ends, which gains more where they are moved
     most      : how many without ends are fitted, those that predict most; all by default
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
@@ -420,7 +421,7 @@ def fit_changes(
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        form, least = change.form or change.what, (share if change.near is None else HALF * share) * largest
+        form, least = change.form or change.what, (share if change.near is None else near_share) * largest
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):
@@ -428,10 +429,20 @@ def fit_changes(
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    fits = _maximise(models, [start for _, _, start in best.values()])
+    asked = [share if model.change.near is None else near_share for model in models]
+    fits = _maximise(models, [start for _, _, start in best.values()], FIRST_STEPS)
+    reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
+    # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
+    going = [
+        k
+        for k, f in enumerate(fits)
+        if f.log_likelihood - base.fit.log_likelihood + STEPS_AHEAD * f.predicted_gain > asked[k] * reached
+    ]
+    for k, fit in zip(going, _maximise([models[k] for k in going], [fits[k].values for k in going]), strict=True):
+        fits[k] = fit
     reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > HALF * share * reached:
+        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > near_share * reached:
             models[k], fits[k] = _with_best_ends(model, fit)
     largest = max(
         [
@@ -516,9 +527,11 @@ def _pattern_search(model: _ChangedModel, fit: Fit) -> _ChangedModel:
     return best
 
 
-def _maximise(models: Sequence[_ChangedModel], starts: Sequence[FloatArray]) -> list[Fit]:
+def _maximise(
+    models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings = QUICK
+) -> list[Fit]:
     """The fit of each model, all iterated side by side."""
-    searches = [iteration(m.parameters, first, QUICK) for m, first in zip(models, starts, strict=True)]
+    searches = [iteration(m.parameters, first, settings) for m, first in zip(models, starts, strict=True)]
     requests, fits = {k: next(search) for k, search in enumerate(searches)}, dict[int, Fit]()
     while requests:
         going = tuple(requests)
