@@ -163,7 +163,7 @@ def _record(
         lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)
         # Placeholders where nothing was marched: quantising NaN has no meaning, and the samples are lost anyway.
         known = np.where(np.isnan(temperature), 0.0, temperature)
-        columns[sensor.column] = measure(sensor, known, rng, faults.get(sensor.name), lost, clock - clock[0])
+        columns[sensor.column] = measure(sensor, known, rng, faults.get(sensor.name), lost, clock - clock[:1])
         if np.all(np.isnan(columns[sensor.column])):
             span = f"{conditions.time_s[0]:g} to {conditions.time_s[-1]:g} s"
             raise InputError(
