@@ -1,7 +1,7 @@
 """Calibration of findings, from the finished records of closure.py and closure_challenge.py.
 
     python -m benchmarks.closure_calibration            # figures and reliability
-    python -m benchmarks.closure_calibration --write    # and the calibration that close-loop states
+    python -m benchmarks.closure_calibration --write    # and the calibration that close-loop states, and the diagram
 
 Adequacy: the statistics of records without an effect as declared, and of records with effects in a form of the package
 as fitted with these, are those of true models. Probability: sim_heating/closure/search/calibration.py has the form; b
@@ -12,6 +12,7 @@ class, a flight, a wall, a random half) with b of all the others.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -19,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.closure_challenge import finished, in_library, is_right, is_statement, reliability, verdict
-from benchmarks.measure import save
+from benchmarks.measure import RESULTS, save
 from sim_heating.base.files import read_json, write_json
+from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.search.adequacy import p_value
 from sim_heating.closure.search.calibration import CALIBRATION, FEATURES, logistic
 from sim_heating.closure.search.calibration import features as features_of
@@ -30,6 +32,7 @@ Row = Mapping[str, Any]
 
 GROUPS = ("class", "flight", "wall", "half")
 PRIOR_SIGMA = 3.0
+DIAGRAM = RESULTS.parents[1] / "docs" / "images" / "closure_reliability.png"
 
 
 def features(row: Row) -> FloatArray:
@@ -97,6 +100,24 @@ def left_out(rows: Sequence[Row], by: str) -> list[dict[str, Any]]:
     return found
 
 
+def draw(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> None:
+    """The reliability diagram: share of right findings against the probability stated, for each way to leave out."""
+    figure, axes = new_figure(11.0, 3.4, 1, len(GROUPS), sharey=True)
+    for a, by in zip(axes.flat, GROUPS, strict=True):
+        a.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
+        for part in tables[by]:
+            low, high = part["limits"]
+            a.plot([part["mean"]] * 2, [low, high], color="tab:blue", linewidth=1.2)
+            a.plot(part["mean"], part["right"], "o", color="tab:blue", markersize=4.0)
+            a.annotate(str(part["n"]), (part["mean"], low), textcoords="offset points", xytext=(3, -2), fontsize=7)
+        a.set_title(f"left out: {'random halves' if by == 'half' else f'one {by}'}", fontsize=9)
+        a.set_xlabel("probability stated")
+        a.set_xlim(0.0, 1.02)
+        a.set_ylim(0.0, 1.02)
+    axes.flat[0].set_ylabel("share of findings that are right")
+    save_figure(figure, path, "Probability of a finding, fitted to the other groups, and how often it is right", axes)
+
+
 @click.command(help="Reliability of probabilities on groups that they were not fitted to.")
 @click.option("--write", is_flag=True, help="the calibration that close-loop states")
 def main(write: bool) -> None:
@@ -120,6 +141,7 @@ def main(write: bool) -> None:
             )
     save("closure_calibration", [], {"features": FEATURES, "coefficients": b.tolist(), "reliability": tables})
     if write:
+        draw(tables, DIAGRAM)
         nulls = [r for r in everything if r["class"] == "null"]
         named = sum(verdict(r) != "right" for r in nulls)
         found = {"named": named, "records": len(nulls), "true_statistics": known.tolist(),

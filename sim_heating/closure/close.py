@@ -260,7 +260,7 @@ def _not_effects(result: SearchResult) -> list[NotEffect]:
     """The cause that was found, where it is no effect; else errors of the table that the declared model's fit shows."""
     best = result.conclusion.best
     if result.explained:
-        return _causes(best)
+        return [replace(cause, probability=probability_of(result)) for cause in _causes(best)]
     if result.conclusion.finding != NONE:
         return []
     labels = result.before.labels
