@@ -255,7 +255,7 @@ class JointHypothesis(Hypothesis):
 
     @property
     def log_likelihood(self) -> float:
-        """Of the fitted samples of all records."""
+        """Log likelihood of the fitted samples of all records [-]."""
         return sum(t.fit.log_likelihood for t in self.by_record)
 
 

@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
@@ -258,7 +258,12 @@ class _ChangedModel:
         if held_out is not None:
             held_out.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[1]
         kept = np.arange(len(values))
-        return replace(self.base, problem=self.problem(value), held_out=held_out, fit=_selected(fit, kept))
+        return replace(
+            self.base,
+            problem=self.problem(value),
+            held_out=held_out,
+            fit=fit.select(kept, [fit.names[k] for k in kept]),
+        )
 
     def _held_out(self, changed: Callable[[Record], Record], names: Sequence[str] | None = None) -> FitProblem | None:
         """The changed record's samples held out; None where there are none."""
@@ -299,7 +304,12 @@ class _EstimatedModel(_ChangedModel):
     def trial(self, fit: Fit) -> TrialFit:
         """The base's model with the parameter of the change as one of its own."""
         held_out = self._held_out(lambda record: record, self._names)
-        return replace(self.base, problem=self._problem, held_out=held_out, fit=_selected(fit, self._order))
+        return replace(
+            self.base,
+            problem=self._problem,
+            held_out=held_out,
+            fit=fit.select(self._order, [fit.names[k] for k in self._order]),
+        )
 
 
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
@@ -560,17 +570,3 @@ def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
     except CANNOT_BE:
         return None
     return ChangeFit(change, value, sigma, replace(trial, delta_bic=delta), fit, delta)
-
-
-def _selected(fit: Fit, at: IntArray) -> Fit:
-    """A fit of some of its parameters, in another order, the others held at their values."""
-    return replace(
-        fit,
-        names=tuple(fit.names[k] for k in at),
-        values=fit.values[at],
-        covariance=fit.covariance[np.ix_(at, at)],
-        information=fit.information[np.ix_(at, at)],
-        prior_information=fit.prior_information[at],
-        on_bound=fit.on_bound[at],
-        history=fit.history[:, at],
-    )
