@@ -23,10 +23,10 @@ from sim_heating.cli import cli
 from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.search import search_effects, search_round
-from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.candidates import LAG_EFFECT, SENSOR_EFFECT, candidates
 from sim_heating.closure.search.trials.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
 from sim_heating.estimation.fit import estimate
-from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects import EffectUse, effects, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
 from sim_heating.inputs.sensor_model import quantise
@@ -109,14 +109,15 @@ def test_a_special_case_of_another_form_is_not_counted() -> None:
 
 def test_segments_held_out_distinguish_conduction_from_radiation_in_depth_better() -> None:
     """In the mean over draws of the noise, which move the odds of one record by a factor of a hundred either way."""
-    log_odds = []
+    log_odds, both = [], {"conductivity", "radiative-conduction"}
+    others = sorted({*effects(), SENSOR_EFFECT, LAG_EFFECT} - both)
     for seed in (8, 9, 10):
         uses = [use("conductivity", {"conductivity_factor": 1.05})]
         record = simulated_record(load_record(PRACTICE / "p06"), uses, seed=seed)
         fitted_alone = Segments(fit=record.declared.segments.fit)
         without = replace(record, declared=record.declared.model_copy(update={"segments": fitted_alone}))
         with_both, alone = (
-            search_round(base_trial(estimate([r])), [], lambda fraction, text: None) for r in (record, without)
+            search_round(base_trial(estimate([r])), others, lambda fraction, text: None) for r in (record, without)
         )
         rounds = (alone, with_both)
         log_odds.append([np.log(r.posterior["conductivity"] / r.posterior["radiative-conduction"]) for r in rounds])
