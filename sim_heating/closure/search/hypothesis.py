@@ -16,16 +16,9 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
-from sim_heating.closure.search.admissibility import (
-    MAX_SCATTER,
-    MIN_SIGMAS,
-    OFF,
-    SETTLED,
-    far_from_declared,
-    objections,
-)
+from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
-from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
+from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.inference.newton import Status

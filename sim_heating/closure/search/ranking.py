@@ -118,7 +118,7 @@ def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
 
 
 def prior_penalty(trial: TrialFit, candidate: Candidate) -> float:
-    """Sum of the squares of the sigmas by which the estimates of an effect of a trial's model are off their priors."""
+    """What the estimates of an effect of a trial's model cost by their distances from their priors [BIC]."""
     part, found = trial.problem.record_fits[0], fitted_values(trial)
     priors = {n: sensor_definition(part.record, n) or part.model.definition(n) for n in candidate.with_prior}
     return sum(scatter_price(abs(found[n] - p.value) / p.sigma) for n, p in priors.items())

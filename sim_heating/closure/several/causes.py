@@ -9,6 +9,7 @@ from dataclasses import replace
 from sim_heating.base.parameters import SENSOR_PREFIX
 from sim_heating.closure.search.changes.record_change import NO_EFFECT
 from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.refine import CONTENDER_MARGIN, CONTENDER_SHARE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.table_candidates import TABLE
@@ -73,7 +74,7 @@ def _cause_of(i: int, h: Hypothesis, one_point: bool) -> tuple[Cause, float, dic
     values = fitted_values(h.last)
     if h.change is None:
         return Cause(h.names, h.kind, tuple(t.candidate for t in h.trials), h.price), h.score, values
-    change, price = h.change.change, h.price - h.change.deviation**2
+    change, price = h.change.change, h.price - scatter_price(h.change.deviation)
     if change.kind != "wall" or not one_point or (change.parameter is not None and not change.in_model):
         return None
     if change.parameter is None:

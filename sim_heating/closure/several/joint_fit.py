@@ -20,6 +20,7 @@ from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
 from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
@@ -327,7 +328,7 @@ def _record_bic(trial: TrialFit, model: JointModel | None, c: float, c_held_out:
 
 
 def _common_cost(h: JointHypothesis) -> float:
-    """Cost of common parameters, and squares of the sigmas by which the cause's values are off their priors."""
+    """Cost of common parameters, and of the distances of the cause's values from their priors [BIC]."""
     if h.model is None:
         return 0.0
     model, fit, total = h.model, h.last.fit, 0.0
@@ -339,7 +340,7 @@ def _common_cost(h: JointHypothesis) -> float:
         if name in model.cause.candidate.with_prior:
             part = model.problem.record_fits[u.records[0]]
             p = sensor_definition(part.record, name) or part.model.definition(name)
-            total += ((float(fit.values[k]) - p.value) / p.sigma) ** 2
+            total += scatter_price(abs(float(fit.values[k]) - p.value) / p.sigma)
     return total
 
 

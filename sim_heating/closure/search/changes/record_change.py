@@ -23,7 +23,13 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.screening import GAIN_MARGIN, MIN_GAIN_SHARE, STEPS_AHEAD
+from sim_heating.closure.search.trials.screening import (
+    GAIN_MARGIN,
+    MIN_GAIN_SHARE,
+    STEPS_AHEAD,
+    gain_of_step,
+    gains_over,
+)
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     THINNED_STEPS,
@@ -35,7 +41,6 @@ from sim_heating.closure.search.trials.trial_fit import (
     thinning_error,
 )
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -368,10 +373,8 @@ def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -
     minus infinity where a march failed."""
     found = []
     for model, at, here in zip(models, vectors, _evaluate_together(models, vectors), strict=True):
-        prior = np.array([p.sigma**-2.0 for p in model.parameters])
-        towards = prior * (np.array([p.value for p in model.parameters]) - at)
-        step = predicted_gain(here.gradient + towards, covariance(here.information + np.diag(prior)))
         reached = here.log_likelihood
+        step = gain_of_step(model.parameters, at, here)
         found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
     return found
 
@@ -441,27 +444,21 @@ def fit_changes(
     models = [model for _, model, _ in best.values()]
     asked = [share if model.change.near is None else near_share for model in models]
     fits = _maximise(models, [start for _, _, start in best.values()], FIRST_STEPS)
-    reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
+    gains = gains_over(fits, base.fit.log_likelihood)
+    reached = max([best_gain, *gains])
     # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
-    going = [
-        k
-        for k, f in enumerate(fits)
-        if f.log_likelihood - base.fit.log_likelihood + STEPS_AHEAD * f.predicted_gain > asked[k] * reached
-    ]
+    going = [k for k, f in enumerate(fits) if gains[k] + STEPS_AHEAD * f.predicted_gain > asked[k] * reached]
     for k, fit in zip(going, _maximise([models[k] for k in going], [fits[k].values for k in going]), strict=True):
         fits[k] = fit
-    reached = max([best_gain, *(f.log_likelihood - base.fit.log_likelihood for f in fits)])
+    gains = gains_over(fits, base.fit.log_likelihood)
+    reached = max([best_gain, *gains])
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > near_share * reached:
+        if model.change.near is not None and gains[k] > near_share * reached:
             models[k], fits[k] = _with_best_ends(model, fit)
-    largest = max(
-        [
-            share * best_gain,
-            *(f.log_likelihood - base.fit.log_likelihood for f in fits if np.isfinite(f.log_likelihood)),
-        ]
-    )
+    gains = gains_over(fits, base.fit.log_likelihood)
+    largest = max([share * best_gain, *gains])
     for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and fit.log_likelihood - base.fit.log_likelihood > NEARLY * largest:
+        if model.change.near is not None and gains[k] > NEARLY * largest:
             models[k], fits[k] = _with_best_ends(model, fit, MOST_SEARCHES)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)

@@ -12,7 +12,7 @@ its table. This is a least-squares problem without a march, some hundred knots l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
 from sim_heating.heating.effects import Effect
-from sim_heating.heating.ratio.uncertainty import declared_ratio
+from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.march.ensemble import condition_history
 
 MODEL_ERROR = 0.03
@@ -35,9 +35,8 @@ MODEL_ERROR = 0.03
 SOLVED, KEPT = 4, 2
 """Starts of a form from which the least-squares problem is solved, and solutions that are kept."""
 EVALUATIONS = 60
-SCALE, FIRST = "ratio.scale", "ratio.d_"
-DERIVATIVES = {f"{FIRST}{name}": k for k, name in enumerate(("alpha", "beta", "logre", "elevon", "bodyflap"))}
-"""First derivatives by name, with the number of their variable."""
+FITTED = ("ratio.scale", *(f"ratio.d_{name}" for name in ("alpha", "beta", "logre", "elevon", "bodyflap")))
+"""Magnitude and first derivatives, which are adjusted to the history."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class HeatingHistory:
 
     y, sigma   : (knot,) ratio before effects that multiply it, and its standard deviation [-]
     tabulated  : (knot,) ratio of the declared table [-]
-    apart      : (knot, 5) distance of the ratio variables from the reference condition
+    columns    : (knot, parameter) derivative of the ratio by each parameter, in the unit of the ratio over its own
     rows       : (knot, condition) flight conditions as kernels read them;  wall_K : (knot,) wall temperature [K]
     parameters : of the base's magnitude and derivatives, with their priors
     """
@@ -54,17 +53,10 @@ class HeatingHistory:
     y: FloatArray
     sigma: FloatArray
     tabulated: FloatArray
-    apart: FloatArray
+    columns: FloatArray
     rows: FloatArray
     wall_K: FloatArray
     parameters: tuple[Parameter, ...]
-
-    @property
-    def columns(self) -> FloatArray:
-        """(knot, parameter) derivative of the ratio by each parameter [-]."""
-        return np.column_stack([
-            self.tabulated if p.name == SCALE else self.apart[:, DERIVATIVES[p.name]] for p in self.parameters
-        ])  # fmt: skip
 
     def values_of(self, effect: Effect, values: Sequence[float] | FloatArray) -> FloatArray:
         """(knot,) value of an effect's kernel along the history."""
@@ -80,7 +72,7 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
     base    : the declared model;  neutral : a candidate that has no effect at its start
     returns : None where the model cannot be marched, has no tabulated heating, or none that is fitted
     """
-    parameters = tuple(p for p in base.problem.parameters if p.name == SCALE or p.name in DERIVATIVES)
+    parameters = tuple(p for p in base.problem.parameters if p.name in FITTED)
     if not parameters:
         return None
     problem = problem_with(base, neutral)
@@ -101,8 +93,8 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
         return None
     sigma = np.hypot(found.sigma[inside], MODEL_ERROR * np.abs(y))
     wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
-    reference = np.array(base.problem.reference)
-    return HeatingHistory(y, sigma, tabulated, x - reference, condition_history(flown), wall, parameters)
+    columns = basis([p.name for p in parameters], x, np.array(base.problem.reference), tabulated)
+    return HeatingHistory(y, sigma, tabulated, columns, condition_history(flown), wall, parameters)
 
 
 def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate]:
@@ -205,8 +197,7 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
     inside = np.clip(first, lower + 1e-6, upper - 1e-6)
     done = least_squares(residual, inside, bounds=(lower, upper), x_scale=1.0, max_nfev=EVALUATIONS)
     at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
-    start: Mapping[str, float] = {**at, **{n: at[n] for n in c.names}}
-    return float(2.0 * done.cost), replace(c, start=start, active=c.names)
+    return float(2.0 * done.cost), replace(c, start=at, active=c.names)
 
 
 def _apart(one: Candidate, other: Candidate) -> bool:

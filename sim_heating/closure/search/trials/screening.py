@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.parameters import EFFECT_PREFIX
+from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
@@ -25,7 +25,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood, scores
-from sim_heating.estimation.inference.newton import Fit, Status
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
@@ -102,12 +102,20 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
             gains.append(-np.inf)
             continue
         found = problem.evaluate(first)
-        prior = np.array([p.sigma**-2.0 for p in problem.parameters])
-        towards = prior * (np.array([p.value for p in problem.parameters]) - first)
-        step = predicted_gain(found.gradient + towards, covariance(found.information + np.diag(prior)))
         gained = found.log_likelihood - base.fit.log_likelihood
-        gains.append(max(gained, min(gained + step, limit)) + TIE * gained)
+        promised = gained + gain_of_step(problem.parameters, first, found)
+        gains.append(max(gained, min(promised, limit)) + TIE * gained)
     return gains
+
+
+def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, found: Evaluation) -> float:
+    """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
+
+    at : (parameter,) values that were evaluated;  found : log likelihood there, with gradient and information
+    """
+    prior = np.array([p.sigma**-2.0 for p in parameters])
+    towards = prior * (np.array([p.value for p in parameters]) - at)
+    return predicted_gain(found.gradient + towards, covariance(found.information + np.diag(prior)))
 
 
 def _largest_gain(base: TrialFit) -> float:
@@ -203,7 +211,7 @@ def fit_in_stages(
     names     : of their effects; the best fit of an effect goes on with half the gain of the best of all
     """
     fits = maximise_together(problems, firsts, STAGES[0][1])
-    history = [_gains(fits, base)]
+    history = [gains_over(fits, base)]
     for stage, (share, settings) in enumerate(STAGES[1:], start=1):
         gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
         best = float(np.max(gains, initial=0.0))
@@ -224,11 +232,11 @@ def fit_in_stages(
         continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
         for k, fit in zip(chosen, continued, strict=True):
             fits[k] = fit
-        history.append(_gains(fits, base))
+        history.append(gains_over(fits, base))
     return fits
 
 
-def _gains(fits: Sequence[Fit], base: float) -> FloatArray:
+def gains_over(fits: Sequence[Fit], base: float) -> FloatArray:
     """(fit,) log likelihood gained over the base; minus infinity where a fit could not be marched."""
     return np.nan_to_num([f.log_likelihood - base for f in fits], nan=-np.inf)
 
