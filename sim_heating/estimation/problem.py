@@ -165,6 +165,16 @@ class FitProblem:
         joint._group()
         return joint
 
+    def with_correction(self, correction_K: FloatArray) -> FitProblem:
+        """The problem of one record with another mesh correction.
+
+        correction_K : (sensor, sample) [K]
+        """
+        other = copy(self)
+        other.record_fits = [replace(self.record_fits[0], correction_K=correction_K)]
+        other._group()
+        return other
+
     # Parameters ------------------------------------------------------------------------------------------------------
 
     @staticmethod

@@ -8,14 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.changes.record_change import fit_changes
-from sim_heating.closure.search.changes.wall_changes import layer_changes, material_changes, wall_changes
-from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial
+from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
+from sim_heating.closure.search.changes.wall_changes import (
+    contact_changes,
+    layer_changes,
+    material_changes,
+    wall_changes,
+    with_contact,
+)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, base_trial, declared_fit, thin_record
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import library_materials
 from sim_heating.march.history import march_points
+from sim_heating.march.mesh_choice import choose_meshes
+from tests.closure.test_close_loop import simulated_record
 from tests.support.walls import practice_record
 
 TILE = practice_record("p06")[0]
@@ -59,6 +67,40 @@ def test_a_skin_that_is_declared_too_thick_is_recognised():
     likely = {f.change.what for f in found if f.delta_bic < found[0].delta_bic + 10.0}
     assert likely == {"thickness of layer al2024", "heat capacity (density times specific heat) of layer al2024"}
     assert found[0].value == pytest.approx(1.0 / 1.2, abs=4.0 * found[0].sigma)
+
+
+def test_layers_that_came_apart_are_recognised_by_the_resistance_between_them():
+    resistance = 0.1
+    record = simulated_record(with_contact(TILE, resistance, number=1), [])
+    apart = with_contact(record, 0.0, number=1)
+    declared = apart.declared.stack.layer[1]
+    assert (declared.name or declared.material, declared.contact_m2K_W) == ("li900", 0.0)
+    before = declared_fit(apart)
+    base = base_trial(before)
+    found = recorrected(before, base, fit_changes(base, wall_changes(apart)))
+    assert found[0].change.what == "contact between layer li900 and layer rtv"
+    assert found[0].value == pytest.approx(resistance, abs=4.0 * found[0].sigma)
+    assert found[0].sigma < 0.03 * resistance
+    assert found[0].trial.excess_chi2 < 0.1
+
+
+def test_a_contact_is_an_element_more_and_leaves_the_mesh_of_the_layers_as_it_is():
+    thin = thin_record(TILE, 20)
+    whole, apart = (choose_meshes([point_of_record(r)])[0][0] for r in (thin, with_contact(thin, 0.01, number=1)))
+    np.testing.assert_array_equal(apart.length_m[apart.layer >= 0], whole.length_m)
+    flown = conditions_of_record(thin)
+    a, b = march_points([point_of_record(r) for r in (thin, with_contact(thin, 1e-9, number=1))], [flown, flown])
+    np.testing.assert_allclose(a.sensors_K, b.sensors_K, atol=1e-4)
+
+
+def test_a_declared_contact_may_be_another_one_and_is_never_negative():
+    declared = declared_with(TILE, 1, contact_m2K_W=4e-4)
+    own = next(c.parameter for c in contact_changes(declared) if "li900 and" in c.what)
+    assert own.value == 4e-4
+    assert 0.0 < own.lower < 1e-5
+    change = next(c for c in contact_changes(TILE) if "li900 and" in c.what)
+    assert (change.parameter.value, change.parameter.lower) == (0.0, 0.0)
+    assert change.describe(0.03) == "contact between layer li900 and layer rtv: 0.03 m2 K/W, declared none"
 
 
 def test_another_material_is_recognised_among_those_of_the_library():

@@ -58,8 +58,9 @@ ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 GROSS_EXCESS = 10.0
 """Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
-RECORRECTED = 3
-"""Leading changes that have the mesh correction of their own record."""
+RECORRECTED, RECORRECTED_FROM = 3, 1.0
+"""Leading changes that have the mesh correction of their own record, at most; those with a parameter where they gain
+nearly as much as the best. Excess chi-square of the declared model from which on they have it."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
@@ -465,35 +466,47 @@ def fit_changes(
 
 
 def recorrected(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
-    """Fits of changes, the leading ones without a parameter with the mesh correction of their own record.
+    """Fits of changes, the leading ones with the mesh correction of their own record.
 
     before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
     returns : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
     """
-    if base.excess_chi2 < GROSS_EXCESS:
+    if base.excess_chi2 < RECORRECTED_FROM:
         return list(fits)
-    leading = [f if f.change.parameter else _recorrected(before, f) for f in fits[:RECORRECTED]]
-    return sorted([*leading, *fits[RECORRECTED:]], key=lambda f: f.delta_bic)
+    best = min((f.delta_bic for f in fits), default=0.0)
+    leading = [f for f in fits[:RECORRECTED] if f.delta_bic < NEARLY * best or f.change.parameter is None]
+    found = [f if f not in leading else _recorrected(before, base, f) for f in fits]
+    return sorted(found, key=lambda f: f.delta_bic)
 
 
-def _recorrected(before: FitResult, fit: ChangeFit) -> ChangeFit:
-    """The fit of a change without a parameter with the mesh correction of the changed record, fitted on from there.
+def _recorrected(before: FitResult, base: TrialFit, fit: ChangeFit) -> ChangeFit:
+    """The fit of a change with the mesh correction of the changed record, fitted on from there.
 
     The fit as it is where the whole record cannot be marched there.
     """
     trial, part = fit.trial, fit.trial.problem.record_fits[0]
-    record = fit.change.apply(before.problem.record_fits[0].record, 0.0)
-    options = FitOptions(
-        priors=trial.problem.priors, prior_scale=WIDENED, sample_masks=[record.fit_mask() | record.holdout_mask()]
-    )
+    names = [n for n in part.names if n not in fit.estimates]
     try:
-        full = FitProblem([record], part.names, before.problem.reference, options)
-        thinned = FitProblem([part.record], part.names, before.problem.reference, replace(options, **THINNED_STEPS))
+        record = fit.change.apply(before.problem.record_fits[0].record, fit.value)
+        thin = part.record if not fit.change.in_model else fit.change.apply(part.record, fit.value)
+        options = FitOptions(
+            priors=trial.problem.priors, prior_scale=WIDENED, sample_masks=[record.fit_mask() | record.holdout_mask()]
+        )
+        full = FitProblem([record], names, before.problem.reference, options)
+        thinned = FitProblem([thin], names, before.problem.reference, replace(options, **THINNED_STEPS))
         error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
     except CANNOT_BE:
         return fit
+    if fit.change.parameter is not None:
+
+        def own_correction(problem: FitProblem) -> FitProblem:
+            return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
+
+        held_out = base.held_out and own_correction(base.held_out)
+        model = _model(replace(base, problem=own_correction(base.problem), held_out=held_out), fit.change)
+        return _change_fit(model, _maximise([model], [fit.fit.values])[0]) or fit
     for problem in (trial.problem, *([trial.held_out] if trial.held_out else [])):
         own = problem.record_fits[0]
         own.correction_K = error_K[:, np.isin(at_s, own.sample_s)]

@@ -1,8 +1,10 @@
-"""Changes of the wall that no effect is: thickness, conductivity and heat capacity of its layers, other materials.
+"""Changes of the wall that no effect is: properties of its layers, contacts between them, other materials.
 
 Factors of a layer are parameters of the model by the layer's own name, with exact sensitivities. What an effect's name
 covers is left to the effect: the conductivity and heat capacity of the insulation, thickness and heat capacity of the
 coating. A density that is wrong is a wrong heat capacity, as the model knows only their product.
+
+Layers that have come apart, or were never bonded, touch through a contact resistance that the record does not declare.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from sim_heating.base.parameters import LAYER, STACK_PREFIX, Parameter
+from sim_heating.base.parameters import LAYER, MODEL, STACK_PREFIX, Parameter
 from sim_heating.closure.search.changes.record_change import RecordChange
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import point_of_record
@@ -33,9 +35,17 @@ INSULATES_W_MK, CONDUCTS_W_MK = 0.3, 5.0
 [W/(m K)]."""
 
 
+CONTACT = Parameter("contact_m2K_W", "m2 K/W", 0.0, 0.02, 0.0, 10.0, "contact resistance at the inner face of a layer")
+"""Of layers that are declared to touch perfectly. Its usual size is a guess: half a millimetre of air, which conducts
+0.025 W/(m K)."""
+LEAST_OF_DECLARED, SCATTER_OF_DECLARED = (MODEL["stack.contact_factor"].lower, MODEL["stack.contact_factor"].sigma)
+"""Least contact resistance over a declared one, and its standard deviation, as of the model's own factor."""
+
+
 def wall_changes(record: Record) -> list[RecordChange]:
-    """All changes of the wall of a record: factors of its layers, then materials of the library in place of its own."""
-    return [*layer_changes(record), *material_changes(record)]
+    """All changes of the wall of a record: factors of its layers, contacts between them, and materials of the library
+    in place of its own."""
+    return [*layer_changes(record), *contact_changes(record), *material_changes(record)]
 
 
 # Factors of a layer ---------------------------------------------------------------------------------------------------
@@ -131,6 +141,59 @@ def _with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str
     return replace(record, declared=record.declared.model_copy(update={"stack": stack, "materials": dict(materials)}))
 
 
+# Contacts between layers ----------------------------------------------------------------------------------------------
+
+
+def contact_changes(record: Record) -> list[RecordChange]:
+    """A contact resistance at the inner face of every layer but the last.
+
+    Of the contacts on one side of the layer that insulates most, one alone is fitted: the layers between them are thin,
+    and a record tells them apart hardly.
+    """
+    stack = record.declared.stack
+    insulates = [
+        layer.thickness_m / _middle_conductivity(record.declared.materials[layer.material]) for layer in stack.layer
+    ]
+    most = int(np.argmax(insulates))
+    return [
+        _contact_change(record, i, f"contact {'outside' if i < most else 'inside'} layer {stack.layer_names[most]}")
+        for i in range(len(stack.layer) - 1)
+    ]
+
+
+def _contact_change(record: Record, number: int, form: str) -> RecordChange:
+    stack = record.declared.stack
+    outer, inner = stack.layer_names[number : number + 2]
+    declared, own = stack.layer[number].contact_m2K_W, CONTACT
+    if declared > 0.0:
+        scatter = max(CONTACT.sigma, SCATTER_OF_DECLARED * declared)
+        own = replace(CONTACT, value=declared, sigma=scatter, lower=LEAST_OF_DECLARED * declared)
+    what = f"contact between layer {outer} and layer {inner}"
+    against = f"{declared:.2g} m2 K/W" if declared > 0.0 else "none"
+    return RecordChange(
+        "wall", what, own, partial(with_contact, number=number),
+        lambda resistance: f"{what}: {resistance:.2g} m2 K/W, declared {against}", form=form,
+    )  # fmt: skip
+
+
+def with_contact(record: Record, contact_m2K_W: float, *, number: int) -> Record:
+    """The record with another contact resistance at the inner face of a layer.
+
+    contact_m2K_W : [m2 K/W], above 0;  number : of the layer, outermost first
+
+    A sensor at that depth is on the outer side, as with a declared one. The elements of the layers stay as they are.
+    """
+    stack = record.declared.stack
+    layers = list(stack.layer)
+    layers[number] = layers[number].model_copy(update={"contact_m2K_W": contact_m2K_W})
+    changed = _with_layers(record, layers, record.declared.materials)
+    if stack.nodes is None or stack.layer[number].contact_m2K_W > 0.0:
+        return changed
+    # a contact is an element, and has a node more
+    more = changed.declared.stack.model_copy(update={"nodes": stack.nodes + 1})
+    return replace(changed, declared=changed.declared.model_copy(update={"stack": more}))
+
+
 # Materials of the library ---------------------------------------------------------------------------------------------
 
 
@@ -155,8 +218,13 @@ def _material_change(layer: str, name: str, material: Material) -> RecordChange:
 
 def material_class(material: Material) -> str:
     """Insulation, metal, or other, such as a coating or an adhesive, by its conductivity."""
-    k = float(np.median(material.conductivity_grid()[2]))
+    k = _middle_conductivity(material)
     return INSULATION if k < INSULATES_W_MK else METAL if k > CONDUCTS_W_MK else OTHER
+
+
+def _middle_conductivity(material: Material) -> float:
+    """Conductivity in the middle of its table [W/(m K)]."""
+    return float(np.median(material.conductivity_grid()[2]))
 
 
 def _with_material(record: Record, _: float, *, layer: str, name: str, material: Material) -> Record:

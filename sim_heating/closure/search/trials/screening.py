@@ -112,10 +112,15 @@ def gain_of_step(parameters: Sequence[Parameter], at: FloatArray, found: Evaluat
     """Gain in log likelihood that a Gauss-Newton step predicts, the priors of the parameters included [-].
 
     at : (parameter,) values that were evaluated;  found : log likelihood there, with gradient and information
+
+    Parameters on a bound that the gradient pushes beyond it stay there.
     """
     prior = np.array([p.sigma**-2.0 for p in parameters])
-    towards = prior * (np.array([p.value for p in parameters]) - at)
-    return predicted_gain(found.gradient + towards, covariance(found.information + np.diag(prior)))
+    gradient = found.gradient + prior * (np.array([p.value for p in parameters]) - at)
+    lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
+    free = ~(((at <= lower) & (gradient <= 0.0)) | ((at >= upper) & (gradient >= 0.0)))
+    information = (found.information + np.diag(prior))[np.ix_(free, free)]
+    return predicted_gain(gradient[free], covariance(information))
 
 
 def _largest_gain(base: TrialFit) -> float:
