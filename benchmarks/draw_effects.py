@@ -31,6 +31,7 @@ from sim_heating.simulation.run import fly_scenario
 from sim_heating.thermal.stack import Sensor
 
 DRAWN: Mapping[str, Mapping[str, float]] = {
+    "added-curve": {"low": 30.0, "high": 45.0, "s_5": 0.001, "s_6": 0.004, "s_7": 0.01},
     "alpha-curvature": {"d_alpha2": 2e-4},
     "backface-cooling": {"back_h_W_m2K": 10.0, "back_K": 290.0},
     "bodyflap-curvature": {"d_bodyflap2": 1e-4},

@@ -47,7 +47,8 @@ def curve_trials(base: TrialFit, taken: Sequence[str] = ()) -> list[TrialFit]:
     """
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
-    tried = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=True)
+    everything = candidates(record, flown.at(flown.time_s[record.fit_mask(flown.time_s)]), taken, last_resort=True)
+    tried = [c for c in everything if c.name == CURVE]
     gains = predicted_gains(base, tried)
     least = MIN_GAIN_SHARE * max(gains, default=0.0)
     chosen = [(c, gain) for c, gain in zip(tried, gains, strict=True) if gain > least]

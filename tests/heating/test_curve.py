@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from sim_heating.base.errors import InputError
@@ -41,6 +43,22 @@ def test_a_curve_is_the_cubic_spline_through_its_values_and_constant_outside():
     np.testing.assert_allclose(found, 1.0 + expected(alpha), rtol=1e-13)
 
 
+@given(
+    st.floats(-0.02, 0.02),
+    st.floats(-2e-3, 2e-3),
+    st.floats(-2e-4, 2e-4),
+    st.lists(st.floats(30.0, 45.0), min_size=1, max_size=5),
+)
+def test_an_added_curve_contains_every_parabola(constant, slope, bend, alpha):
+    def parabola(v: np.ndarray) -> np.ndarray:
+        return constant + slope * (v - 40.0) + bend * (v - 40.0) ** 2
+
+    heights = parabola(np.linspace(30.0, 45.0, KNOTS))
+    used = use("added-curve", {"low": 30.0, "high": 45.0} | dict(zip(VALUES, heights.tolist(), strict=True)))
+    found = [factor(used, alpha_deg=a) for a in alpha]
+    np.testing.assert_allclose(found, parabola(np.array(alpha)), atol=1e-12)
+
+
 @pytest.mark.parametrize("variable", VARIABLES)
 def test_a_curve_follows_the_variable_of_its_number(variable):
     at = {variable: 38.0}
@@ -75,9 +93,9 @@ def test_curves_are_candidates_of_last_resort_only_and_time_is_the_last():
     flown = conditions_of_record(record)
     assert "curve" not in {c.name for c in candidates(record, flown)}
     tried = candidates(record, flown, last_resort=True)
-    numbers = [c.uses[0].values[0] for c in tried]
-    assert {c.name for c in tried} == {"curve"}
+    numbers = [c.uses[0].values[0] for c in tried if c.name == "curve"]
+    assert {c.name for c in tried} == {"curve", "added-curve"}
     assert numbers == sorted(numbers)
     assert VARIABLES[int(numbers[0])] == "alpha_deg"
     assert VARIABLES[int(numbers[-1])] == "time_s"
-    assert candidates(record, flown, ["curve"], last_resort=True) == []
+    assert candidates(record, flown, ["curve", "added-curve"], last_resort=True) == []

@@ -81,6 +81,7 @@ VALUES = {
     "nonisothermal-wall": {"decay_begin_s": 30.3},
     "sideslip": {"slope_abs_beta": 2e-3},
     "catalysis": {"flow_step": 0.1, "flow_J_kg": 1.9e7, "fall_fraction": 0.5, "fall_K": 1200.0},
+    "added-curve": {"variable": 3.0, "low": 3.0, "high": 11.0, "s_2": 0.01, "s_4": 0.005, "s_7": -0.01},
     "curve": {"variable": 3.0, "low": 3.0, "high": 11.0, "s_1": 0.1, "s_2": -0.1, "s_4": 0.05, "s_6": 0.1, "s_7": 0.2},
 }
 """Values at which an effect acts during the POPU; else its nominal ones."""

@@ -59,7 +59,7 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
         value, own = found[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
             lines.append(f"{own} is on its bound, {value:g}")
-        elif name in candidate.with_prior and not _is_declared(trial, name):
+        elif name in candidate.with_prior and not _has_any_size(trial, name):
             lines += _off(own, value, p)
     return lines
 
@@ -71,29 +71,34 @@ def _off(name: str, value: float, p: Parameter) -> list[str]:
 
 
 def far_from_declared(trial: TrialFit, candidate: Candidate) -> list[str]:
-    """Values of layers, clocks and sensors that are further off than they scatter, a line each.
+    """Values of layers, clocks, sensors and additions to the ratio that are further off than they scatter, a line each.
 
-    A declaration may be wrong by any amount: another lot, a clock that was set wrong, a broken thermocouple. As for a
+    A declaration may be wrong by any amount: another lot, a clock that was set wrong, a broken thermocouple. What an
+    effect adds to a ratio has no size of its own, as ratios themselves differ by two decades over a vehicle. As for a
     change of the record, such a value may be named where it explains the record, and not where it only resembles it.
     """
     found = fitted_values(trial)
     return [
         f"{candidate.name}: {line}"
         for name, p in _definitions(trial, candidate).items()
-        if name in candidate.with_prior and _is_declared(trial, name)
+        if name in candidate.with_prior and _has_any_size(trial, name)
         for line in _off(name.rpartition(".")[2], found[name], p)
     ]
 
 
-def _is_declared(trial: TrialFit, name: str) -> bool:
-    """Whether a parameter is of a thing that the record declares: a factor of a layer, a clock, a thermocouple."""
+def _has_any_size(trial: TrialFit, name: str) -> bool:
+    """Whether a parameter is of a thing that the record declares, a factor of a layer, a clock or a thermocouple, or
+    adds to the ratio."""
     if name in RECORD_PARAMETERS or name.startswith(SENSOR_PREFIX):
         return True
     _, _, effect_and_own = name.partition(EFFECT_PREFIX)
     effect, _, own = effect_and_own.partition(".")
     known = effects().get(effect)
-    stands_for = dict(zip((p.name for p in known.parameters), known.model_parameters, strict=False)) if known else {}
-    return layer_parameter(stands_for.get(own, name)) is not None
+    if known is None:
+        return layer_parameter(name) is not None
+    stands_for = dict(zip((p.name for p in known.parameters), known.model_parameters, strict=False))
+    adds = known.mode == "add" and trial.problem.record_fits[0].model.definition(name).unit.startswith("1")
+    return adds or layer_parameter(stands_for.get(own, name)) is not None
 
 
 def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:

@@ -43,6 +43,7 @@ from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_b
 from sim_heating.closure.search.refine import CONVERGE, Contender, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import (
     fit_in_stages,
@@ -79,6 +80,9 @@ MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
 MAX_EFFECTS = 3
+FREED, LIBRARY_SHARE = 6, 0.9
+"""Hypotheses whose effects are tried in a free form, and the part of the excess that they have to explain without: with
+less, a curve is free to follow anything."""
 CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
 """Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
 and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
@@ -145,8 +149,12 @@ def search_effects(
     found += _changes(before, base, singles, discrepancies, _explained(found), progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
-        leading = sorted(singles, key=lambda k: -k.trial.fit.log_likelihood)
-        stacks = [[k.trial] for k in leading[:FIRST_PICKS]]
+        free = _free_forms(base, none, rated, first.forms)
+        found += free
+        rated = scored(none, found)
+    if _more_is_missing(none, rated):
+        firsts = [*(k.trial for k in singles), *(h.last for h in free)]
+        stacks = [[t] for t in sorted(firsts, key=lambda t: -t.fit.log_likelihood)[:FIRST_PICKS]]
         more, pairs = _with_one_more(stacks, first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rounds += more
         found += pairs
@@ -157,6 +165,8 @@ def search_effects(
             )
             rounds += more
             found += triples
+        if _more_is_missing(none, _accepted(none, found)):
+            found += _free_forms(base, none, [h for h in found if len(h.names) > 1], first.forms)
         found += _pruned(base, _accepted(none, found), first.forms)
         rated = _accepted(none, found)
         if _more_is_missing(none, rated):
@@ -311,6 +321,37 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
         for left_out in best.trials
     ]
     return [hypothesis(stack, forms) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
+
+
+def _free_forms(
+    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], forms: Mapping[str, int]
+) -> list[Hypothesis]:
+    """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
+    explaining = [
+        h for h in found if h.change is None and none.excess_chi2 - h.excess_chi2 > LIBRARY_SHARE * none.excess_chi2
+    ]
+    wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
+    for h in sorted(explaining, key=lambda h: h.excess_chi2)[:FREED]:
+        for freed in h.trials:
+            others = [t for t in h.trials if t is not freed]
+            key = (freed.name, *sorted(t.name for t in others))
+            if freed.name not in FREE_FORMS or key in wanted:
+                continue
+            values = fitted_values(h.last)
+            stack = [base, *_stack_effects(base, others, values)]
+            candidate = free_form(stack[-1], freed, values)
+            if candidate is not None and np.isfinite(stack[-1].fit.log_likelihood):
+                wanted[key] = (stack, candidate, {**values, **candidate.start})
+    problems = [problem_with(stack[-1], c) for stack, c, _ in wanted.values()]
+    starts = [start_values(p, start) for p, (_, _, start) in zip(problems, wanted.values(), strict=True)]
+    fits = maximise_together(problems, starts, CONVERGE) if problems else []
+    more = []
+    for (stack, c, _), problem, fit in zip(wanted.values(), problems, fits, strict=True):
+        if np.isfinite(fit.log_likelihood):
+            held_out = held_out_problem_with(stack[-1], c)
+            trial = TrialFit(c.name, c, problem, held_out, fit, delta_bic(stack[-1], fit, c, 1.0))
+            more.append(hypothesis([*stack[1:], trial], forms))
+    return more
 
 
 def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress: Progress) -> list[Hypothesis]:

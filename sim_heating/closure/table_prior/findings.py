@@ -4,7 +4,8 @@ Where table and bounds are right, estimates with flat priors are theta_hat ~ N(0
 (prior.py) and the bounds C of the fit, corrected for colour. theta_hat' S^-1 theta_hat is then chi-square distributed
 (docs/equations.md, equation 17). A parameter is named where it is off by more than three of its sigma, S_kk^(1/2).
 Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones on its
-diagonal, that contributes most.
+diagonal, that contributes most. Variances of combinations follow from correlations of the table's errors, which are
+assumed; so for these INDEPENDENT of every variance counts as independent of the others.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ COLLINEAR = 0.95
 """Correlation of two estimates above which a record does not tell them apart."""
 NAMED_COMPONENT = 0.3
 """Component of a combination of unit length above which a parameter is named."""
+INDEPENDENT = 0.1
+"""Part of the variance of each estimate that is taken as independent of the others [-]. Errors of a table about another
+reference condition than that of the fit, for one, leave a constant that no parameter takes up."""
 VARIABLE_WORDS = ("alpha", "beta", "Reynolds-number", "elevon", "body-flap")
 """The ratio variables in words."""
 UNIT_WORDS = {"1": "", "1/deg": "/deg", "1/deg2": "/deg2"}
@@ -83,7 +87,7 @@ def _combination(estimates: Mapping[str, tuple[float, float]], z: FloatArray, S:
     """
     sigma = np.sqrt(np.diag(S))
     eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
-    off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, np.finfo(float).eps))
+    off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + INDEPENDENT)
     p_value = float(chi2.sf(float(off @ off), len(off)))
     if p_value > math.erfc(MOST_SIGMA / math.sqrt(2.0)):
         return []

@@ -48,10 +48,11 @@ WALL_RANGE_K = (300.0, 1700.0)
 
 
 @njit
-def spline(B: FloatArray, p: int, u: float) -> float:
+def spline(B: FloatArray, p: int, u: float, level_ends: bool) -> float:
     """The spline [-] at u = (v - low) / (high - low) (KNOTS - 1), constant below 0 and above KNOTS - 1.
 
     B, p : the values at the knots are B[p + FIRST] and those behind it
+    level_ends : whether it is level at the ends; else it has the slope there of the parabola through the last three knots
     Between two knots it is Hermite's cubic with the slopes of the parabolas through three knots (Catmull and Rom 1974).
     """
     last = KNOTS - 1.0
@@ -61,16 +62,22 @@ def spline(B: FloatArray, p: int, u: float) -> float:
     i = min(int(u), KNOTS - 2)
     x, y = u - i, p + FIRST + i
     a, b = B[y], B[y + 1]
-    # Level at the ends: outside, the curve is constant.
-    slope_a = 0.5 * (b - B[y - 1]) if i > 0 else 0.0
-    slope_b = 0.5 * (B[y + 2] - a) if i < KNOTS - 2 else 0.0
+    slope_a, slope_b = 0.0, 0.0
+    if i > 0:
+        slope_a = 0.5 * (b - B[y - 1])
+    elif not level_ends:
+        slope_a = -1.5 * a + 2.0 * b - 0.5 * B[y + 2]
+    if i < KNOTS - 2:
+        slope_b = 0.5 * (B[y + 2] - a)
+    elif not level_ends:
+        slope_b = 1.5 * b - 2.0 * a + 0.5 * B[y - 1]
     rest = 1.0 - x
     return a * rest * rest * (1.0 + 2.0 * x) + b * x * x * (3.0 - 2.0 * x) + x * rest * (slope_a * rest - slope_b * x)
 
 
 @njit
-def curve_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """Factor of a curve on the heating ratio [-], f = 1 + s(v), not below 0.
+def knot_place(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """Where the present conditions lie among the knots of a curve, u = (v - low) / (high - low) (KNOTS - 1) [-].
 
     B       : block of the lane group; B[c] flight conditions, B[p] number of the variable, low, high, values of s [-]
     wall_K  : wall temperature [K], the variable where its number is WALL
@@ -92,8 +99,18 @@ def curve_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
         v = wall_K
     else:
         v = B[c + flight.time_s]
-    u = (v - B[p + LOW]) / (B[p + HIGH] - B[p + LOW]) * (KNOTS - 1.0)
-    return max(1.0 + spline(B, p, u), 0.0)
+    return (v - B[p + LOW]) / (B[p + HIGH] - B[p + LOW]) * (KNOTS - 1.0)
+
+
+@njit
+def curve_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+    """Factor of a curve on the heating ratio [-], f = 1 + s(v), not below 0.
+
+    B, c, p, wall_K : as in `knot_place`
+
+    An empirical form, docs/effects.md, equation 29.
+    """
+    return max(1.0 + spline(B, p, knot_place(B, c, p, wall_K), True), 0.0)
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
@@ -123,15 +140,18 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
 VALUES = tuple(f"s_{k + 1}" for k in range(KNOTS))
 """Names of the values at the knots."""
 
+PLACE = (
+    Parameter("variable", "1", 0.0, 0.0, 0.0, len(VARIABLES) - 1.0, f"number of the variable: {', '.join(VARIABLES)}"),
+    Parameter("low", "1", 30.0, 0.0, -1e5, 1e5, "first knot, in the unit of the variable"),
+    Parameter("high", "1", 45.0, 0.0, -1e5, 1e5, "last knot"),
+)
+"""Parameters of a curve that are not estimated."""
+
 EFFECT = Effect(
     name=CURVE,
     mode="multiply",
     parameters=(
-        Parameter(
-            "variable", "1", 0.0, 0.0, 0.0, len(VARIABLES) - 1.0, f"number of the variable: {', '.join(VARIABLES)}"
-        ),
-        Parameter("low", "1", 30.0, 0.0, -1e5, 1e5, "first knot, in the unit of the variable"),
-        Parameter("high", "1", 45.0, 0.0, -1e5, 1e5, "last knot"),
+        *PLACE,
         *(
             Parameter(name, "1", 0.0, SCATTER, -0.95, 5.0, f"relative change of the ratio at knot {k + 1}")
             for k, name in enumerate(VALUES)
@@ -192,8 +212,8 @@ def curve_band(
     low, high, number = B[LOW], B[HIGH], int(B[VARIABLE])
     v = np.linspace(low, high, KNOTS) if at is None else np.asarray(at, dtype=float)
     unit_values = np.column_stack([np.zeros((KNOTS, FIRST)), np.eye(KNOTS)])
-    w = np.array([[spline(row, 0, (x - low) / (high - low) * (KNOTS - 1.0)) for row in unit_values] for x in v])
+    w = np.array([[spline(row, 0, (x - low) / (high - low) * (KNOTS - 1.0), True) for row in unit_values] for x in v])
     if about is not None:
-        w -= [spline(row, 0, (about - low) / (high - low) * (KNOTS - 1.0)) for row in unit_values]
+        w -= [spline(row, 0, (about - low) / (high - low) * (KNOTS - 1.0), True) for row in unit_values]
     sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", w, C, w), 0.0))
     return CurveBand(VARIABLES[number], LABELS[number], UNITS[number], v, w @ B[FIRST:], sigma)

@@ -1,4 +1,4 @@
-"""Sideslip: heating grows with the magnitude of the sideslip angle, equally for both signs."""
+"""Sideslip: heating grows with the magnitude of the sideslip angle, for both signs, equally or leaning to one."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
 from sim_heating.heating.effects import Effect, SearchStart, flight
 
-SLOPE, CURVATURE = range(2)
+SLOPE, CURVATURE, LEAN = range(3)
 
 
 @njit
 def sideslip_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """Ratio that sideslip of either sign adds [-].
+    """Ratio that sideslip adds [-].
 
-        f = slope |beta| + d_beta2 beta^2
+        f = slope |beta| + d_beta2 beta^2 + lean beta
 
-    B       : block of the lane group; B[c] flight conditions with beta [deg], B[p] slope [1/deg], d_beta2 [1/deg2]
+    B       : block of the lane group; B[c] flight conditions with beta [deg], B[p] slope [1/deg], d_beta2 [1/deg2], lean [1/deg]
     wall_K  : wall temperature [K], not used
 
     Source: the observation, NASA TM-86032 and the founding paper; the form, docs/effects.md, equation 21.
     """
-    return (
-        B[p + SLOPE] * abs(B[c + flight.beta_deg]) + B[p + CURVATURE] * B[c + flight.beta_deg] * B[c + flight.beta_deg]
-    )
+    beta = B[c + flight.beta_deg]
+    return B[p + SLOPE] * abs(beta) + B[p + CURVATURE] * beta * beta + B[p + LEAN] * beta
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for sideslip (docs/effects.md, equation 21): |beta| or beta^2 alone, beta in [deg]."""
-    return [SearchStart(("slope_abs_beta",)), SearchStart(("d_beta2",))]
+    """Search starts for sideslip (docs/effects.md, equation 21): |beta| or beta^2 alone, |beta| with a lean to one side,
+    beta in [deg]."""
+    return [SearchStart(("slope_abs_beta",)), SearchStart(("d_beta2",)), SearchStart(("slope_abs_beta", "lean"))]
 
 
 EFFECT = Effect(
@@ -40,6 +40,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("slope_abs_beta", "1/deg", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with the magnitude of beta"),
         Parameter("d_beta2", "1/deg2", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with beta^2"),
+        Parameter("lean", "1/deg", 0.0, 0.01, -1.0, 1.0, "rise of the ratio with beta, by which its two sides differ"),
     ),
     kernel=sideslip_ratio,
     needs=("beta_deg",),
