@@ -52,7 +52,7 @@ def spline(B: FloatArray, p: int, u: float, level_ends: bool) -> float:
     """The spline [-] at u = (v - low) / (high - low) (KNOTS - 1), constant below 0 and above KNOTS - 1.
 
     B, p : the values at the knots are B[p + FIRST] and those behind it
-    level_ends : whether it is level at the ends; else it has the slope there of the parabola through the last three knots
+    level_ends : whether it is level at the ends; else it has the slope there of the parabola through three knots
     Between two knots it is Hermite's cubic with the slopes of the parabolas through three knots (Catmull and Rom 1974).
     """
     last = KNOTS - 1.0

@@ -19,7 +19,8 @@ def sideslip_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
         f = slope |beta| + d_beta2 beta^2 + lean beta
 
-    B       : block of the lane group; B[c] flight conditions with beta [deg], B[p] slope [1/deg], d_beta2 [1/deg2], lean [1/deg]
+    B       : block of the lane group; B[c] flight conditions with beta [deg], B[p] slope [1/deg], d_beta2 [1/deg2],
+              lean [1/deg]
     wall_K  : wall temperature [K], not used
 
     Source: the observation, NASA TM-86032 and the founding paper; the form, docs/effects.md, equation 21.
@@ -29,8 +30,8 @@ def sideslip_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for sideslip (docs/effects.md, equation 21): |beta| or beta^2 alone, |beta| with a lean to one side,
-    beta in [deg]."""
+    """Search starts for sideslip (docs/effects.md, equation 21), beta in [deg]: |beta| or beta^2 alone, |beta| with a
+    lean to one side."""
     return [SearchStart(("slope_abs_beta",)), SearchStart(("d_beta2",)), SearchStart(("slope_abs_beta", "lean"))]
 
 

@@ -1,9 +1,10 @@
 """Effects in a free form: their own form, and a smooth curve against the variable that they depend on.
 
 Nature's form of an effect is never exactly that of a library. Where the form of the library explains most of a
-residual and not all of it, a spline that adds to the ratio (heating/effects/added_curve.py) is fitted with it. The name
-stays: what heats with a deflection, with sideslip or with the angle of attack otherwise than by the declared table and
-its slopes has the name of that variable's effect. Beyond what a flight informs, the curve returns to the library's form.
+residual and not all of it, a spline that adds to the ratio (heating/effects/added_curve.py) is fitted with it. The
+name stays: what heats with a deflection, with sideslip or with the angle of attack otherwise than by the declared
+table and its slopes has the name of that variable's effect. Beyond what a flight informs, the curve returns to the
+library's form.
 """
 
 from __future__ import annotations
