@@ -132,7 +132,7 @@ BOUNDARY = (
 CLOCK_SKEW = Parameter("clock.skew", "s", 0.0, 0.5, -10.0, 10.0, "recorded T(t) = true T(t - skew): above 0, it lags")
 """Skew of the thermocouple clock of a record."""
 
-COMMON_LAG = Parameter("sensors.tau_s", "s", 0.0, 0.5, 0.0, 20.0, "added to the lag of each thermocouple, first order")
+COMMON_LAG = Parameter("sensors.tau_s", "s", 0.0, 0.5, 0.0, 100.0, "added to the lag of each thermocouple, first order")
 """Time constant that all thermocouples of a record have in addition to their declared ones."""
 RECORD_PARAMETERS = {p.name: p for p in (CLOCK_SKEW, COMMON_LAG)}
 """Parameters of a record's readings as a whole, by name."""
@@ -141,7 +141,7 @@ SENSOR_PREFIX = "sensor."
 SENSOR = {
     "bias": Parameter("bias", "K", 0.0, 5.0, -500.0, 500.0, "what a thermocouple reads too much"),
     "gain": Parameter("gain", "1", 1.0, 0.01, 0.2, 5.0, "indicated over true temperature"),
-    "tau_s": Parameter("tau_s", "s", 0.0, 0.5, 0.0, 20.0, "time constant of its first-order lag"),
+    "tau_s": Parameter("tau_s", "s", 0.0, 0.5, 0.0, 100.0, "time constant of its first-order lag"),
     "drift": Parameter("drift", "K/s", 0.0, 3e-3, -2.0, 2.0, "rate of a bias that begins with its first reading"),
 }
 """Parameters of a thermocouple: `sensor.NAME.bias`, `sensor.NAME.gain`, `sensor.NAME.tau_s` and `sensor.NAME.drift`."""

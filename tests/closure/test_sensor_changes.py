@@ -14,6 +14,7 @@ from sim_heating.closure.search.changes.record_change import ChangeFit, RecordCh
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.trials.trial_fit import base_trial
 from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.sensor_model import SensorErrors
 from sim_heating.simulation.predict import predict
@@ -214,3 +215,39 @@ def test_a_drift_can_be_estimated_by_its_name_and_predicted():
     assert drift - sound == pytest.approx(DRIFT_K_S, abs=3.0 * sigma)
     plain, wrong = predict(TILE), predict(TILE, errors={"LS_bond": SensorErrors(drift_K_s=DRIFT_K_S)})
     np.testing.assert_allclose(wrong.indicated_K[1] - plain.indicated_K[1], DRIFT_K_S * TIME_S, atol=1e-9)
+
+
+def clipped_at(name: str, limit_K: float, begin_s: float = 0.0, noise_K: float = 0.8) -> Record:
+    """A thermocouple that is clipped before its noise and its word, whose readings begin at some time."""
+    sensor = next(s for s in TILE.sensors if s.name == name)
+    read = np.where(READ[name] > limit_K, limit_K, READ[name])
+    read = read + np.where(read == limit_K, np.random.default_rng(4).normal(0.0, noise_K, len(read)), 0.0)
+    words = sensor.range_K[0] + np.rint((read - sensor.range_K[0]) / sensor.lsb_K) * sensor.lsb_K
+    return with_readings(words=True, **{name: np.where(begin_s > TIME_S, np.nan, words)})
+
+
+@pytest.mark.parametrize(
+    ("name", "limit_K", "begin_s", "end_s"),
+    [("LS_surface", 1040.0, 450.0, 900.0), ("LS_bond", 316.0, 200.0, 1452.0)],
+    ids=["from the first reading on", "slowly, up to the last one"],
+)
+def test_a_thermocouple_is_recognised_as_clipped_where_its_readings_begin_or_end_so(
+    name: str, limit_K: float, begin_s: float, end_s: float
+) -> None:
+    record = clipped_at(name, limit_K, begin_s)
+    segments = record.declared.segments.model_copy(update={"fit": [[begin_s, end_s]], "holdout": [[700.0, 750.0]]})
+    best = found_in(replace(record, declared=record.declared.model_copy(update={"segments": segments})))[0]
+    said, _, level_K, *_ = best.describe().removeprefix(f"{name} ").split()
+    assert said == "clipped"
+    assert float(level_K) == pytest.approx(limit_K, abs=2.0)
+    assert best.trial.excess_chi2 < 0.2
+
+
+def test_a_model_that_is_short_of_the_level_contradicts_a_clipped_thermocouple():
+    base = base_trial(estimate([clipped_at("LS_surface", 1040.0)]))
+    (change,) = [c for c in sensor_changes(base) if "clipped" in c.what]
+    readings = fit_changes(base, [change])[0].trial.problem.samples(base.fit.values)[0].channel.intervals
+    clipped = readings.select(np.isinf(readings.upper_K))
+    beyond, short = (np.full(len(clipped.lower_K), 1040.0 + by_K) for by_K in (20.0, -20.0))
+    assert scores(clipped, beyond, 1.0)[0] == pytest.approx(0.0, abs=1e-6)
+    assert scores(clipped, short, 1.0)[0] < -1e3

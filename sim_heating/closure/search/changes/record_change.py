@@ -52,6 +52,8 @@ DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
 FIRST_STEPS = replace(QUICK, iterations=5)
 """Settings of the first stage, after which changes that stay far behind are not fitted on."""
+EFFECT_SHARE = 0.5
+"""Part of the best gain that a change which is an effect by name has to predict, at most."""
 NEARLY, MOST_SEARCHES = 0.95, 3
 """Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
@@ -435,7 +437,9 @@ def fit_changes(
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        form, least = change.form or change.what, (share if change.near is None else near_share) * largest
+        asked_of = share if change.near is None else near_share
+        # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
+        form, least = change.form or change.what, min(asked_of, EFFECT_SHARE if change.effect else 1.0) * largest
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):

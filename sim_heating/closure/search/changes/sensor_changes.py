@@ -4,8 +4,8 @@ Bias, gain and lag of a thermocouple are effects by name (candidates.py). What a
 fit without the change rules out is not offered: a sensor at its noise is not broken, two such sensors are not swapped.
 
 Readings that a change makes worthless are taken out of the record, but not for nothing. Those of a stuck or clipped
-thermocouple have their noise about the level that they keep. Those of a broken one are scattered about the
-prediction of the model with their own root mean square,
+thermocouple have their noise about the level that they keep; of clipped ones it remains that the temperature was not
+short of it. Those of a broken one are scattered about the prediction of the model with their own root mean square,
 
     log L = sum_i log N(y_i; m_i, s^2),   s^2 = mean (y_i - m_i)^2
 
@@ -18,11 +18,12 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
@@ -70,12 +71,15 @@ AT_NOISE = 1.6
 """Residual over the noise below which a sensor is at its noise."""
 ROUGH_SAMPLES, ROUGHER = 8, 3.0
 """Samples that half the time of diffusion has to hold; and how much rougher than the prediction readings may be."""
-LEVEL_FLOORS, FLAT_FLOORS = 6.0, 1.5
-"""Noise floors that readings on one level are within, and by which a maximum may curve that looks flat."""
-CORNER = 3.0
-"""How much faster than at a smooth maximum readings reach the level that they are clipped at."""
+LEVEL_FLOORS = 6.0
+"""Noise floors that readings on one level are within."""
+MIN_CLIPPED, CLIPPED_FLOORS, MOST_OUTLIERS, EVEN = 15, 3.0, 2, 5.0
+"""Least length of a run that readings are clipped in; noise floors within which they are at the level; readings one
+after the other that may be outside; and standard deviations by which the means of its thirds may differ."""
+FINE_WORD = 0.05
+"""Word of a clipped thermocouple whose recorder has none, over its noise."""
 OTHERS_MOVE = 3.0
-"""Steps of its recorder that another sensor moves by while one is stuck."""
+"""Steps of its recorder that another sensor moves by while one is stuck, and the model where one is clipped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +95,18 @@ def sensor_changes(base: TrialFit) -> list[RecordChange]:
 
     base : the model, fitted to the record as declared
 
-    Units, and readings that do not change, are seen in the readings themselves: a sensor with these is not examined
-    further.
+    Units, and readings that are equal for long, are seen in the readings themselves: a sensor with these is not
+    examined further.
     """
     channels = [_Channel(s.channel.sensor, _rms(s)) for s in base.problem.samples(base.fit.values)]
-    seen = {**unit_changes(base), **constant_readings(base)}
-    others = [c for c in channels if not any(c.sensor.name in names for names in seen)]
+    units, constant = unit_changes(base), constant_readings(base)
+    seen = {name for names in units for name in names} | {name for _, name in constant}
+    others = [c for c in channels if c.sensor.name not in seen]
     misfits = [c.sensor for c in others if c.rms > MISFIT]
     record = base.problem.record_fits[0].record
     return [
-        *(change for changes in seen.values() for change in changes),
+        *(change for changes in units.values() for change in changes),
+        *(change for change, _ in constant),
         *(swap(a, b) for a, b in combinations(misfits, 2)),
         *(drift(record, c.sensor) for c in others if len(channels) > 1),
         *(depth(record, s) for s in misfits),
@@ -245,42 +251,50 @@ def _depth_starts(own: Parameter) -> tuple[float, ...]:
 # Readings that are worthless ------------------------------------------------------------------------------------------
 
 
-def constant_readings(base: TrialFit) -> dict[frozenset[str], list[RecordChange]]:
-    """Sensors whose readings are equal for long while the declared model and another sensor change.
+def constant_readings(base: TrialFit) -> list[tuple[RecordChange, str]]:
+    """Sensors whose readings do not change for long while the declared model and another sensor do.
 
-    returns : by name of the sensor; it is clipped at a range that is not declared where these are its largest readings
-              and others follow, else stuck. Readings that are clipped before the recorder's noise scatter about a level
+    returns : changes, and the names of the sensors whose fault is certain, else empty. A sensor may be clipped at a
+              range that is not declared where these are its largest or its least readings, which is certain where they
+              are equal for long; else it is stuck where they are that
     """
-    record, found = base.problem.record_fits[0].record, dict[frozenset[str], list[RecordChange]]()
+    record, found = base.problem.record_fits[0].record, list[tuple[RecordChange, str]]()
     # The fitted model may follow readings that do not change.
     try:
         declared = base.problem.samples(np.array([p.value for p in base.problem.parameters]))
     except RunError:  # a declared model that cannot be marched tells nothing
-        return {}
+        return []
     for s in declared:
         sensor, t, read = s.channel.sensor, record.time_s, record.thermocouples[s.channel.sensor.column]
-        floor_K = sensor.noise_floor_K(s.sigma_K)
-        for run in (_longest_constant(read), _largest_readings(read, floor_K)):
-            level_K, (begin_s, end_s) = float(np.nanmedian(read[run])), t[run[[0, -1]]]
-            inside = s.mean_K[(s.time_s >= begin_s) & (s.time_s <= end_s)]
-            changes = len(inside) > 1 and np.ptp(inside) > STUCK * max(sensor.lsb_K, s.sigma_K)
-            unclipped = reading_intervals(sensor, read[run[:1]]).is_finite[0]
-            moves = _others_move(declared, sensor, (begin_s, end_s))
-            if len(run) < MIN_CONSTANT or not unclipped or not changes or not moves:
-                continue
-            exact, recovers = np.ptp(read[run]) == 0.0, run[-1] < np.flatnonzero(np.isfinite(read))[-1]
-            largest = level_K >= np.nanmax(read) if exact else _is_cut_off(t, read, run, floor_K)
-            if recovers and largest:
-                lost = np.isin(np.arange(len(read)), run) | (read >= np.nanmedian(read[run]))
-                text = f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
-            elif exact:
-                lost = np.isin(np.arange(len(read)), run)
-                text = f"{sensor.name} stuck at {level_K:.1f} K from {begin_s:.0f} to {end_s:.0f} s"
-            else:
-                continue
-            found[frozenset({sensor.name})] = [_without(base, {sensor.name: lost}, text, level_K)]
-            break
+        run, step_K = _longest_constant(read), max(sensor.lsb_K, s.sigma_K)
+        stuck = len(run) >= MIN_CONSTANT and _is_still(declared, s, read, t[run], STUCK * step_K)
+        recovers = run[-1] < np.flatnonzero(np.isfinite(read))[-1]
+        clipped = clipped_readings(read, s.sigma_K, sensor.lsb_K)
+        if (
+            clipped
+            and (recovers or not stuck)
+            and _is_still(declared, s, read, t[clipped.longest], OTHERS_MOVE * step_K)
+        ):
+            found.append((_clip(base, s, read, clipped), sensor.name if stuck else ""))
+        elif stuck:
+            text = f"{sensor.name} stuck at {read[run[0]]:.1f} K from {t[run[0]]:.0f} to {t[run[-1]]:.0f} s"
+            lost = np.isin(np.arange(len(read)), run)
+            found.append((_without(base, {sensor.name: lost}, text, float(read[run[0]])), sensor.name))
     return found
+
+
+def _is_still(
+    channels: Sequence[PredictedSamples], s: PredictedSamples, read: FloatArray, run_s: FloatArray, least_K: float
+) -> bool:
+    """Whether a run of readings does not follow what the declared model and another sensor show, within its range.
+
+    run_s : (run,) times [s];  least_K : by which the declared model changes in that time
+    """
+    inside = s.mean_K[(s.time_s >= run_s[0]) & (s.time_s <= run_s[-1])]
+    level = read[np.isin(s.record_fit.record.time_s, run_s)]
+    within = bool(reading_intervals(s.channel.sensor, np.array([np.median(level)])).is_finite[0])
+    changes = len(inside) > 1 and bool(np.ptp(inside) > least_K)
+    return within and changes and _others_move(channels, s.channel.sensor, (run_s[0], run_s[-1]))
 
 
 def _others_move(channels: Sequence[PredictedSamples], stuck: Sensor, span_s: tuple[float, float]) -> bool:
@@ -303,30 +317,98 @@ def _longest_constant(read: FloatArray) -> IntArray:
     return np.asarray(known[begins[k] : ends[k] + 1])
 
 
-def _largest_readings(read: FloatArray, floor_K: float) -> IntArray:
-    """(run,) indices from the first to the last of the readings that are at the level of the largest."""
-    known = np.flatnonzero(np.isfinite(read))
-    largest = read[known] >= np.max(read[known]) - LEVEL_FLOORS * floor_K
-    high = np.flatnonzero(read[known] >= np.median(read[known][largest]) - floor_K)
-    return np.asarray(known[high[0] : high[-1] + 1])
+class ClippedReadings(NamedTuple):
+    """Readings at an end of a range: whether the upper one, (reading,) which they are, (run,) indices of the longest
+    run."""
+
+    upper: bool
+    which: BoolArray
+    longest: IntArray
 
 
-def _is_cut_off(t: FloatArray, read: FloatArray, run: IntArray, floor_K: float) -> bool:
-    """Whether readings are constant but for their noise, and reach and leave their level at full speed.
+def clipped_readings(read: FloatArray, sigma_K: float, lsb_K: float) -> ClippedReadings | None:
+    """The largest readings, or else the least, where they may be clipped before the noise; None where they may not.
 
-    A smooth maximum T = T_0 - w (2 t / d)^4 of the duration d that is as flat as its noise shows, w = FLAT_FLOORS noise
-    floors, rises and falls by 16 w / d on either side.
+    read : (reading,) readings [K], NaN where lost;  sigma_K, lsb_K : noise and word [K]
+
+    They are constant but for noise and rounding, in one run or in several, such as before and after a manoeuvre. The
+    least ones have to be reached: before a flight a wall is at rest. A broad maximum may look the same: whether the
+    model without these readings explains the others, and is beyond them here, is for the fit to say.
     """
-    known, n = np.flatnonzero(np.isfinite(read)), len(run)
-    about_K, d = read[run] - np.mean(read[run]), float(t[run[-1]] - t[run[0]])
-    if n < MIN_CONSTANT or np.mean(about_K**2) > floor_K**2 * (1.0 + 3.0 * math.sqrt(2.0 / n)):
-        return False
-    before = known[(t[known] < t[run[0]]) & (t[known] >= t[run[0]] - 0.25 * d)]
-    after = known[(t[known] > t[run[-1]]) & (t[known] <= t[run[-1]] + 0.25 * d)]
-    if min(len(before), len(after)) < ROUGH_SAMPLES:
-        return False
-    slopes = [float(np.polyfit(t[part], read[part], 1)[0]) for part in (before, after)]
-    return min(slopes[0], -slopes[1]) > CORNER * 16.0 * FLAT_FLOORS * floor_K / d
+    known = np.flatnonzero(np.isfinite(read))
+    if len(known) < MIN_CLIPPED:
+        return None
+    floor_K = math.hypot(sigma_K, lsb_K / math.sqrt(12.0))
+    for sign in (1.0, -1.0):
+        y = sign * read[known]
+        level = float(np.median(y[y >= np.max(y) - LEVEL_FLOORS * floor_K]))
+        runs = _runs_at(y, level, floor_K)
+        longest = max(runs, key=len)
+        n = len(longest)
+        if n < MIN_CLIPPED or (sign < 0.0 and longest[0] == 0):
+            continue
+        # a level between two words is read as either
+        scatter_K, largest_K = float(np.std(y[longest])), math.hypot(sigma_K, 0.5 * lsb_K)
+        means = [float(np.mean(y[part])) for part in np.array_split(longest, 3)]
+        if scatter_K < largest_K * (1.0 + 3.0 / math.sqrt(2.0 * n)) and np.ptp(means) <= EVEN * scatter_K * (
+            math.sqrt(6.0 / n)
+        ):
+            which = np.zeros(len(read), dtype=bool)
+            which[known] = y >= level
+            for run in runs:
+                which[known[run[0]] : known[run[-1]] + 1] = True
+            return ClippedReadings(sign > 0.0, which & np.isfinite(read), known[longest])
+    return None
+
+
+def _runs_at(y: FloatArray, level: float, floor_K: float) -> list[IntArray]:
+    """Runs of readings at a level, from the first to the last that is not below it by its noise; a few outliers do not
+    end one."""
+    at = np.flatnonzero(y >= level - CLIPPED_FLOORS * floor_K)
+    found = []
+    for part in np.split(at, np.flatnonzero(np.diff(at) > MOST_OUTLIERS + 1) + 1):
+        high = part[y[part] >= level - floor_K]
+        if len(high) > 1:
+            found.append(np.arange(high[0], high[-1] + 1))
+    return found or [at]
+
+
+def _clip(base: TrialFit, s: PredictedSamples, read: FloatArray, found: ClippedReadings) -> RecordChange:
+    """Readings at an end of the range that is not declared: the true ones are there or beyond.
+
+    Their noise is about the likeliest level. What the model has to say of them is that it is not short of it:
+    the end of the recorder's range becomes the word of that level (reading_intervals).
+    """
+    sensor, own = s.channel.sensor, found.which
+    lsb_K, bits = sensor.lsb_K or FINE_WORD * s.sigma_K, sensor.bits or 32
+    words = reading_intervals(sensor, read[own])
+    middle_K = float(np.median(read[own]))
+    levels = middle_K + lsb_K * np.linspace(-1.0, 1.0, 41)
+    level_K = float(max(levels, key=lambda x: scores(words, np.full(np.count_nonzero(own), x), s.sigma_K)[0]))
+    end_K, span_K = middle_K + lsb_K * round((level_K - middle_K) / lsb_K), lsb_K * (2.0**bits - 1.0)
+    range_K = [end_K - span_K, end_K] if found.upper else [end_K, end_K + span_K]
+
+    def apply(record: Record, _: float) -> Record:
+        at_end = np.where(own, end_K, record.thermocouples[sensor.column])
+        changed = replace(record, thermocouples={**record.thermocouples, sensor.column: at_end})
+        return _with_sensors(changed, lambda x: {"bits": bits, "range_K": range_K} if x.name == sensor.name else {})
+
+    text = f"{sensor.name} clipped at {level_K:.0f} K, which is no declared end of its range"
+    change = _without(base, {sensor.name: own}, text, level_K)
+    # readings without a word have a density; those that are rounded to a fine one, a probability
+    fine = [0.0 if sensor.bits else -math.log(lsb_K) * _count(p, sensor, own) for p in (base.problem, base.held_out)]
+    known = tuple(a + b for a, b in zip(change.known_log_likelihood, fine, strict=True))
+    return replace(change, apply=apply, known_log_likelihood=(known[0], known[1]))
+
+
+def _count(problem: FitProblem | None, sensor: Sensor, lost: BoolArray) -> int:
+    """Samples of a sensor in a problem without those lost."""
+    if problem is None:
+        return 0
+    part = problem.record_fits[0]
+    at = part.record.time_s[lost]
+    own = [c for c in part.channels if c.sensor.name == sensor.name]
+    return sum(int(np.count_nonzero(~np.isin(part.sample_s[c.samples], at))) for c in own)
 
 
 def broken_sensors(base: TrialFit) -> list[RecordChange]:

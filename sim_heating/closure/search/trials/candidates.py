@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.parameters import EFFECT_PREFIX, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.base.parameters import COMMON_LAG, EFFECT_PREFIX, SENSOR, Parameter
 from sim_heating.estimation.inference.observability import CONSTANT_BELOW, constant_variables
+from sim_heating.estimation.record_fit import sensor_parameter
 from sim_heating.heating.edge_flow import edge_flow_columns
 from sim_heating.heating.effects import Effect, EffectUse, SearchStart, effects, use
 from sim_heating.heating.effects.transition import BY_RE_THETA, TRANSITION
@@ -25,6 +26,9 @@ SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
 BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
 """Parameters of a sensor that are estimated together."""
+LAG_STARTS_S, LAG_SIGMA_S = (5.0, 20.0), 5.0
+"""Time constants that a lag is searched from besides the declared one [s], and the prior that keeps a step within
+reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from linear in it."""
 ONSET_NAME = "log10_re_onset"
 """Parameter that the search for a declared transition is started from several values of."""
 CONSTANT = 1e-3
@@ -169,6 +173,8 @@ def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> lis
     """The candidates of one effect, without those of parameters that the record cannot identify."""
     if effect.acts_on_readings:
         names = effect.model_parameters
+        if COMMON_LAG.name in names:
+            return _lag_candidates(COMMON_LAG)
         return [Candidate(effect.name, (), names, {}, active=names, with_prior=names)]
     starts = effect.starts_for(flown)
     searched = _searched_parameters(starts)
@@ -218,8 +224,17 @@ def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, .
     found = []
     for sensor in record.used_sensors if len(record.used_sensors) > 1 else []:
         for errors in forms:
-            names = tuple(f"{SENSOR_PREFIX}{sensor.name}.{error}" for error in errors)
-            # a lag starts from the declared one
-            start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True) if e != "tau_s"}
+            names = tuple(sensor_parameter(sensor, error) for error in errors)
+            if forms is LAGS:
+                found += _lag_candidates(replace(SENSOR["tau_s"], name=names[0], value=sensor.tau_s))
+                continue
+            start = {n: SENSOR[e].value for n, e in zip(names, errors, strict=True)}
             found.append(Candidate(effect, (), names, start, active=names, with_prior=names))
     return found
+
+
+def _lag_candidates(lag: Parameter) -> list[Candidate]:
+    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value."""
+    names, priors = (lag.name,), {lag.name: replace(lag, sigma=LAG_SIGMA_S)}
+    starts = (lag.value, *(start for start in LAG_STARTS_S if start > lag.value))
+    return [Candidate(LAG_EFFECT, (), names, {lag.name: start}, names, names, priors) for start in starts]
