@@ -23,6 +23,7 @@ from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import false_alarm_statement, probability
+from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
@@ -143,7 +144,7 @@ def refit(result: SearchResult) -> FitResult:
         return result.before
     record = result.record if best.change is None else best.change.change.apply(result.record, best.change.value)
     if best.change is not None and not best.added:
-        return declared_fit(record, result.before.labels or None)
+        return declared_fit(record, [*result.before.labels, *best.change.change.free] or None)
     last = best.last
     part = last.problem.record_fits[0]
     in_model = [] if best.change is None or not best.change.change.in_model else best.change.estimates
@@ -318,13 +319,21 @@ def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) 
         name = result.names[0]
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
     share = shares[" + ".join(best.names)]
-    changed = best.change is not None and best.change.change.effect
-    own = best.change.estimates if best.change is not None else {}
-    of_change = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in own.items()}
+    of_change = [best.change] if best.change is not None and best.change.change.effect else []
     return [
-        *([Finding(changed, share, of_change)] if changed else []),
+        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change),
         *(Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added),
     ]
+
+
+def change_parameters(found: ChangeFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+    """The estimates of a change that is an effect: its own, those of the model's parameters that are estimated with it,
+    and its ends, to the last step of their search."""
+    own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in found.estimates.items()}
+    own |= {n.rpartition(".")[2]: estimated[n] for n in found.change.free if n in estimated}
+    values = [value for value, _ in found.change.ends.values()]
+    step = ENDS_MOVED[-1] * (max(values, default=0.0) - min(values, default=0.0))
+    return own | {name: ParameterEstimate(value, step, unit) for name, (value, unit) in found.change.ends.items()}
 
 
 def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:

@@ -138,9 +138,10 @@ def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -
     parameter = fit.change.parameter
     if parameter is not None and abs(fit.value - parameter.value) < MIN_SIGMAS * fit.sigma:
         against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
-    counted = 1 if fit.change.in_model else 0  # by the trial's own problem
+    counted = len(fit.change.free) + (1 if fit.change.in_model else 0)  # by the trial's own problem
     more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
-    price = 2.0 * float(np.log(max(tried, 1))) + more + scatter_price(fit.deviation) + against_motion
+    scatter = scatter_price(fit.deviation) + sum(map(scatter_price, fit.deviations_of_free))
+    price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
     found = Hypothesis((fit.trial,), fit, tuple(against), price)
     far = [] if fit.deviation <= MAX_SCATTER else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
     return _with_far(found, far)

@@ -16,7 +16,7 @@ best change of the record, where that explains half of the residual.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.search.changes.flight_changes import flight_changes, motion_evidence
+from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
@@ -146,7 +147,7 @@ def search_effects(
     none = hypothesis([base], {})
     rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
     discrepancies = flight_discrepancies(record.conditions)
-    found += _changes(before, base, singles, discrepancies, _explained(found), progress)
+    found += _changes(before, base, singles, discrepancies, _explaining(found), progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
         free = _free_forms(base, none, rated, first.forms)
@@ -189,17 +190,23 @@ def _changes(
     base: TrialFit,
     singles: Sequence[Contender],
     discrepancies: Sequence[Discrepancy],
-    explained: bool,
+    explained: Collection[str],
     progress: Progress,
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared.
 
-    explained : whether an effect explains the record to its noise already
+    explained : names of the effects that explain the record to its noise already: it needs no further forms of these
     """
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
-    changes = [*flight_changes(record, discrepancies), *wall_changes(record), *sensor_changes(base)]
-    changes = [c for c in changes if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))]
+    changes = [
+        *flight_changes(record, discrepancies), *wall_changes(record), *shape_changes(record), *sensor_changes(base),
+    ]  # fmt: skip
+    changes = [
+        c for c in changes
+        if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))
+        and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
+    ]  # fmt: skip
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
     fits = recorrected(
@@ -210,9 +217,9 @@ def _changes(
     return [change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f)) for f in fits]
 
 
-def _explained(found: Sequence[Hypothesis]) -> bool:
-    """Whether one of the hypotheses may be named and explains the record to its noise."""
-    return any(h.admissible and h.adequate for h in found)
+def _explaining(found: Sequence[Hypothesis]) -> set[str]:
+    """Names of the hypotheses that may be named and explain the record to its noise."""
+    return {name for h in found if h.admissible and h.adequate for name in h.names}
 
 
 def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:

@@ -24,13 +24,11 @@ from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, misfit_of_motion
 from sim_heating.closure.record_checks import declared_readings
-from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange
+from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, Span, moved_ends
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
 from sim_heating.inputs.record import Record
 
-Span = tuple[float, float]
-"""Lower and upper end of a range of times [s] or altitudes [m]."""
 EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
@@ -207,7 +205,7 @@ def _layer(
         return with_density(record, 1.0 + (factor - 1.0) * np.interp(record.conditions["altitude_m"], *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, within) for ends in _moved_ends(span, fraction, THINNEST_M, within))
+        return tuple(form(*ends, within) for ends in moved_ends(span, fraction, THINNEST_M, within))
 
     what = f"{name} {span[0] / 1e3:.1f} and {span[1] / 1e3:.1f} km"
     return RecordChange("flight", what, DENSITY, apply, _scaled(what, where), form=name, near=near)
@@ -245,7 +243,7 @@ def _drift(
         return with_velocity(record, 1.0 + (factor - 1.0) * np.interp(record.conditions.time_s, *shape))
 
     def near(fraction: float) -> tuple[RecordChange, ...]:
-        return tuple(form(*ends, within) for ends in _moved_ends((begin_s, end_s), fraction, BRIEFEST_S, within))
+        return tuple(form(*ends, within) for ends in moved_ends((begin_s, end_s), fraction, BRIEFEST_S, within))
 
     what = f"{name} from {begin_s:.0f} to {end_s:.0f} s"
     return RecordChange("flight", what, VELOCITY, apply, _scaled(what, where), form=name, near=near)
@@ -258,15 +256,6 @@ def alpha_bias() -> RecordChange:
         return f"angle of attack {abs(value):.2g} deg too {'small' if value > 0.0 else 'large'}"
 
     return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
-
-
-def _moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
-    """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
-    low, high = span
-    by = fraction * (high - low)
-    moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
-    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
-    return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
 
 
 def _scaled(what: str, more: str = "") -> Callable[[float], str]:

@@ -13,8 +13,8 @@ it can gain; changes that predict little are not fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -38,6 +38,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     candidate_problem,
     fitted_values,
     sample_count,
+    start_values,
     thinning_error,
 )
 from sim_heating.estimation.fit import FitResult
@@ -66,6 +67,17 @@ nearly as much as the best. Excess chi-square of the declared model from which o
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
+Span = tuple[float, float]
+"""Begin and end of a part of a flight, of the air, or of a table."""
+
+
+def moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
+    """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
+    low, high = span
+    by = fraction * (high - low)
+    moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
+    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
+    return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +101,8 @@ class RecordChange:
                 those of a stuck thermocouple: of fitted ones, and of those held out
     in_model  : whether the unknown is a parameter of the point's model or of a sensor by its dotted name, such as
                 `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
+    free      : dotted names of parameters of the point's model that are estimated with it
+    ends      : of a change with ends that is an effect, by their names in a closure report: value and unit
     """
 
     kind: Literal["flight", "wall", "sensor"]
@@ -102,6 +116,8 @@ class RecordChange:
     form: str = ""
     near: Callable[[float], Sequence[RecordChange]] | None = None
     known_log_likelihood: tuple[float, float] = (0.0, 0.0)
+    free: tuple[str, ...] = ()
+    ends: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
     @property
     def neutral(self) -> float:
@@ -124,8 +140,8 @@ class RecordChange:
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns that it adds to a model: its parameter, and its ends."""
-        return (0 if self.parameter is None else 1) + (0 if self.near is None else 2)
+        """Number of unknowns that it adds to a model: its parameter, those estimated with it, and its ends."""
+        return (0 if self.parameter is None else 1) + len(self.free) + (0 if self.near is None else 2)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,6 +167,13 @@ class ChangeFit:
         """Distance of the value from the neutral one over the standard deviation that is usual [-]; 0 without one."""
         parameter = self.change.parameter
         return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
+
+    @property
+    def deviations_of_free(self) -> list[float]:
+        """The same of the model's parameters that are estimated with the change [-]."""
+        part, found = self.trial.problem.record_fits[0], fitted_values(self.trial)
+        priors = {name: part.model.definition(name) for name in self.change.free}
+        return [abs(found[name] - p.value) / p.sigma for name, p in priors.items()]
 
     @property
     def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
@@ -222,7 +245,9 @@ class _ChangedModel:
         changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
         self._moved = _problem_over(self.base, part, changed, part.sensor_names)
-        self._moved.record_fits[0].model = part.model_at(values)
+        moved = self._moved.record_fits[0]
+        # of the changed wall, at the same parameters
+        moved.model = moved.model.with_parameters(dict(zip(part.march_names, values[part.index], strict=False)))
         return [(whole, values), (self._moved, values[len(part.march_names) :])]
 
     def _stepped(self, value: float) -> float:
@@ -320,8 +345,25 @@ class _EstimatedModel(_ChangedModel):
         )
 
 
+def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
+    """A trial with more parameters of its model free, at their nominal values; itself where they are free already."""
+    own = base.problem.record_fits[0].names
+    if all(name in own for name in names):
+        return base
+
+    def freed(problem: FitProblem) -> FitProblem:
+        part, held_out = problem.record_fits[0], problem is base.held_out
+        return _problem_over(base, part, part.record, (*own, *names), held_out=held_out)
+
+    problem = freed(base.problem)
+    values = start_values(problem, fitted_values(base))
+    fit = replace(base.fit, names=tuple(p.name for p in problem.parameters), values=values)
+    return replace(base, problem=problem, held_out=base.held_out and freed(base.held_out), fit=fit)
+
+
 def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
     """The model of a trial fit on a changed record."""
+    base = _with_free(base, change.free)
     return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
 
 
@@ -395,7 +437,9 @@ def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> l
 def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, _ChangedModel, FloatArray]]:
     """Predicted gain, model and vector to start from of each change."""
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
-    models = [_model(base, changes[k]) for k, _ in starts]
+    # one march as declared for all changes with the same free parameters
+    freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
+    models = [_model(freed[changes[k].free], changes[k]) for k, _ in starts]
     vectors = [m.start(value) for m, (_, value) in zip(models, starts, strict=True)]
     predicted = _predicted(models, vectors)
     # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
