@@ -10,6 +10,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
+from sim_heating.closure.clues.flight_consistency import flight_discrepancies
 from sim_heating.closure.search.changes import flight_changes as flight
 from sim_heating.closure.search.changes.record_change import (
     ChangeFit,
@@ -162,6 +163,31 @@ def test_the_motion_says_nothing_on_one_factor_of_all_density():
     fit = in_thin_air()[1][0]
     assert fit.change.what == "density of the flight conditions"
     assert flight.motion_evidence(CLEAN, fit) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
+    fit = in_thin_air()[1][0]
+
+    def contradicted(record: Record, change: RecordChange, value: float) -> list[str]:
+        return flight.contradicted_by_motion(record, replace(fit, change=change, value=value))
+
+    layer, excursion = flight.density_layer(62e3, 68e3), flight.velocity_excursion(600.0, 800.0)
+    (line,) = contradicted(CLEAN, layer, 1.2)
+    assert line.startswith("density between 62.0 and 68.0 km: deceleration over dynamic pressure is")
+    assert "below the rest of the flight" in line
+    assert len(contradicted(CLEAN, excursion, 1.05)) == 1
+    # what mends the conditions, if not to the last, is not contradicted; nor is what no force shows
+    for change, value in ((layer, 0.8), (excursion, 0.95)):
+        assert contradicted(change.apply(CLEAN, value), change, 1.0 / value - 0.02) == []
+    for change, value in ((flight.density_scale(), 1.2), (flight.time_shift(), 8.0), (flight.alpha_bias(), 2.0)):
+        assert contradicted(CLEAN, change, value) == []
+
+
+def test_an_error_of_the_velocity_that_is_undone_is_found_between_its_two_contradictions():
+    recorded = flight.velocity_excursion(617.0, 791.0).apply(CLEAN, 0.96)
+    spans = flight_discrepancies(recorded.conditions)
+    tried = [c.what for c in flight.flight_changes(recorded, spans) if c.form == "excursion of the velocity"]
+    assert min(abs(float(w.split()[5]) - 617.0) + abs(float(w.split()[7]) - 791.0) for w in tried) < 30.0
 
 
 # What follows from a changed column ----------------------------------------------------------------------------------

@@ -124,19 +124,44 @@ def misfit_of_motion(conditions: Conditions) -> float:
     return total
 
 
+def contradictions_of_motion(stated: Conditions, changed: Conditions) -> list[Discrepancy]:
+    """Parts of a changed flight whose motion does not follow from the forces, where it does in the stated flight, or
+    does so better; the clearest first, none for a ground test.
+
+    stated, changed : flight conditions at the same times. Deviations of both are in units of the scatter of the stated
+                      ones: a change that is wrong everywhere would widen its own
+    """
+    if np.count_nonzero(changed["velocity_m_s"] > SLOWEST_M_S) < FEWEST:
+        return []
+    before, after, found = _evenly(stated), _evenly(changed), list[Discrepancy]()
+    for relation in MOTION:
+        was, becomes = relation(before), relation(after)
+        if was is not None and becomes is not None and np.count_nonzero(was.judged) >= FEWEST:
+            scatter = _scatter(was)
+            largest = max((d.sigmas for d in _parts(before, was, scatter)), default=SIGMAS)
+            found += [d for d in _parts(after, becomes, scatter) if d.sigmas > largest]
+    return sorted(found, key=lambda d: -d.sigmas)
+
+
 def _evenly(conditions: Conditions) -> Conditions:
     """Conditions at even times, at the median interval of the samples but not below STEP_S."""
     t = conditions.time_s
     return conditions.at(np.arange(t[0], t[-1], max(float(np.median(np.diff(t))), STEP_S)))
 
 
-def _parts(flown: Conditions, relation: _Relation | None) -> list[Discrepancy]:
-    """Parts of a flight that deviate from a relation."""
+def _scatter(relation: _Relation) -> FloatArray:
+    """(time,) standard deviation of a relation that is judged by some samples: its scatter along the flight, noise and
+    accuracy."""
+    spread = 1.4826 * float(np.median(np.abs(relation.deviation[relation.judged])))
+    return np.maximum(np.hypot(spread, relation.noise) * np.ones_like(relation.deviation), relation.least / SIGMAS)
+
+
+def _parts(flown: Conditions, relation: _Relation | None, scatter: FloatArray | None = None) -> list[Discrepancy]:
+    """Parts of a flight that deviate from a relation; scatter : (time,) of it, by default its own."""
     if relation is None or np.count_nonzero(relation.judged) < FEWEST:
         return []
-    t, deviation, judged = flown.time_s, relation.deviation, relation.judged
-    scatter = np.hypot(1.4826 * float(np.median(np.abs(deviation[judged]))), relation.noise) * np.ones(len(t))
-    sigmas = np.where(judged, deviation / np.maximum(scatter, relation.least / SIGMAS), 0.0)
+    t, judged = flown.time_s, relation.judged
+    sigmas = np.where(judged, relation.deviation / (_scatter(relation) if scatter is None else scatter), 0.0)
     sign = _bridged(np.sign(sigmas) * (np.abs(sigmas) > SIGMAS), t)
     ends = np.flatnonzero(np.diff(sign, prepend=0.0, append=0.0) != 0.0)
     spans = [slice(first, after) for first, after in pairwise(ends) if sign[first] != 0.0]

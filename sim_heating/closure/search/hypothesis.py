@@ -124,13 +124,16 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
     return _with_far(Hypothesis(tuple(trials), None, against, price), far)
 
 
-def change_hypothesis(fit: ChangeFit, tried: int, against_motion: float = 0.0) -> Hypothesis:
+def change_hypothesis(
+    fit: ChangeFit, tried: int, against_motion: float = 0.0, contradictions: Sequence[str] = ()
+) -> Hypothesis:
     """The hypothesis that the record is changed.
 
     tried          : number of changes of its family that were tried
     against_motion : what the motion of the flight says against the change, in units of BIC
+    contradictions : of the change by the motion of the flight, a line each
     """
-    against = []
+    against = list(contradictions)
     if fit.fit.status is not Status.CONVERGED and not fit.fit.predicted_gain < SETTLED:
         against.append("its fit did not converge")
     if fit.on_bound:

@@ -25,7 +25,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.changes.flight_changes import flight_changes, motion_evidence
+from sim_heating.closure.search.changes.flight_changes import contradicted_by_motion, flight_changes, motion_evidence
 from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
@@ -214,7 +214,10 @@ def _changes(
     )
     whole = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
-    return [change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f)) for f in fits]
+    return [
+        change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f), contradicted_by_motion(whole, f))
+        for f in fits
+    ]
 
 
 def _explaining(found: Sequence[Hypothesis]) -> set[str]:

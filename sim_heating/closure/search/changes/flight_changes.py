@@ -22,7 +22,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
-from sim_heating.closure.clues.flight_consistency import Discrepancy, misfit_of_motion
+from sim_heating.closure.clues.flight_consistency import Discrepancy, contradictions_of_motion, misfit_of_motion
 from sim_heating.closure.record_checks import declared_readings
 from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, Span, moved_ends
 from sim_heating.heating.reference.models import reference_heating
@@ -54,6 +54,8 @@ THINNEST_M, BRIEFEST_S = 1000.0, 20.0
 """Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
 SHARP_M = 1.0
 """Thickness of the edges of a sharp layer [m]."""
+SMOOTH_POINTS = 33
+"""Altitudes that a smooth layer is interpolated between."""
 HEATED = 0.15
 """Part of the largest heating of a cold wall above which a flight counts as heated."""
 
@@ -71,6 +73,21 @@ def motion_evidence(record: Record, fit: ChangeFit) -> float:
     return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
 
 
+def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
+    """How the motion of the flight contradicts a change of the record, in a line; empty where it does not.
+
+    record : as in `motion_evidence`
+
+    A layer of density that the flight went through shows in its drag, and so does a change of the velocity. A change
+    that deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the
+    heating by a flight that was not flown.
+    """
+    if fit.change.kind != "flight":
+        return []
+    changed = fit.change.apply(record, fit.value).conditions
+    return [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(record.conditions, changed)[:1]]
+
+
 def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> list[RecordChange]:
     """Changes of the flight that may explain a record; none for a ground test.
 
@@ -85,7 +102,7 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
     z_span, t_span = (float(z.min()), float(z.max())), (float(t.min()), float(t.max()))
     layers = [(d.lowest_m, d.highest_m) for d in spans] + _parts(z_span, LAYERS)
     layers = [span for span in layers if span[1] - span[0] >= THINNEST_M]
-    times = [(d.begin_s, d.end_s) for d in spans] + _parts(t_span, DRIFTS)
+    times = [(d.begin_s, d.end_s) for d in spans] + _across(spans) + _parts(t_span, DRIFTS)
     times = [span for span in times if span[1] - span[0] >= BRIEFEST_S]
     likeliest_s = likeliest_shift_s(record)
     starts = SHIFT_STARTS if likeliest_s is None else tuple(dict.fromkeys((*SHIFT_STARTS, likeliest_s)))
@@ -100,6 +117,13 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
         *(velocity_drift(*span, t_span) for span in times),
         *(velocity_excursion(*span, t_span) for span in times),
     ]
+
+
+def _across(spans: Sequence[Discrepancy]) -> list[Span]:
+    """Times from one contradiction to another of the same relation: an error of the velocity that is undone again shows
+    in the deceleration where it grows, and with the other sign where it falls."""
+    pairs = [(a, b) for a in spans for b in spans if a.relation == b.relation and a.begin_s < b.begin_s]
+    return [(a.begin_s, b.end_s) for a, b in pairs]
 
 
 def _heated(flown: Conditions) -> BoolArray:
@@ -190,8 +214,10 @@ def density_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> Rec
 
 
 def smooth_layer(low_m: float, high_m: float, within: Span = EVERYWHERE) -> RecordChange:
-    """The density was another by a factor that rises and falls between two altitudes [m]; within : as above."""
-    shape = ([low_m, 0.5 * (low_m + high_m), high_m], [0.0, 1.0, 0.0])
+    """The density was another by a factor that rises and falls between two altitudes [m], as 1 - cos; within : as
+    above."""
+    at = np.linspace(0.0, 1.0, SMOOTH_POINTS)
+    shape = ((low_m + (high_m - low_m) * at).tolist(), (0.5 - 0.5 * np.cos(2.0 * np.pi * at)).tolist())
     return _layer("density of a smooth layer between", ", at most", smooth_layer, (low_m, high_m), shape, within)
 
 

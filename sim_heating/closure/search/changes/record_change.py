@@ -59,6 +59,8 @@ NEARLY, MOST_SEARCHES = 0.95, 3
 """Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
+ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
+"""The same, further on, where the change leads: some seconds of a large error are far above the noise."""
 GROSS_EXCESS = 10.0
 """Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
 RECORRECTED, RECORRECTED_FROM = 3, 1.0
@@ -567,25 +569,29 @@ def _with_best_ends(model: _ChangedModel, fit: Fit, searches: int = 1) -> tuple[
     """A change with ends, and its fit, with the ends where the likelihood is largest.
 
     A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
-    searches : how often at most
+    searches : how often at most; a last one in finer steps follows where it is more than one
     """
-    for _ in range(searches):
-        moved = _pattern_search(model, fit)
-        if moved is model:
-            break
-        found = _maximise([moved], [fit.values])[0]
-        gained = found.log_likelihood - fit.log_likelihood
-        if gained > 0.0:
-            model, fit = moved, found
+    steps = [ENDS_MOVED] * searches + [ENDS_MOVED_FINELY] * (searches > 1)
+    while steps:
+        moved = _pattern_search(model, fit, steps.pop(0))
+        gained = 0.0
+        if moved is not model:
+            found = _maximise([moved], [fit.values])[0]
+            gained = found.log_likelihood - fit.log_likelihood
+            if gained > 0.0:
+                model, fit = moved, found
         if not gained > GAIN_MARGIN:
-            break
+            steps = [s for s in steps if s is not ENDS_MOVED]
     return model, fit
 
 
-def _pattern_search(model: _ChangedModel, fit: Fit) -> _ChangedModel:
-    """The change with the ends that predict most from the values of a fit; the model itself where none does."""
+def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) -> _ChangedModel:
+    """The change with the ends that predict most from the values of a fit; the model itself where none does.
+
+    fractions : of the span by which the ends are moved, one after the other
+    """
     best, reached = model, fit.log_likelihood
-    for fraction in ENDS_MOVED:
+    for fraction in fractions:
         moved = [] if best.change.near is None else list(best.change.near(fraction))
         models = [_model(model.base, change) for change in moved]
         predicted = [gain for gain, _ in _predicted(models, [fit.values] * len(models))]
