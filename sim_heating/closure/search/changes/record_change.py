@@ -66,6 +66,9 @@ GROSS_EXCESS = 10.0
 RECORRECTED, RECORRECTED_FROM = 3, 1.0
 """Leading changes that have the mesh correction of their own record, at most; those with a parameter where they gain
 nearly as much as the best. Excess chi-square of the declared model from which on they have it."""
+WITHOUT_VALUE_SHARE = 0.5
+"""Most that a change without a value is asked for in place of `share`: from the estimates of the declared record, which
+may be far from its own, one step promises too little."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
@@ -479,13 +482,18 @@ def fit_changes(
     returns   : fits, the lowest BIC first, one of each form; changes that cannot be marched are left out
     raises    : InputError where a change has a parameter without a finite standard deviation
     """
+
+    def asked(change: RecordChange) -> float:
+        if change.parameter is None:
+            return min(share, WITHOUT_VALUE_SHARE)
+        return share if change.near is None else near_share
+
     predicted = _best_starts(base, changes)
     n, largest = sample_count(base.problem), max([best_gain, *(gain for gain, _, _ in predicted)])
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
-        asked_of = share if change.near is None else near_share
         # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
-        form, least = change.form or change.what, min(asked_of, EFFECT_SHARE if change.effect else 1.0) * largest
+        form, least = change.form or change.what, min(asked(change), EFFECT_SHARE if change.effect else 1.0) * largest
         if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
             form not in best or gain > best[form][0]
         ):
@@ -493,12 +501,13 @@ def fit_changes(
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    asked = [share if model.change.near is None else near_share for model in models]
     fits = _maximise(models, [start for _, _, start in best.values()], FIRST_STEPS)
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
-    going = [k for k, f in enumerate(fits) if gains[k] + STEPS_AHEAD * f.predicted_gain > asked[k] * reached]
+    going = [
+        k for k, f in enumerate(fits) if gains[k] + STEPS_AHEAD * f.predicted_gain > asked(models[k].change) * reached
+    ]
     for k, fit in zip(going, _maximise([models[k] for k in going], [fits[k].values for k in going]), strict=True):
         fits[k] = fit
     gains = gains_over(fits, base.fit.log_likelihood)
