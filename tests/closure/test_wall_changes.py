@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
+from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.wall_changes import (
     contact_changes,
     layer_changes,
@@ -77,7 +77,7 @@ def test_layers_that_came_apart_are_recognised_by_the_resistance_between_them():
     assert (declared.name or declared.material, declared.contact_m2K_W) == ("li900", 0.0)
     before = declared_fit(apart)
     base = base_trial(before)
-    found = recorrected(before, base, fit_changes(base, wall_changes(apart)))
+    found = with_own_corrections(before, base, fit_changes(base, wall_changes(apart)))
     assert found[0].change.what == "contact between layer li900 and layer rtv"
     assert found[0].value == pytest.approx(resistance, abs=4.0 * found[0].sigma)
     assert found[0].sigma < 0.03 * resistance

@@ -12,19 +12,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_heating.base.errors import InputError
 from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
+    THINNED_STEPS,
+    WIDENED,
     TrialFit,
+    fitted_effects,
     fitted_values,
     held_out_problem_with,
     problem_with,
     start_values,
+    thinning_error,
 )
+from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
+from sim_heating.inputs.record import Record
 
 CONTENDERS = 6
 """Effects of a round that are fitted to convergence, at most."""
@@ -88,6 +95,38 @@ def refine(
         replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
     ]
     return sorted(complete, key=lambda k: k.trial.delta_bic)
+
+
+def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
+    """A trial with the mesh correction at its own values, fitted on from there; as it is where that cannot be marched.
+
+    whole : the record that the search has thinned
+
+    The correction of all candidates is that at the declared model. Where an effect moves heating in seconds, or changes
+    the wall, the error of its own march differs by more than the noise.
+    """
+    part = trial.problem.record_fits[0]
+    options = FitOptions(
+        effects=fitted_effects(trial),
+        priors=trial.problem.priors,
+        prior_scale=WIDENED,
+        sample_masks=[whole.fit_mask() | whole.holdout_mask()],
+    )
+    try:
+        full = FitProblem([whole], part.names, trial.problem.reference, options)
+        thinned = FitProblem([part.record], part.names, trial.problem.reference, replace(options, **THINNED_STEPS))
+    except InputError:  # a broken sensor that one of the two leaves out
+        return trial
+    error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
+    own = trial.problem.with_correction(error_K[:, np.isin(at_s, part.sample_s)])
+    held_out = trial.held_out
+    if held_out is not None:
+        held_out = held_out.with_correction(error_K[:, np.isin(at_s, held_out.record_fits[0].sample_s)])
+    fit = maximise_together([own], [trial.fit.values], CONVERGE)[0]
+    if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
+        return trial
+    delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
+    return replace(trial, problem=own, held_out=held_out, fit=fit, delta_bic=delta)
 
 
 def _is_adequate(trial: TrialFit) -> bool:

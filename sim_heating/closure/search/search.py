@@ -27,7 +27,7 @@ from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_dis
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.search.changes.flight_changes import contradicted_by_motion, flight_changes, motion_evidence
 from sim_heating.closure.search.changes.property_shapes import shape_changes
-from sim_heating.closure.search.changes.record_change import fit_changes, recorrected
+from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
@@ -41,7 +41,7 @@ from sim_heating.closure.search.hypothesis import (
     with_one_more,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE, Contender, refine
+from sim_heating.closure.search.refine import CONVERGE, Contender, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form
@@ -81,9 +81,9 @@ MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
 MAX_EFFECTS = 3
-FREED, LIBRARY_SHARE = 6, 0.9
-"""Hypotheses whose effects are tried in a free form, and the part of the excess that they have to explain without: with
-less, a curve is free to follow anything."""
+FREED, RECORRECTED, LIBRARY_SHARE = 6, 4, 0.9
+"""Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
+excess that they have to explain without: with less, a curve is free to follow anything."""
 CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
 """Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
 and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
@@ -150,14 +150,14 @@ def search_effects(
     found += _changes(before, base, singles, discrepancies, _explaining(found), progress)
     rated = scored(none, found)
     if _more_is_missing(none, rated):
-        free = _free_forms(base, none, rated, first.forms)
-        found += free
+        found += _fitted_on(base, none, found, record, first.forms)
         rated = scored(none, found)
     if _more_is_missing(none, rated):
-        firsts = [*(k.trial for k in singles), *(h.last for h in free)]
-        stacks = [[t] for t in sorted(firsts, key=lambda t: -t.fit.log_likelihood)[:FIRST_PICKS]]
-        more, pairs = _with_one_more(stacks, first.forms, _part(progress, 0.5, 0.8, "two effects"))
+        more, pairs = _with_one_more(_first_picks(found), first.forms, _part(progress, 0.5, 0.8, "two effects"))
         rounds += more
+        rated = _accepted(none, [*found, *pairs])
+        if _more_is_missing(none, rated):
+            pairs += _fitted_on(base, none, pairs, record, first.forms)
         found += pairs
         rated = _accepted(none, found)
         if _more_is_missing(none, rated) and len(rated[0].names) == 2 and rated[0].change is None:
@@ -165,9 +165,7 @@ def search_effects(
                 [list(rated[0].trials)], first.forms, _part(progress, 0.8, 0.9, "three effects")
             )
             rounds += more
-            found += triples
-        if _more_is_missing(none, _accepted(none, found)):
-            found += _free_forms(base, none, [h for h in found if len(h.names) > 1], first.forms)
+            found += [*triples, *_recorrected(none, triples, record, first.forms)]
         found += _pruned(base, _accepted(none, found), first.forms)
         rated = _accepted(none, found)
         if _more_is_missing(none, rated):
@@ -209,7 +207,7 @@ def _changes(
     ]  # fmt: skip
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
-    fits = recorrected(
+    fits = with_own_corrections(
         before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=MOST_CHANGES)
     )
     whole = before.problem.record_fits[0].record
@@ -331,6 +329,40 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
         for left_out in best.trials
     ]
     return [hypothesis(stack, forms) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
+
+
+def _first_picks(found: Sequence[Hypothesis]) -> list[list[TrialFit]]:
+    """The single effects that a further one is sought on top of, the likeliest of each form."""
+    best: dict[tuple[str, ...], TrialFit] = {}
+    for trial in sorted((h.last for h in found if h.change is None), key=lambda t: -t.fit.log_likelihood):
+        best.setdefault(trial.candidate.names, trial)
+    return [[trial] for trial in list(best.values())[:FIRST_PICKS]]
+
+
+def _fitted_on(
+    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+) -> list[Hypothesis]:
+    """Hypotheses that explain most of the excess, fitted on: with their own mesh correction, and, where none of these
+    explains the record, with an effect in a free form."""
+    more = _recorrected(none, found, whole, forms)
+    if not _explaining(more):
+        free = _free_forms(base, none, [*found, *more], forms)
+        more += [*free, *_recorrected(none, free, whole, forms)]
+    return more
+
+
+def _recorrected(
+    none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+) -> list[Hypothesis]:
+    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess."""
+    most = (1.0 - LIBRARY_SHARE) * none.excess_chi2
+    leading: dict[frozenset[str], Hypothesis] = {}
+    for h in sorted(found, key=lambda h: h.excess_chi2):
+        if h.change is None and h.excess_chi2 < most and not h.adequate:
+            leading.setdefault(frozenset(h.names), h)
+    return [
+        hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:RECORRECTED]
+    ]
 
 
 def _free_forms(

@@ -524,7 +524,7 @@ def fit_changes(
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
 
-def recorrected(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
+def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
     before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
