@@ -165,6 +165,17 @@ def test_the_motion_says_nothing_on_one_factor_of_all_density():
     assert flight.motion_evidence(CLEAN, fit) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_an_angle_of_attack_that_was_smoothed_is_sharpened_again():
+    t = CLEAN.conditions.time_s
+    alpha = 38.0 + 4.0 * np.exp(-0.5 * ((t - 700.0) / 12.0) ** 2)
+    # the mean of a Gaussian over a Gaussian is a Gaussian
+    mean = 38.0 + 4.0 * 12.0 / np.hypot(12.0, 6.0) * np.exp(-0.5 * ((t - 700.0) / np.hypot(12.0, 6.0)) ** 2)
+    stated = replace(CLEAN, conditions=CLEAN.conditions.with_columns(alpha_deg=mean))
+    assert np.max(np.abs(mean - alpha)) > 0.4
+    assert flight.with_sharper_alpha(stated, 6.0).conditions["alpha_deg"] == pytest.approx(alpha, abs=0.02)
+    assert flight.with_sharper_alpha(stated, 0.0) is stated
+
+
 def test_a_change_that_was_not_flown_is_contradicted_by_the_motion():
     fit = in_thin_air()[1][0]
 

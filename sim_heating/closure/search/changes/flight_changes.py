@@ -33,6 +33,7 @@ EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
 ALPHA = Parameter("alpha_bias_deg", "deg", 0.0, 0.5, -15.0, 15.0, "true less stated angle of attack")
+SMOOTHED = Parameter("smoothing_s", "s", 0.0, 2.0, 0.0, 30.0, "width of the mean that the stated angle of attack is")
 SHIFT = replace(CLOCK_SKEW, name="skew_s", lower=-900.0, upper=900.0, text="flight later than its conditions")
 """Unknowns of the changes. Their standard deviations are guesses: shears of density of a tenth and winds of 1 % of the
 velocity are usual, as is half a degree of angle of attack. Conditions that are too early are thermocouples that lag."""
@@ -54,6 +55,9 @@ THINNEST_M, BRIEFEST_S = 1000.0, 20.0
 """Least thickness of a layer and least duration of a drift: shorter ones would imitate a manoeuvre."""
 SHARP_M = 1.0
 """Thickness of the edges of a sharp layer [m]."""
+SMOOTHED_STARTS_S, SHARPENINGS, SMOOTHED_STEP_S = (5.0, 12.0), 12, 0.5
+"""Widths that a fit may start from [s]: without one a small width changes nothing. Iterations that undo a mean, and the
+step of the times that it is taken at [s]."""
 SMOOTH_POINTS = 33
 """Altitudes that a smooth layer is interpolated between."""
 HEATED = 0.15
@@ -112,6 +116,7 @@ def flight_changes(record: Record, suspected: Sequence[Discrepancy] = ()) -> lis
         density_scale(),
         velocity_scale(),
         alpha_bias(),
+        alpha_smoothed(),
         *(density_layer(*span, z_span) for span in layers),
         *(smooth_layer(*span, z_span) for span in layers),
         *(velocity_drift(*span, t_span) for span in times),
@@ -284,6 +289,16 @@ def alpha_bias() -> RecordChange:
     return RecordChange("flight", "angle of attack of the flight conditions", ALPHA, with_alpha, describe)
 
 
+def alpha_smoothed() -> RecordChange:
+    """The stated angle of attack is a mean over some seconds of the one flown."""
+
+    def describe(width_s: float) -> str:
+        return f"angle of attack stated as a mean over {width_s:.2g} s (standard deviation)"
+
+    what = "smoothing of the angle of attack"
+    return RecordChange("flight", what, SMOOTHED, with_sharper_alpha, describe, SMOOTHED_STARTS_S)
+
+
 def _scaled(what: str, more: str = "") -> Callable[[float], str]:
     """Words for a factor of true over stated values."""
 
@@ -332,6 +347,30 @@ def with_velocity(record: Record, factor: FloatArray | float) -> Record:
 def with_alpha(record: Record, bias_deg: float) -> Record:
     """The record with its angle of attack larger by some degrees."""
     return _changed(record, {"alpha_deg": record.conditions["alpha_deg"] + bias_deg})
+
+
+def with_sharper_alpha(record: Record, width_s: float) -> Record:
+    """The record with the angle of attack whose mean over some seconds is the stated one.
+
+    width_s : standard deviation of the weights of the mean, a Gaussian [s]
+
+        a_0 = a,   a_(k+1) = a_k + (a - G a_k)
+
+    by SHARPENINGS iterations, which amplify noise that much at most, and give back what the mean leaves of an angle.
+    Source: van Cittert, "Zum Einfluss der Spaltbreite auf die Intensitaetsverteilung in Spektrallinien II", 1931.
+    """
+    flown = record.conditions
+    if width_s <= 0.0:
+        return record
+    at_s = np.arange(flown.time_s[0], flown.time_s[-1] + SMOOTHED_STEP_S, SMOOTHED_STEP_S)
+    stated = np.interp(at_s, flown.time_s, flown["alpha_deg"])
+    half = int(4.0 * width_s / SMOOTHED_STEP_S) + 1
+    weight = np.exp(-0.5 * (np.arange(-half, half + 1) * SMOOTHED_STEP_S / width_s) ** 2)
+    weight /= weight.sum()
+    sharper = stated
+    for _ in range(SHARPENINGS):
+        sharper = sharper + stated - np.convolve(np.pad(sharper, half, mode="edge"), weight, mode="valid")
+    return _changed(record, {"alpha_deg": flown["alpha_deg"] + np.interp(flown.time_s, at_s, sharper - stated)})
 
 
 def _changed(record: Record, columns: dict[str, FloatArray]) -> Record:
