@@ -76,7 +76,7 @@ BASE = {
 """Values at which every parameter of the stack has something to act on."""
 VALUES = {
     "transition": {"log10_re_onset": 6.5, "alpha_sens": 0.02, "width": 0.08, "factor": 1.5, "hysteresis": 0.03},
-    "impingement-onset": {"alpha_onset_deg": 37.1, "slope": 2e-3},
+    "impingement-onset": {"alpha_onset_deg": 37.1, "slope": 2e-3, "saturation": 0.2},
     "emissivity": {"emissivity_factor": 0.9, "change_s": 31.0, "emissivity_slope": 5e-5},
     "nonisothermal-wall": {"decay_begin_s": 30.3},
     "sideslip": {"slope_abs_beta": 2e-3},
