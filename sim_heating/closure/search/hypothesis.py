@@ -233,7 +233,9 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     explained = none.excess_chi2 - best.excess_chi2
     share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
     inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
-    outside = [h.score for h in admissible if h not in inside] + [0.0]
+    same = set(best.names)
+    # another form under the same names is no rival
+    outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
     alternatives = _alternatives(best, inside)
     rival = float(min(outside) - best.score)
     if best.adequate:
