@@ -23,8 +23,7 @@ from benchmarks.measure import RESULTS, save
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.search.adequacy import p_value
-from sim_heating.closure.search.calibration import CALIBRATION, FEATURES, logistic, true_statistics
-from sim_heating.closure.search.calibration import features as features_of
+from sim_heating.closure.search.calibration import CALIBRATION, FEATURES, Stated, logistic, true_statistics
 
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -38,9 +37,15 @@ DIAGRAM = RESULTS.parents[1] / "docs" / "images" / "closure_reliability.png"
 
 def features(row: Row) -> FloatArray:
     """(feature,) of a finding."""
-    return features_of(
-        row["finding"], row.get("rival") or 0.0, row["p_value"], row.get("explained") or 0.0, len(row["alternatives"])
-    )
+    return Stated(
+        row["finding"],
+        row.get("rival") or 0.0,
+        row["p_value"],
+        row.get("explained") or 0.0,
+        len(row["alternatives"]),
+        row.get("disqualified", 0.0),
+        row.get("no_effect", False),
+    ).features
 
 
 def statistics_of_truth(rows: Sequence[Row]) -> FloatArray:

@@ -37,7 +37,7 @@ from sim_heating.base.parallel import Job, run_batches
 if TYPE_CHECKING:
     from sim_heating.closure.search.search import SearchResult
 
-SEED = 23
+SEED = 24
 SEEDS = 20
 """Seeds of the noise of the project's own flights."""
 LEDGER = Path("out") / "closure_challenge"
@@ -159,7 +159,8 @@ def used_for_probability(found: SearchResult) -> dict[str, Any]:
     causes = {h.names[0]: h.kind for h in found.hypotheses if h.kind not in ("", "effect")}
     kinds = {h.change.describe(): h.kind for h in found.hypotheses if h.change is not None}
     return {
-        "rival": conclusion.rival, "explained": conclusion.explained, "statistic": conclusion.best.adequacy.statistic,
+        "rival": conclusion.rival, "explained": conclusion.explained, "disqualified": conclusion.disqualified,
+        "no_effect": conclusion.best.kind not in ("", "effect"), "statistic": conclusion.best.adequacy.statistic,
         "none_statistic": found.none.adequacy.statistic, "kinds": causes | kinds,
         "hypotheses": [
             [" + ".join(h.names), h.score, h.excess_chi2, h.adequacy.statistic, list(h.objections)]

@@ -22,9 +22,9 @@ from sim_heating.closure.curves import curve_of
 from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
-from sim_heating.closure.search.calibration import false_alarm_statement, probability
+from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
-from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
@@ -233,8 +233,19 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
 def probability_of(result: SearchResult) -> float | None:
     """Calibrated probability that the finding of a search is right; None where it states nothing."""
     found = result.conclusion
-    return probability(
-        found.finding, found.rival, found.best.adequacy.p_value, found.explained, len(found.alternatives)
+    return probability(stated_of(found))
+
+
+def stated_of(found: Conclusion) -> Stated:
+    """What the probability of a conclusion follows from."""
+    return Stated(
+        found.finding,
+        found.rival,
+        found.best.adequacy.p_value,
+        found.explained,
+        len(found.alternatives),
+        found.disqualified,
+        found.best.kind not in ("", "effect"),
     )
 
 

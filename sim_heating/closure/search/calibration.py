@@ -5,12 +5,13 @@ hold the truth, findings in records that lack nothing, and the coefficients of
 
     P(right) = 1 / (1 + exp(-b . f))
 
-with the features f of `features`. Source of the form: logistic regression, Cox (1958), J. R. Stat. Soc. B 20, 215.
+with the features f of `Stated`. Source of the form: logistic regression, Cox (1958), J. R. Stat. Soc. B 20, 215.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,10 @@ from sim_heating.base.files import read_json
 
 CALIBRATION = Path(__file__).with_name("closure_calibration.json")
 CONFIDENCE_LEVEL = 0.95
-FEATURES = ("constant", "log(1 + rival)", "log10 p", "explained", "set", "none", "further effects")
+FEATURES = (
+    "constant", "log(1 + rival)", "log10 p", "explained", "set", "none", "further effects", "log(1 + disqualified)",
+    "no effect",
+)  # fmt: skip
 STATED = ("found", "one of", "none")
 """Findings that have a probability; the others say that they do not know."""
 LEAST_P, LARGEST_RIVAL = 1e-6, 1e6
@@ -36,28 +40,43 @@ def calibration() -> dict[str, Any]:
     return dict(read_json(CALIBRATION))
 
 
-def features(finding: str, rival: float, p_value: float | None, explained: float, effects: int) -> FloatArray:
-    """(feature,) of a finding [-].
+@dataclass(frozen=True)
+class Stated:
+    """What the probability of a finding follows from.
 
-    rival     : score of the best other hypothesis above that of the finding
-    p_value   : of its adequacy;  explained : part of the excess chi-square that it explains
-    effects   : how many are named together
+    finding      : "found", "one of", "none"; the others have no probability
+    rival        : score of the best other hypothesis above that of the finding
+    p_value      : of its adequacy;  explained : part of the excess chi-square that it explains
+    effects      : how many causes are named together
+    disqualified : by how much the score of the finding is above that of the best hypothesis that may not be named
+    no_effect    : whether what is named is a fault of flight, wall, sensor or table
     """
-    p = 1.0 if p_value is None else max(float(p_value), LEAST_P)
-    apart = min(max(float(rival), 0.0), LARGEST_RIVAL)
-    part = float(np.clip(explained, 0.0, 1.0))
-    return np.array([
-        1.0, math.log1p(apart), math.log10(p), part, finding == "one of", finding == "none", max(effects - 1, 0)
-    ], dtype=float)  # fmt: skip
+
+    finding: str
+    rival: float
+    p_value: float | None
+    explained: float
+    effects: int
+    disqualified: float = 0.0
+    no_effect: bool = False
+
+    @property
+    def features(self) -> FloatArray:
+        """(feature,) in the order of FEATURES [-]."""
+        p = 1.0 if self.p_value is None else max(float(self.p_value), LEAST_P)
+        apart, beaten = (min(max(float(x), 0.0), LARGEST_RIVAL) for x in (self.rival, self.disqualified))
+        return np.array([
+            1.0, math.log1p(apart), math.log10(p), float(np.clip(self.explained, 0.0, 1.0)), self.finding == "one of",
+            self.finding == "none", max(self.effects - 1, 0), math.log1p(beaten), self.no_effect,
+        ], dtype=float)  # fmt: skip
 
 
-def probability(finding: str, rival: float, p_value: float | None, explained: float, effects: int) -> float | None:
-    """Probability that a finding is right, from its `features`; None for one that states nothing, or where no
-    coefficients are at hand."""
+def probability(stated: Stated) -> float | None:
+    """Probability that a finding is right; None for one that states nothing, or where no coefficients are at hand."""
     coefficients = calibration().get("coefficients")
-    if finding not in STATED or coefficients is None:
+    if stated.finding not in STATED or coefficients is None:
         return None
-    return float(logistic(features(finding, rival, p_value, explained, effects) @ np.array(coefficients)))
+    return float(logistic(stated.features @ np.array(coefficients)))
 
 
 def logistic(x: Any) -> Any:

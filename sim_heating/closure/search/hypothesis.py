@@ -199,6 +199,7 @@ class Conclusion:
     alternatives : for each thing found, the names that the record cannot tell apart, the likeliest first
     rival        : score of the best hypothesis outside the set, relative to the best
     explained    : part of the excess chi-square that it explains [-]
+    disqualified : by how much the score of the best hypothesis that may not be named is below that of the best
     """
 
     finding: str
@@ -206,6 +207,7 @@ class Conclusion:
     alternatives: tuple[tuple[str, ...], ...]
     rival: float
     explained: float = 0.0
+    disqualified: float = 0.0
 
     @property
     def effect_name(self) -> str:
@@ -238,12 +240,14 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
     alternatives = _alternatives(best, inside)
     rival = float(min(outside) - best.score)
+    barred = min((h.score for h in rated if not h.admissible and np.isfinite(h.score)), default=best.score)
+    beaten = max(float(best.score - barred), 0.0)
     if best.adequate:
         several = any(len(slot) > 1 for slot in alternatives)
-        return Conclusion("one of" if several else "found", best, alternatives, rival, share)
+        return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
     if share >= MIN_SHARE:
-        return Conclusion("partly", best, alternatives, rival, share)
-    return Conclusion("unknown", best, (), rival, share)
+        return Conclusion("partly", best, alternatives, rival, share, beaten)
+    return Conclusion("unknown", best, (), rival, share, beaten)
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:
