@@ -19,17 +19,14 @@ from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
-    THINNED_STEPS,
-    WIDENED,
     TrialFit,
-    fitted_effects,
     fitted_values,
     held_out_problem_with,
+    own_thinning_error,
     problem_with,
     start_values,
-    thinning_error,
 )
-from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
 
@@ -105,23 +102,15 @@ def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
     The correction of all candidates is that at the declared model. Where an effect moves heating in seconds, or changes
     the wall, the error of its own march differs by more than the noise.
     """
-    part = trial.problem.record_fits[0]
-    options = FitOptions(
-        effects=fitted_effects(trial),
-        priors=trial.problem.priors,
-        prior_scale=WIDENED,
-        sample_masks=[whole.fit_mask() | whole.holdout_mask()],
-    )
     try:
-        full = FitProblem([whole], part.names, trial.problem.reference, options)
-        thinned = FitProblem([part.record], part.names, trial.problem.reference, replace(options, **THINNED_STEPS))
+        error_K, at_s = own_thinning_error(trial, whole)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-    error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
-    own = trial.problem.with_correction(error_K[:, np.isin(at_s, part.sample_s)])
-    held_out = trial.held_out
-    if held_out is not None:
-        held_out = held_out.with_correction(error_K[:, np.isin(at_s, held_out.record_fits[0].sample_s)])
+
+    def corrected(problem: FitProblem) -> FitProblem:
+        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
+
+    own, held_out = corrected(trial.problem), trial.held_out and corrected(trial.held_out)
     fit = maximise_together([own], [trial.fit.values], CONVERGE)[0]
     if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
         return trial

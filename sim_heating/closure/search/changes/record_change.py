@@ -32,19 +32,18 @@ from sim_heating.closure.search.trials.screening import (
 )
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
-    THINNED_STEPS,
     WIDENED,
     TrialFit,
     candidate_problem,
     fitted_values,
+    own_thinning_error,
     sample_count,
     start_values,
-    thinning_error,
 )
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
-from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 from sim_heating.inputs.record import Record
@@ -550,12 +549,7 @@ def _recorrected(before: FitResult, base: TrialFit, fit: ChangeFit) -> ChangeFit
     try:
         record = fit.change.apply(before.problem.record_fits[0].record, fit.value)
         thin = part.record if not fit.change.in_model else fit.change.apply(part.record, fit.value)
-        options = FitOptions(
-            priors=trial.problem.priors, prior_scale=WIDENED, sample_masks=[record.fit_mask() | record.holdout_mask()]
-        )
-        full = FitProblem([record], names, before.problem.reference, options)
-        thinned = FitProblem([thin], names, before.problem.reference, replace(options, **THINNED_STEPS))
-        error_K, at_s = thinning_error(full, thinned, fitted_values(trial))
+        error_K, at_s = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
         return fit
     if fit.change.parameter is not None:

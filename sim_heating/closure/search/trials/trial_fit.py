@@ -225,6 +225,29 @@ def thinning_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, fl
     return exact - coarse, part.sample_s
 
 
+def own_thinning_error(
+    trial: TrialFit, whole: Record, thin: Record | None = None, names: Sequence[str] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """The correction of a trial's predictions at its own values, as `thinning_error`.
+
+    whole  : the record that the trial's is thinned from
+    thin, names : the thinned record and the estimated parameters, where these are not the trial's
+    raises : InputError, RunError where the whole record cannot be marched with these
+    """
+    part = trial.problem.record_fits[0]
+    own = part.names if names is None else names
+    fitted, held_out = whole.fit_mask(), whole.holdout_mask()
+    options = FitOptions(
+        effects=fitted_effects(trial),
+        priors=trial.problem.priors,
+        prior_scale=WIDENED,
+        sample_masks=[fitted | held_out],
+    )
+    full = FitProblem([whole], own, trial.problem.reference, options)
+    thinned = FitProblem([thin or part.record], own, trial.problem.reference, replace(options, **THINNED_STEPS))
+    return thinning_error(full, thinned, fitted_values(trial))
+
+
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
     """The base's problem with the parameters of a candidate."""
     return candidate_problem(base, base.problem.record_fits[0], candidate, _names(base, candidate), prior_scale=WIDENED)
