@@ -44,7 +44,7 @@ from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_b
 from sim_heating.closure.search.refine import CONVERGE, Contender, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
-from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form
+from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
 from sim_heating.closure.search.trials.screening import (
     fit_in_stages,
@@ -81,9 +81,10 @@ MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
 MAX_EFFECTS = 3
-FREED, RECORRECTED, LIBRARY_SHARE = 6, 4, 0.9
+FREED, RECORRECTED, LIBRARY_SHARE, LIKELY = 6, 4, 0.9, 0.05
 """Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
-excess that they have to explain without: with less, a curve is free to follow anything."""
+excess that they have to explain without: with less, a curve is free to follow anything. p-value from which on a model
+with a curve ends the search."""
 CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
 """Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
 and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
@@ -233,10 +234,15 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
 
 
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
-    """Whether something is missing that no admissible hypothesis explains to the noise."""
+    """Whether something is missing that no admissible hypothesis explains to the noise.
+
+    A curve may take up part of a second effect: with one, the p-value has to be LIKELY.
+    """
     if not rated or min(h.last.delta_bic for h in rated) > -MIN_BIC_GAIN:
         return False
-    return not (rated[0].admissible and rated[0].adequate)
+    best = rated[0]
+    doubtful = best.adequacy.p_value < LIKELY and has_free_form(best.last)
+    return not (best.admissible and best.adequate) or doubtful
 
 
 def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Contender]:

@@ -29,6 +29,11 @@ FREE_FORMS: Mapping[str, int] = {
 """Effects that add to the ratio as a function of one variable, with the number of that variable in a curve."""
 
 
+def has_free_form(trial: TrialFit) -> bool:
+    """Whether an effect of a trial's model is in a free form."""
+    return any(used.effect.name == ADDED_CURVE for used in fitted_effects(trial))
+
+
 def free_form(base: TrialFit, own: TrialFit, at: Mapping[str, float]) -> Candidate | None:
     """The candidate of an effect in a free form, under the name of the effect; None where it has none in a record.
 
@@ -38,7 +43,7 @@ def free_form(base: TrialFit, own: TrialFit, at: Mapping[str, float]) -> Candida
     Values at the knots have a prior of SCATTER times the mean ratio of the declared table.
     """
     library = own.candidate
-    if library.name not in FREE_FORMS or any(used.effect.name == ADDED_CURVE for used in fitted_effects(own)):
+    if library.name not in FREE_FORMS or has_free_form(own):
         return None
     record = base.problem.record_fits[0].record
     flown = conditions_of_record(record)
