@@ -23,7 +23,14 @@ from benchmarks.measure import RESULTS, save
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.search.adequacy import p_value
-from sim_heating.closure.search.calibration import CALIBRATION, FEATURES, Stated, logistic, true_statistics
+from sim_heating.closure.search.calibration import (
+    CALIBRATION,
+    FEATURES,
+    Stated,
+    logistic,
+    probability_by,
+    true_statistics,
+)
 
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -77,7 +84,7 @@ def fitted(rows: Sequence[Row]) -> FloatArray:
 
 def probability(b: FloatArray, row: Row) -> float:
     """That a finding is right."""
-    return float(logistic(features(row) @ b))
+    return probability_by(features(row), b)
 
 
 def splits(rows: Sequence[Row], by: str) -> Iterator[tuple[list[Row], list[Row]]]:

@@ -432,7 +432,13 @@ def run(classes: Sequence[str] = (*CLASSES, FLOWN), share: float = 1.0) -> list[
     outcome = run_batches(jobs(classes, share), make_and_close, LEDGER, workers=2, progress=_progress)
     failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
     rows = [json.loads(path.read_text()) for path in outcome.done.values()]
-    return [failed, *figures_and_results(rows, "closure_challenge" if share == 1.0 else "closure_challenge_share")]
+    return [failed, *figures_and_results(rows, name_of(classes, share))]
+
+
+def name_of(classes: Sequence[str], share: float) -> str:
+    """Name of the results: `closure_challenge`, with `_share` and the classes where these are not all."""
+    some = "" if len(classes) == len(CLASSES) + 1 else "_" + "_".join(classes)
+    return f"closure_challenge{'' if share == 1.0 else '_share'}{some}"
 
 
 def _progress(fraction: float, text: str) -> None:

@@ -230,7 +230,13 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     cells = [
         [r["record"], "failed", *[""] * (len(columns) - 2)]
         if "failed" in r
-        else [r["record"], _finding_text(r), r["probability"], r["p_value"], *(r[key] for key in errors.values())]
+        else [
+            r["record"],
+            _finding_text(r),
+            r["probability"],
+            _p_value_cell(r["p_value"]),
+            *(r[key] for key in errors.values()),
+        ]
         for r in rows
     ]
     return Table("What the declared models lack", columns, cells)
@@ -456,9 +462,9 @@ def _evidence_section(found: Closure) -> Section:
     return Section("Evidence", points=e.proposal(), tables=[fits, correlations], pictures=pictures)
 
 
-def _p_value_cell(p: float) -> float | str:
+def _p_value_cell(p: float | None) -> float | str | None:
     """A p-value, or a word where it is too small to matter."""
-    return p if p > 1e-6 else "below 1e-6"
+    return p if p is None or p > 1e-6 else "below 1e-6"
 
 
 def _p_value_text(p: float) -> str:

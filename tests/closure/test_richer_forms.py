@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
+from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.refine import CONVERGE
-from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.search import LIBRARY_SHARE
+from sim_heating.closure.search.trials.candidates import Candidate, candidates
+from sim_heating.closure.search.trials.free_forms import free_form
 from sim_heating.closure.search.trials.screening import predicted_gains
 from sim_heating.closure.search.trials.trial_fit import (
+    TrialFit,
     base_trial,
     declared_fit,
     fitted_values,
@@ -19,6 +25,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
+from sim_heating.heating.effects.curve import ELEVON, KNOTS, VALUES
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from tests.closure.test_close_loop import simulated_record
@@ -32,6 +39,7 @@ FORMS = {
     "transition": {
         "log10_re_onset": 6.7, "alpha_sens": 0.03, "width": 0.02, "factor": 1.5, "hysteresis": 0.12,
     },
+    "impingement-onset": {"alpha_onset_deg": 40.5, "slope": 0.01, "saturation": 0.6},
 }  # fmt: skip
 """A form of each effect that a factor, a monotone rise, or one onset does not have. The manoeuvre after the onset of
 that transition takes the flow back below it by less than the hysteresis."""
@@ -68,7 +76,34 @@ def test_a_richer_form_of_an_effect_does_not_make_it_likelier_by_chance(name: st
     """What is a special case of another form does not count: the price is that of the forms without these."""
     record = load_record(PRACTICE / "p06")
     own = [c for c in candidates(record, conditions_of_record(record)) if c.name == name]
-    free = {n for n in FORMS[name] if n in ("conductivity_decade", "fall_fraction", "hysteresis")}
+    free = {n for n in FORMS[name] if n in ("conductivity_decade", "fall_fraction", "hysteresis", "saturation")}
     without = [c for c in own if not any(n.rpartition(".")[2] in free for n in c.names)]
     assert len(without) < len(own)
     assert count_forms(own)[name] <= count_forms(without)[name] + 1
+
+
+def test_an_effect_of_another_form_explains_the_record_with_a_curve_under_its_own_name() -> None:
+    """A rise with elevon deflection that is steeper on one side: a parabola explains most of it, and not all."""
+    record = load_record(PRACTICE / "p10")
+    elevon = conditions_of_record(record)["elevon_deg"]
+    at = np.linspace(np.min(elevon), np.max(elevon), KNOTS)
+    rise = 2e-4 * (at - 1.4) ** 2 * (1.0 + 0.8 * np.tanh((at - 1.4) / 3.0))
+    bent = {"variable": ELEVON, "low": float(at[0]), "high": float(at[-1])}
+    bent |= dict(zip(VALUES, rise.tolist(), strict=True))
+    base = base_trial(declared_fit(simulated_record(record, [use("added-curve", bent)])))
+    (library,) = (c for c in candidates(record, conditions_of_record(record)) if c.name == "elevon-curvature")
+    own = fitted_trial(base, library, dict(library.start))
+    free = free_form(base, own, fitted_values(own))
+    assert free is not None
+    found = fitted_trial(base, free, fitted_values(own) | dict(free.start))
+    assert found.name == "elevon-curvature"
+    assert 0.0 < own.excess_chi2 < (1.0 - LIBRARY_SHARE) * base.excess_chi2
+    assert assess(own.problem.samples(own.fit.values)).p_value < ADEQUATE
+    assert assess(found.problem.samples(found.fit.values)).p_value >= ADEQUATE
+
+
+def fitted_trial(base: TrialFit, candidate: Candidate, start: Mapping[str, float]) -> TrialFit:
+    """A candidate fitted on top of the base to convergence."""
+    problem = problem_with(base, candidate)
+    fit = maximise_together([problem], [start_values(problem, {**fitted_values(base), **start})], CONVERGE)[0]
+    return TrialFit(candidate.name, candidate, problem, None, fit)

@@ -30,6 +30,8 @@ FEATURES = (
 )  # fmt: skip
 STATED = ("found", "one of", "none")
 """Findings that have a probability; the others say that they do not know."""
+MOST = 0.99
+"""Largest probability that is stated: some hundred records of known truth support no more."""
 LEAST_P, LARGEST_RIVAL = 1e-6, 1e6
 """Limits beyond which a p-value, or the distance of a rival, says no more."""
 
@@ -76,7 +78,12 @@ def probability(stated: Stated) -> float | None:
     coefficients = calibration().get("coefficients")
     if stated.finding not in STATED or coefficients is None:
         return None
-    return float(logistic(stated.features @ np.array(coefficients)))
+    return probability_by(stated.features, np.array(coefficients))
+
+
+def probability_by(features: FloatArray, coefficients: FloatArray) -> float:
+    """Probability by features and their coefficients, at most MOST [-]."""
+    return min(float(logistic(features @ coefficients)), MOST)
 
 
 def logistic(x: Any) -> Any:
