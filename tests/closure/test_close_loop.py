@@ -31,7 +31,7 @@ from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
 from sim_heating.inputs.sensor_model import quantise
 from sim_heating.simulation.predict import predict
-from tests.support.paths import PRACTICE
+from tests.support.paths import BOARD, PRACTICE
 
 
 @pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
@@ -204,36 +204,35 @@ def test_a_clock_in_milliseconds_is_refused_before_any_search(wrong: str, whose:
 
 def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no_other(tmp_path: Path) -> None:
     records, out = tmp_path / "records", tmp_path / "out"
-    for name in ("p06", "p07"):
-        shutil.copytree(PRACTICE / name, records / name)
-    shutil.copytree(PRACTICE / "p07", records / "p99")
-    (records / "p99" / "thermocouples.csv").write_text("time_s,EL_surface_K\n0,hot\n")
+    for name in ("b06", "b07", "b99"):
+        shutil.copytree(BOARD, records / name)
+    (records / "b99" / "thermocouples.csv").write_text("time_s,tc_5p72mm_K\n0,hot\n")
     command = [sys.executable, "-m", "sim_heating", "close-loop", str(records), "--out", str(out), "--workers", "1"]
     killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     finished = out / "finished"
-    while killed.poll() is None and not list(finished.glob(".p06-*.sha256")):
+    while killed.poll() is None and not list(finished.glob(".b06-*.sha256")):
         time.sleep(0.05)
     killed.send_signal(signal.SIGKILL)
     killed.wait()
-    first = {p.name: p.stat().st_mtime_ns for p in finished.glob("p06-*.json")}
+    first = {p.name: p.stat().st_mtime_ns for p in finished.glob("b06-*.json")}
     assert first
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 1
-    assert "p99" in result.stderr
+    assert "b99" in result.stderr
     assert "Traceback" not in result.stderr
-    assert {p.name: p.stat().st_mtime_ns for p in finished.glob("p06-*.json")} == first
+    assert {p.name: p.stat().st_mtime_ns for p in finished.glob("b06-*.json")} == first
     rows = {row["record"]: row for row in json.loads((out / "summary.json").read_text())["records"]}
-    assert rows["p06"]["effects"] == rows["p07"]["effects"] == ["none"]
-    assert "failed" in rows["p99"]
-    assert (out / "p07" / "closure.json").is_file()
-    assert not (out / "p99").exists()
+    assert rows["b06"]["effects"] == rows["b07"]["effects"]
+    assert "failed" in rows["b99"]
+    assert (out / "b07" / "closure.json").is_file()
+    assert not (out / "b99").exists()
     # What is in the list of finished records is not believed where the results are gone or the list is damaged.
-    closure = (out / "p07" / "closure.json").read_bytes()
-    shutil.rmtree(out / "p07")
-    next(finished.glob("p06-*.json")).write_bytes(b"\xff\xfe{")
+    closure = (out / "b07" / "closure.json").read_bytes()
+    shutil.rmtree(out / "b07")
+    next(finished.glob("b06-*.json")).write_bytes(b"\xff\xfe{")
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "Traceback" not in again.stderr
-    assert (out / "p07" / "closure.json").read_bytes() == closure
+    assert (out / "b07" / "closure.json").read_bytes() == closure
     assert {row["record"]: row for row in json.loads((out / "summary.json").read_text())["records"]} == rows
 
 

@@ -7,6 +7,8 @@ ROOT = TESTS.parent
 DATA = TESTS / "data"
 TILE = DATA / "records" / "tile"
 """A small flight record of one tile."""
+BOARD = DATA / "records" / "board"
+"""A small record of an insulation board under a lamp."""
 AIRCRAFT = ROOT / "aircraft_data"
 ORBITER = AIRCRAFT / "orbiter"
 SCENARIOS = ROOT / "scenarios"
