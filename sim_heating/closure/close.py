@@ -46,7 +46,8 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
-from sim_heating.heating.effects.curve import CurveBand
+from sim_heating.heating.effects.added_curve import ADDED_CURVE
+from sim_heating.heating.effects.curve import FIRST, LABELS, UNITS, VALUES, CurveBand
 from sim_heating.inputs.record import Record, load_record
 
 if TYPE_CHECKING:
@@ -202,7 +203,12 @@ def _closure(result: SearchResult, fitted: FitResult) -> Closure:
         curve=_curve(result),
         faults=[] if not_effects else faults,
         false_alarm=false_alarm_statement(),
-        warnings=[*fitted.warnings, *_residual_warning(result, residual_after), *collinear_directions(fitted)],
+        warnings=[
+            *fitted.warnings,
+            *_forms(result),
+            *_residual_warning(result, residual_after),
+            *collinear_directions(fitted),
+        ],
     )
 
 
@@ -308,6 +314,21 @@ def _causes(found: Hypothesis) -> list[NotEffect]:
             estimate_of_name = {name: ParameterEstimate(value, sigma, MODEL[name].unit)}
             causes.append(NotEffect("table", table_error(name, value), estimate_of_name))
     return causes
+
+
+def _forms(result: SearchResult) -> list[str]:
+    """A line for each effect that is found in a free form."""
+    lines = []
+    for trial in result.added:
+        for used in trial.candidate.uses:
+            if used.effect.name == ADDED_CURVE:
+                number, low, high = used.values[:FIRST]
+                unit, label = UNITS[int(number)], LABELS[int(number)]
+                lines.append(
+                    f"{trial.name} has another form than the library's: a curve in the {label} is added to the ratio, "
+                    f"{VALUES[0]} to {VALUES[-1]} at even steps from {low:.4g} to {high:.4g} {unit}"
+                )
+    return lines
 
 
 def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
