@@ -357,14 +357,20 @@ def _fitted_on(
     return more
 
 
+def _explaining_most(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
+    most = (1.0 - LIBRARY_SHARE) * none.excess_chi2
+    explaining = [h for h in found if h.change is None and h.excess_chi2 < most]
+    return sorted(explaining, key=lambda h: h.excess_chi2)
+
+
 def _recorrected(
     none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess."""
-    most = (1.0 - LIBRARY_SHARE) * none.excess_chi2
     leading: dict[frozenset[str], Hypothesis] = {}
-    for h in sorted(found, key=lambda h: h.excess_chi2):
-        if h.change is None and h.excess_chi2 < most and not h.adequate:
+    for h in _explaining_most(none, found):
+        if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
     return [
         hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:RECORRECTED]
@@ -375,20 +381,19 @@ def _free_forms(
     base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], forms: Mapping[str, int]
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
-    explaining = [
-        h for h in found if h.change is None and none.excess_chi2 - h.excess_chi2 > LIBRARY_SHARE * none.excess_chi2
-    ]
     wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-    for h in sorted(explaining, key=lambda h: h.excess_chi2)[:FREED]:
+    for h in _explaining_most(none, found)[:FREED]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
             if freed.name not in FREE_FORMS or key in wanted:
                 continue
             values = fitted_values(h.last)
+            candidate = free_form(base, freed, values)
+            if candidate is None:
+                continue
             stack = [base, *_stack_effects(base, others, values)]
-            candidate = free_form(stack[-1], freed, values)
-            if candidate is not None and np.isfinite(stack[-1].fit.log_likelihood):
+            if np.isfinite(stack[-1].fit.log_likelihood):
                 wanted[key] = (stack, candidate, {**values, **candidate.start})
     problems = [problem_with(stack[-1], c) for stack, c, _ in wanted.values()]
     starts = [start_values(p, start) for p, (_, _, start) in zip(problems, wanted.values(), strict=True)]

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit
-from sim_heating.base.parameters import Parameter
 from sim_heating.heating.effects import Effect
-from sim_heating.heating.effects.curve import PLACE, VALUES, knot_place, search_starts, spline
+from sim_heating.heating.effects.curve import PLACE, VALUES, knot_place, search_starts, spline, value_parameters
 
 ADDED_CURVE = "added-curve"
 """Name of the effect."""
@@ -34,13 +33,7 @@ def added_curve_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 EFFECT = Effect(
     name=ADDED_CURVE,
     mode="add",
-    parameters=(
-        *PLACE,
-        *(
-            Parameter(n, "1", 0.0, 0.05, -2.0, 2.0, f"addition to the ratio at knot {k + 1}")
-            for k, n in enumerate(VALUES)
-        ),
-    ),
+    parameters=(*PLACE, *value_parameters(0.05, -2.0, 2.0, "addition to the ratio")),
     kernel=added_curve_ratio,
     needs_wall=True,
     neutral=dict.fromkeys(VALUES, 0.0),

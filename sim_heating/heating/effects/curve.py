@@ -147,16 +147,16 @@ PLACE = (
 )
 """Parameters of a curve that are not estimated."""
 
+
+def value_parameters(sigma: float, lower: float, upper: float, text: str) -> tuple[Parameter, ...]:
+    """Parameters of the values at the knots [-]; sigma, lower, upper : of each;  text : what a value is."""
+    return tuple(Parameter(n, "1", 0.0, sigma, lower, upper, f"{text} at knot {k + 1}") for k, n in enumerate(VALUES))
+
+
 EFFECT = Effect(
     name=CURVE,
     mode="multiply",
-    parameters=(
-        *PLACE,
-        *(
-            Parameter(name, "1", 0.0, SCATTER, -0.95, 5.0, f"relative change of the ratio at knot {k + 1}")
-            for k, name in enumerate(VALUES)
-        ),
-    ),
+    parameters=(*PLACE, *value_parameters(SCATTER, -0.95, 5.0, "relative change of the ratio")),
     kernel=curve_factor,
     needs_wall=True,
     neutral=dict.fromkeys(VALUES, 0.0),

@@ -12,7 +12,7 @@ have this form besides those of the effects, whose factor changes linearly (docs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.changes.record_change import RecordChange, Span, moved_ends
+from sim_heating.closure.search.changes.wall_changes import with_layers
 from sim_heating.heating.effects.conductivity import LEAST_DECADES
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
@@ -137,13 +138,7 @@ def with_shape(record: Record, change: float, *, effect: str, axis: Axis, span: 
     own = f"{layer.material}, {name}"
     layers = [*stack.layer]
     layers[number] = layer.model_copy(update={"material": own, "name": name})
-    declared = record.declared.model_copy(
-        update={
-            "stack": stack.model_copy(update={"layer": layers}),
-            "materials": {**record.declared.materials, own: changed},
-        }
-    )
-    return replace(record, declared=declared)
+    return with_layers(record, layers, {**record.declared.materials, own: changed})
 
 
 def _conductivity_over(

@@ -98,7 +98,7 @@ def with_factor(record: Record, factor: float, *, layer: str, own: str) -> Recor
         name = f"{layers[i].material}, {layer}"
         materials[name] = _scaled(record.declared.materials[layers[i].material], own, factor)
         layers[i] = layers[i].model_copy(update={"material": name, "name": layer})
-    return _with_layers(record, layers, materials)
+    return with_layers(record, layers, materials)
 
 
 def _scaled(material: Material, own: str, factor: float) -> Material:
@@ -135,7 +135,7 @@ def _with_thickness(record: Record, changed: Sequence[int], factor: float) -> Re
     return replace(record, declared=declared)
 
 
-def _with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str, Material]) -> Record:
+def with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str, Material]) -> Record:
     """The record with other layers and materials."""
     stack = record.declared.stack.model_copy(update={"layer": list(layers)})
     return replace(record, declared=record.declared.model_copy(update={"stack": stack, "materials": dict(materials)}))
@@ -186,7 +186,7 @@ def with_contact(record: Record, contact_m2K_W: float, *, number: int) -> Record
     stack = record.declared.stack
     layers = list(stack.layer)
     layers[number] = layers[number].model_copy(update={"contact_m2K_W": contact_m2K_W})
-    changed = _with_layers(record, layers, record.declared.materials)
+    changed = with_layers(record, layers, record.declared.materials)
     if stack.nodes is None or stack.layer[number].contact_m2K_W > 0.0:
         return changed
     # a contact is an element, and has a node more
@@ -241,4 +241,4 @@ def _with_material(record: Record, _: float, *, layer: str, name: str, material:
         key = name if materials.get(name) in (None, material) else f"{name}, {layer}"
         materials[key] = material
         layers.append(own.model_copy(update={"material": key, "name": layer}))
-    return _with_layers(record, layers, materials)
+    return with_layers(record, layers, materials)

@@ -37,7 +37,7 @@ def has_free_form(trial: TrialFit) -> bool:
 def free_form(base: TrialFit, own: TrialFit, at: Mapping[str, float]) -> Candidate | None:
     """The candidate of an effect in a free form, under the name of the effect; None where it has none in a record.
 
-    base : a model without the effect;  own : the effect fitted in the form of the library
+    base : the declared model;  own : the effect fitted in the form of the library
     at   : values to start from by dotted name
 
     Values at the knots have a prior of SCATTER times the mean ratio of the declared table.
