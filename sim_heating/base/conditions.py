@@ -26,6 +26,9 @@ DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation
 RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
 """The variables of a heating-ratio table, in the order of its axes."""
 
+SHUTTLE_MACH_M_S = 304.8
+"""1000 ft/s [m/s], the unit of 'Mach' in the Shuttle literature."""
+
 FRAME = (
     "time_s", "altitude_m", "velocity_m_s", "alpha_deg", "beta_deg",
     "elevon_deg", "bodyflap_deg", "rho_kg_m3", "jets",

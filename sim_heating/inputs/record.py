@@ -310,11 +310,28 @@ class Segments(Declared):
         return segments
 
 
+class FlownManoeuvre(Declared):
+    """A manoeuvre of the flight: its kind, and when it was flown."""
+
+    quantities: ClassVar = {"start_s": "time_s", "end_s": "time_s"}
+
+    kind: str = Field(min_length=1, description='what was flown, as "popu" or "bodyflap-sweep"')
+    start_s: float = Field(description="start in s, on the clock of the conditions")
+    end_s: float = Field(description="end in s")
+
+    @model_validator(mode="after")
+    def _check_times(self) -> FlownManoeuvre:
+        if not self.start_s < self.end_s:
+            raise LocatedError((("end_s",), f"{self.end_s:g} is not after start_s, {self.start_s:g}"))
+        return self
+
+
 class RecordFile(Construction):
     """record.toml. The stack and the materials are those of a Construction."""
 
     format: Literal["flight-record/1"] = Field(description='"flight-record/1"')
     title: str = ""
+    flight: str = Field(default="", description="name of the flight; that of the directory above where absent")
     vehicle: str = ""
     control_point: str = Field(min_length=1, description="name of the control point")
     measured: bool = Field(description="true for a measurement, false for synthetic data")
@@ -323,6 +340,7 @@ class RecordFile(Construction):
     heating: Heating
     reference_condition: ReferenceCondition | None = None
     segments: Segments = Field(default_factory=Segments)
+    manoeuvre: list[FlownManoeuvre] = Field(default=[], description="[[manoeuvre]], those that were flown")
 
     @model_validator(mode="after")
     def _check_record(self) -> RecordFile:
@@ -370,6 +388,11 @@ class Record:
     def name(self) -> str:
         """Name of the record's directory."""
         return Path(os.path.abspath(self.directory)).name
+
+    @property
+    def flight(self) -> str:
+        """Name of the flight: the declared one, else that of the directory which the record's own is in."""
+        return self.declared.flight or Path(os.path.abspath(self.directory)).parent.name
 
     @property
     def time_s(self) -> FloatArray:

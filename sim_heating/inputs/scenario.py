@@ -2,6 +2,7 @@
 
 format = "scenario/1"
 title = "..."
+flight = "STS-2"                    # name of the flight in the records of `synthesize`; the file's name where absent
 vehicle = "orbiter"                 # a vehicle's name, or its directory relative to the scenario
 control_points = ["V09T9527"]       # all where absent
 [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
@@ -260,6 +261,7 @@ class ScenarioFile(Declared):
 
     format: str = Field(pattern="^scenario/1$", description='"scenario/1"')
     title: str
+    flight: str = Field(default="", description="name of the flight in records; the file's name where absent")
     vehicle: str
     note: str = ""
     control_points: list[str] | None = None
@@ -308,6 +310,11 @@ class Scenario:
     def title(self) -> str:
         """Title of the scenario."""
         return self.declared.title
+
+    @property
+    def flight(self) -> str:
+        """Name of the flight in records: the declared one, else the name of the scenario's file."""
+        return self.declared.flight or self.path.stem
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import Conditions
+from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import (
     ANGLES,
     MANOEUVRE_NAMES,
@@ -29,8 +29,6 @@ from sim_heating.trajectory.flight import Window
 
 BEFORE_S, AFTER_S = 15.0, 25.0
 """Time before and after a manoeuvre that is drawn [s]."""
-SHUTTLE_MACH_M_S = 304.8
-"""1000 ft/s [m/s], the unit of 'Mach' in the Shuttle literature."""
 HOT_STRUCTURE = 0.95
 """Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
 DRAWN_CHANGE_DEG = 0.5

@@ -31,7 +31,7 @@ from sim_heating.simulation.run import fly_scenario, models_of
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.aero import flown_aero
-from sim_heating.trajectory.flight import Flight
+from sim_heating.trajectory.flight import Flight, Window
 
 TRUTH = "truth.toml"
 AXIAL = "axial_accel_g"
@@ -84,7 +84,7 @@ def synthesize(
     )
     progress(0.9, "measuring")
     return {
-        p.name: _record(scenario, p, c, h, clock)
+        p.name: _record(scenario, p, c, h, clock, flight.windows)
         for (p, _, c), h, clock in zip(measurable, histories, clocks, strict=True)
     }
 
@@ -151,7 +151,12 @@ def _within(time_s: FloatArray, flown: Conditions) -> FloatArray:
 
 
 def _record(
-    scenario: Scenario, point: ControlPoint, conditions: Conditions, history: PointHistory, clock: FloatArray
+    scenario: Scenario,
+    point: ControlPoint,
+    conditions: Conditions,
+    history: PointHistory,
+    clock: FloatArray,
+    windows: Sequence[Window],
 ) -> Record:
     measurements = scenario.declared.measurements
     # Seeded by the name of the point: its record stays the same when others are added to the scenario.
@@ -170,7 +175,7 @@ def _record(
                 f"{scenario.path}, [measurements]: skew, offset, gaps and losses leave no sample of {sensor.name} "
                 f"within the flight ({span}); change them"
             )
-    declared = declaration(scenario, point, point.sensors)
+    declared = declaration(scenario, point, point.sensors, windows)
     table, turbulent = ratio_table_of(point), turbulent_table_of(point)
     measured = flown_columns(_as_measured(scenario, point, conditions))
     return make_record(declared, measured, columns, table, point.name, turbulent)
@@ -238,10 +243,14 @@ def turbulent_table_of(point: ControlPoint) -> RatioTable | None:
     return replace(table, header={**table.header, "recovery": kind})
 
 
-def declaration(scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor]) -> RecordFile:
-    """Content of record.toml for a control point with these sensors."""
+def declaration(
+    scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor], windows: Sequence[Window] = ()
+) -> RecordFile:
+    """Content of record.toml for a control point with these sensors, and the manoeuvres flown in these windows."""
     vehicle = scenario.vehicle
-    data = point_declaration(vehicle, point, f"{scenario.title}: {point.title}", sensors)
+    data = point_declaration(vehicle, point, f"{scenario.title}: {point.title}", sensors) | {"flight": scenario.flight}
+    if windows:
+        data["manoeuvre"] = [vars(window) for window in windows]
     heating = {
         "reference": "columns",
         "nose_radius_m": vehicle.heating.nose_radius_m,

@@ -1,0 +1,1 @@
+"""Campaigns: flights of many control points, their fits and findings, the tables that follow, the paper's figures."""
