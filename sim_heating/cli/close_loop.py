@@ -96,9 +96,9 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
     from sim_heating.closure.several.batch import summary_row
     from sim_heating.closure.several.joint import JOINT_FILES, close_loops, write_joint_loop
     from sim_heating.closure.several.joint_report import evidence_table
-    from sim_heating.inputs.record import load_record
+    from sim_heating.inputs.record import load_records
 
-    loaded = [load_record(path, root=root) for path in found]
+    loaded = load_records(found, root=root)
     inputs = [record.directory for record in loaded]
     for folder, expected in ((out, JOINT_FILES), *((out / record.name, FILES) for record in loaded)):
         require_writable(folder, "close-loop", expected=expected, inputs=inputs)

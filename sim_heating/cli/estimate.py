@@ -186,9 +186,9 @@ def estimate(
         return
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
-    from sim_heating.inputs.record import load_record
+    from sim_heating.inputs.record import load_records
 
-    loaded = [_with_fit(load_record(path, root=root), fit) for path in records]
+    loaded = [_with_fit(record, fit) for record in load_records(records, root=root)]
     files = output_files(loaded, filtered=noise is not None)
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:

@@ -220,17 +220,15 @@ def predict(
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.declared_effects import left_out
     from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
-    from sim_heating.inputs.record import load_record, require_distinct_records
+    from sim_heating.inputs.record import load_records
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.predict import FILES, summary, write_prediction
     from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
-    loaded = [load_record(path, root=root) for path in records]
+    loaded = load_records(records, root=root)
     revised = None if vehicle is None else load_vehicle(vehicle, root=root)
-    names = [record.name for record in loaded]
-    require_distinct_records(names)
-    folders = [out if len(loaded) == 1 else out / name for name in names]
+    folders = [out if len(loaded) == 1 else out / record.name for record in loaded]
     inputs = [record.directory for record in loaded] + ([] if revised is None else [revised.directory])
     require_writable(out, "predict", inputs=inputs)
     for folder in folders:

@@ -42,7 +42,7 @@ from sim_heating.estimation.problem import FitOptions, FitProblem, joint_referen
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import undeclared_effects
-from sim_heating.inputs.record import Record, load_record, require_distinct_records
+from sim_heating.inputs.record import Record, load_record, load_records
 from sim_heating.march.history import table_excursions
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
@@ -171,7 +171,7 @@ def estimate(
     >>> value, sigma = fit.parameters["ratio.scale"]
     """
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
-    loaded = [load_record(record) for record in given]
+    loaded = load_records(given)
     check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
     loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
@@ -283,11 +283,10 @@ def check_joint_records(records: Sequence[Record], do: str = "estimate") -> None
     """Check that records may be fitted together.
 
     do     : what a message advises to do with each record by itself
-    raises : InputError where there is none, two have one name, or ratios of one point are over different references
+    raises : InputError where there is none, or ratios of one point are over different references
     """
     if not records:
         raise InputError(f"{do}: no record; give at least one")
-    require_distinct_records([r.name for r in records])
     models = {r.declared.heating.reference for r in records}
     if len(models) > 1:
         raise InputError(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, ClassVar, Literal
@@ -331,7 +331,11 @@ class RecordFile(Construction):
 
     format: Literal["flight-record/1"] = Field(description='"flight-record/1"')
     title: str = ""
-    flight: str = Field(default="", description="name of the flight; that of the directory above where absent")
+    flight: str = Field(
+        default="",
+        pattern=r"^([^./\\|@][^/\\|@]*)?$",
+        description="name of the flight, without / \\ | @; that of the directory above where absent",
+    )
     vehicle: str = ""
     control_point: str = Field(min_length=1, description="name of the control point")
     measured: bool = Field(description="true for a measurement, false for synthetic data")
@@ -370,6 +374,7 @@ class Record:
     ratio_table   : the declared heating ratio, or None
     directory     : folder that it was read from, for messages and names of results
     turbulent     : the declared turbulent heating ratio, or None
+    label         : its name among the records of a command, where that of the directory is not unique there
     """
 
     declared: RecordFile
@@ -378,6 +383,7 @@ class Record:
     ratio_table: RatioTable | None = None
     directory: Path = field(default=Path("record"))
     turbulent: RatioTable | None = None
+    label: str = ""
 
     def __repr__(self) -> str:
         sensors, t = len(self.sensors), self.conditions.time_s
@@ -386,6 +392,11 @@ class Record:
 
     @property
     def name(self) -> str:
+        """Name of the record's directory; FLIGHT/NAME where another record of the command has that name too."""
+        return self.label or self.folder_name
+
+    @property
+    def folder_name(self) -> str:
         """Name of the record's directory."""
         return Path(os.path.abspath(self.directory)).name
 
@@ -490,13 +501,51 @@ def pooled_rmse_K(residual_K: ArrayLike, mask: ArrayLike | None = None) -> dict[
     return {"rmse_K": float(np.sqrt(np.mean(finite**2))), "max_abs_K": largest, "n": int(finite.size)}
 
 
-def require_distinct_records(names: Sequence[str]) -> None:
-    """raises : InputError where two records of one command have the same name"""
-    if (name := repeated_name(names)) is not None:
-        raise InputError(f"two records are named {name}; rename one")
+def distinct_names(folders: Sequence[str], flight: Callable[[int], str]) -> list[str]:
+    """Names of the records of one command: those of their directories, and FLIGHT/NAME where several have one name.
+
+    folders : names of the records' directories
+    flight  : the flight of a record by its index, which is asked for where names clash
+    raises  : InputError where two records of one name are of one flight
+
+    >>> distinct_names(["V07T9975", "V09T9527", "V09T9527"], ["STS-2", "STS-2", "STS-4"].__getitem__)
+    ['V07T9975', 'STS-2/V09T9527', 'STS-4/V09T9527']
+    """
+    names = [name if folders.count(name) == 1 else f"{flight(i)}/{name}" for i, name in enumerate(folders)]
+    _require_distinct(names)
+    return names
+
+
+def _require_distinct(names: Sequence[str]) -> None:
+    if (twice := repeated_name(names)) is not None:
+        raise InputError(
+            f"two records are named {twice}; leave one out, rename one, or give each its `flight` in {DECLARATION}"
+        )
+
+
+def named_apart(records: Sequence[Record]) -> list[Record]:
+    """The records of one command under names that no two of them have in common; a label that one has is kept.
+
+    raises : InputError where two records of one name are of one flight
+    """
+    names = distinct_names([r.folder_name for r in records], lambda i: records[i].flight)
+    found = [r if r.label or r.name == name else replace(r, label=name) for r, name in zip(records, names, strict=True)]
+    _require_distinct([r.name for r in found])
+    return found
 
 
 # Reading -------------------------------------------------------------------------------------------------------------
+
+
+def load_records(
+    directories: Sequence[str | os.PathLike[str] | Record], *, root: str | os.PathLike[str] | None = None
+) -> list[Record]:
+    """Read and check the records of one command, under names that no two of them have in common.
+
+    directories, root : as `load_record` takes them
+    raises            : InputError as `load_record`, and where two records of one name are of one flight
+    """
+    return named_apart([load_record(directory, root=root) for directory in directories])
 
 
 def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.PathLike[str] | None = None) -> Record:

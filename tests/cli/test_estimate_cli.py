@@ -118,13 +118,27 @@ def test_progress_is_reported_by_iteration(workdir: Path, tmp_path: Path, capsys
     assert "Noise floor" in printed.out
 
 
-def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(workdir: Path, tmp_path: Path) -> None:
-    found = estimate("first", "second", "--parameters", ",".join([*TRUTH, "clock.skew"]), out=tmp_path / "fit")
-    assert set(found["parameters"]) == {*TRUTH, "clock.skew@first", "clock.skew@second"}
-    assert error_in_sigma(found["parameters"]["clock.skew@first"], 0.0) < 3.0
-    assert error_in_sigma(found["parameters"]["clock.skew@second"], SKEW_S) < 3.0
-    for flight in ("first", "second"):
-        assert {p.name for p in (tmp_path / "fit" / flight).iterdir()} == {"temperatures.csv", "fit.png", "ratio.png"}
+def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
+    workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b, pod = (tmp_path / place for place in (f"A/{PLUG}", f"B/{PLUG}", f"A/{POD}"))
+    for flown, record in (("first", a), ("second", b), (f"both/{POD}", pod)):
+        shutil.copytree(workdir / flown, record)
+    names, fit = ",".join([*TRUTH, "clock.skew"]), tmp_path / "fit"
+    found = estimate(str(a), str(b), str(pod), "--parameters", names, out=fit)
+    clocks = [f"clock.skew@{owner}" for owner in (f"A/{PLUG}", f"B/{PLUG}", POD)]
+    assert set(found["parameters"]) == {*(f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)), *clocks}
+    for clock, skew_s in zip(clocks, (0.0, SKEW_S, 0.0), strict=True):
+        assert error_in_sigma(found["parameters"][clock], skew_s) < 3.0
+    for folder in (f"A/{PLUG}", f"B/{PLUG}", POD):
+        assert {p.name for p in (fit / folder).iterdir()} == {"temperatures.csv", "fit.png", "ratio.png"}
+    assert main(["predict", str(a), str(b), "--out", str(tmp_path / "predicted")]) == 0
+    assert read_json(tmp_path / "predicted" / "B" / PLUG / "summary.json")["record"] == f"B/{PLUG}"
+    capsys.readouterr()
+    arguments = ["--vehicle", "orbiter", "--point", PLUG, "--dry-run", "--check", "second"]
+    assert main(["update-tables", str(fit), *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in (f"A/{PLUG}", f"B/{PLUG}", "second"))
 
 
 def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path, tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_records_that_can_have_nothing_in_common_are_refused_before_any_search(t
     one, two = flown("A", 5, 41.0, 0.002), flown("B", 6, 41.0, 0.002)
     with pytest.raises(InputError, match="1 record; give two or more"):
         close_loops([one])
-    with pytest.raises(InputError, match="two records are named A"):
+    with pytest.raises(InputError, match=r"two records are named .*/A; leave one out"):
         close_loops([one, one])
     other = replace(two, declared=two.declared.model_copy(update={"vehicle": "capsule"}))
     with pytest.raises(InputError, match=r"different vehicles \(capsule, orbiter\)"):

@@ -553,7 +553,7 @@ def test_inconsistent_inputs_are_refused_in_one_line(
         (["first.json", "--vehicle", "orbiter"], "came with the package; name a folder for your copy with --out"),
         (["first.json", "--vehicle", "./orbiter", "--out", "."], "already contains orbiter"),
         (["first.json", "--vehicle", "./orbiter", "--record", "first", "--record", "second"], "name each in order"),
-        (["first.json", "--vehicle", "./orbiter", "--check", "first"], "two records are named first"),
+        (["first.json", "--vehicle", "./orbiter", "--check", "first"], "/first; leave one out, rename one"),
         (["nothing.json", "--vehicle", "./orbiter"], "no such file"),
         (["first.json", "--vehicle", "./orbiter", "--out", "first.toml/x"], "is a file; name a directory"),
     ],

@@ -73,9 +73,9 @@ def test_invalid_request_is_answered_in_a_line(capsys, tmp_path, arguments, line
     assert not (tmp_path / "out").exists()
 
 
-def test_two_records_of_one_name_are_refused(capsys, tmp_path):
+def test_two_records_of_one_flight_and_name_are_refused(capsys, tmp_path):
     status, text = run_estimate(capsys, PRACTICE / "p06", PRACTICE / "p06", "--out", tmp_path / "out")
-    assert (status, "two records are named p06; rename one" in text) == (2, True)
+    assert (status, "two records are named practice/p06; leave one out" in text) == (2, True)
 
 
 def test_clocks_that_do_not_overlap_are_an_error(capsys, tmp_path):

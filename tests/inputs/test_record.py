@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, csv_text, read_csv_columns, toml_text, write_csv
+from sim_heating.closure.several.batch import record_job, record_names
 from sim_heating.inputs.record import (
     Record,
     RecordFile,
     in_segments,
     load_record,
+    load_records,
     make_record,
     pooled_rmse_K,
     write_record,
@@ -269,3 +271,16 @@ def test_the_keys_of_a_sensor_are_those_of_the_contract() -> None:
     sensor = check({"name": "a", "column": "a_K", "depth_m": 0, "bits": 8, "range_K": [0, 255]}, Sensor, "x")
     assert sensor.used
     assert sensor.lsb_K == 1.0
+
+
+def test_records_of_one_point_are_told_apart_by_their_flights(tmp_path: Path) -> None:
+    record, places = load_record(PRACTICE / "p06"), [tmp_path / folder / "p06" for folder in "ABC"]
+    for place, stated in zip(places, ({}, {}, {"flight": "STS-2"}), strict=True):
+        write_record(replace(record, declared=record.declared.model_copy(update=stated)), place)
+    names = ["A/p06", "B/p06", "STS-2/p06"]
+    assert [r.name for r in load_records(places)] == names == record_names(places)
+    assert [r.name for r in load_records([places[0], PRACTICE / "p04"])] == ["p06", "p04"]
+    ids = [record_job(place, tmp_path, label=name).id for place, name in zip(places, names, strict=True)]
+    assert [i.rpartition("-")[0] for i in ids] == ["A_p06", "B_p06", "STS-2_p06"]
+    with pytest.raises(InputError, match="two records are named B/p06; leave one out, rename one, or give each"):
+        load_records([*places, places[1]])

@@ -45,7 +45,7 @@ from sim_heating.estimation.report.ratio_plot import (
     plot_flight,
 )
 from sim_heating.heating.ratio.uncertainty import Posterior, estimated_ratio, node_weights
-from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.record import Record, load_records
 from sim_heating.inputs.vehicle import vehicle_directory
 
 MAX_ROWS = 16
@@ -123,9 +123,7 @@ def update_tables(
     with revising(vehicle_directory(vehicle), progress) if in_place else nullcontext():
         update = prepare_update(fit, vehicle, records, point, root)
         progress(0.1, "predicting with the table before and after")
-        errors = errors_before_and_after(
-            update, [*update.records, *(load_record(check, root=root) for check in checks)]
-        )
+        errors = errors_before_and_after(update, load_records([*update.records, *checks], root=root))
         if dry_run:
             return UpdatedTables(update, errors)
         return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))

@@ -57,7 +57,7 @@ from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, posterior
 from sim_heating.inputs.points import point_with_vehicle_table
-from sim_heating.inputs.record import Record, load_record, pooled_rmse_K
+from sim_heating.inputs.record import Record, load_record, load_records, named_apart, pooled_rmse_K
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
 from sim_heating.simulation.predict import predict
@@ -204,7 +204,7 @@ def _records(
 ) -> list[Record]:
     """The estimate's records: as given, else where it states, relative to here or to its own file."""
     if not given:
-        return [_stated_record(estimate, i, roots, root) for i in range(len(estimate.records))]
+        return named_apart([_stated_record(estimate, i, roots, root) for i in range(len(estimate.records))])
     if len(given) != len(estimate.records):
         raise InputError(
             f"--record: {len(given)} given, the estimate is of {len(estimate.records)}; name each in order"
@@ -212,7 +212,7 @@ def _records(
     for place in given:
         if not os.path.isdir(place):
             raise _no_record(roots.file, os.fspath(place))
-    return [load_record(place, root=root) for place in given]
+    return load_records(given, root=root)
 
 
 def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.PathLike[str] | None) -> Record:
@@ -376,13 +376,11 @@ def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> d
 
     Everything else, notably the stack, is as the record declares.
     returns : record -> segments -> before, after; None for segments that do not exist
-    raises  : InputError where a record is of another control point, over another reference heating, or named twice
+    raises  : InputError where a record is of another control point, over or over another reference heating
     """
     found: dict[str, dict[str, Any]] = {}
     for record in records:
         _check_comparable(update, record)
-        if record.name in found:
-            raise InputError(f"two records are named {record.name}; rename one")
         model, flow = point_with_vehicle_table(record, update.vehicle)
         used = [i for i, s in enumerate(record.sensors) if s.used]
         revised = replace(model, ratio=update.table, effects=update.effects.after)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.heating.effects import effects, user_effect_files
-from sim_heating.inputs.record import DECLARATION, load_record, require_distinct_records
+from sim_heating.inputs.record import DECLARATION, distinct_names, load_record
 
 SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
 LEDGER = "finished"
@@ -36,19 +36,23 @@ LEDGER = "finished"
 
 @dataclass(frozen=True)
 class Task:
-    """One record, the folder of its results, and what its declared model is fitted with; picklable."""
+    """One record, the folder of its results, and what its declared model is fitted with; picklable.
+
+    label : name of the record among those of the command
+    """
 
     record: str
     out: str
     root: str | None = None
     names: tuple[str, ...] | None = None
+    label: str = ""
 
 
 def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
     """Records among paths: a record's directory itself, or all directly below a directory.
 
     root   : folder that symbolic links among them may lead to, as `load_record` takes it
-    raises : InputError where a directory holds none, or two records have one name
+    raises : InputError where a directory holds none
     """
     found: list[Path] = []
     for path in paths:
@@ -62,8 +66,23 @@ def find_records(paths: Sequence[Path], root: Path | None = None) -> list[Path]:
             found += below
         else:
             found.append(path)
-    require_distinct_records([real_path(p).name for p in found])
     return found
+
+
+def record_names(records: Sequence[Path], root: Path | None = None) -> list[str]:
+    """Names of records by their directories; FLIGHT/NAME of those that have one name.
+
+    root   : folder that symbolic links among them may lead to, as `load_record` takes it
+    raises : InputError where two records of one name are of one flight
+    """
+
+    def flight(i: int) -> str:
+        try:
+            return load_record(records[i], root=root).flight
+        except InputError:  # the record's own job reports it
+            return real_path(records[i]).parent.name
+
+    return distinct_names([real_path(p).name for p in records], flight)
 
 
 def close_all(
@@ -90,7 +109,8 @@ def close_all(
     """
     from sim_heating.closure.close import COMMAND, FILES
 
-    jobs = [record_job(path, out / real_path(path).name, root, names) for path in records]
+    labels = record_names(records, root)
+    jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
     with exclusive(out):
         # Before the work: a place that cannot hold results must not be found out after it.
         for folder, files in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
@@ -100,31 +120,36 @@ def close_all(
             is_current=_results_are_there, progress=progress,
         )  # fmt: skip
         rows = []
-        for path, job in zip(records, jobs, strict=True):
+        for label, job in zip(labels, jobs, strict=True):
             if job.id in outcome.done:
                 rows.append(json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"])
             else:
-                rows.append({"record": real_path(path).name, "failed": outcome.failed[job.id]})
+                rows.append({"record": label, "failed": outcome.failed[job.id]})
         with output_directory(out, COMMAND, inputs=records) as folder:
             write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
             _write_summary_csv(folder / CSV, rows)
     return rows
 
 
-def record_job(record: Path, out: Path, root: Path | None = None, names: Sequence[str] | None = None) -> Job:
-    """A record's job; its name depends on everything that its result depends on."""
+def record_job(
+    record: Path, out: Path, root: Path | None = None, names: Sequence[str] | None = None, label: str = ""
+) -> Job:
+    """A record's job, by default under its directory's name; its id depends on all that its result depends on."""
+    label = label or real_path(record).name
     try:
         inputs = inputs_hash(load_record(record, root=root))
     except InputError:  # the job itself reports it
         inputs = "unreadable"
     # Everything that the result depends on: a finished record is closed again after an update of the program or of a
     # user-defined effect, and not otherwise.
-    digest = hashlib.sha256("|".join([inputs, package_version(), *sorted(effects()), *(names or ())]).encode())
+    digest = hashlib.sha256("|".join([inputs, label, package_version(), *sorted(effects()), *(names or ())]).encode())
     for path in user_effect_files():
         digest.update(path.read_bytes())
     return Job(
-        f"{real_path(record).name}-{digest.hexdigest()[:12]}.json",
-        Task(str(record), str(out), None if root is None else str(root), None if names is None else tuple(names)),
+        f"{label.replace('/', '_')}-{digest.hexdigest()[:12]}.json",
+        Task(
+            str(record), str(out), None if root is None else str(root), None if names is None else tuple(names), label
+        ),
     )
 
 
@@ -132,7 +157,8 @@ def _close_record(task: Task) -> bytes:
     """Close the loop on one record and write its folder; its summary row and the digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
 
-    closed = close_loop(load_record(task.record, root=task.root), task.names)
+    record = load_record(task.record, root=task.root)
+    closed = close_loop(replace(record, label=task.label), task.names)
     write_closed_loop(closed, Path(task.out))
     return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
 

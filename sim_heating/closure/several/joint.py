@@ -35,7 +35,7 @@ from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
 from sim_heating.estimation.problem import FitOptions, FitProblem
-from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.record import Record, load_records
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ def close_loops(
     >>> sh.close_loops([flown["V07T9975"], flown["V07T9976"]])
     <JointClosedLoop of V07T9975, V07T9976: impingement-onset + coating-thickness or heat-capacity, RMSE 2.16 K ...>
     """
-    loaded = [load_record(record) for record in records]
+    loaded = load_records(records)
     if len(loaded) < 2:
         raise InputError(f"close-loop, jointly: {len(loaded)} record; give two or more, or leave out --joint")
     check_joint_records(loaded, "close the loop on")

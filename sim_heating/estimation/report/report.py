@@ -233,7 +233,7 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
         write_estimate(folder / NAME, estimate_contents(fitted))
         for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
             record_folder = folder if len(fitted.after) == 1 else folder / after.record.name
-            record_folder.mkdir(exist_ok=True)
+            record_folder.mkdir(exist_ok=True, parents=True)
             history = after.history
             write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
             draw_fit(record_folder / FIT_PICTURE, before, after)
