@@ -79,7 +79,7 @@ def compare(name: str) -> dict[str, Result]:
 def draw(path: Path, results: dict[str, dict[str, Result]], ways: Sequence[str]) -> None:
     """Error of all parameters against time spent, a mark a start: over the best bounds, and over its own."""
     figure, axes = new_figure(10.0, 4.6, 1, 2, sharey=True)
-    colors = dict(zip(ways, ("0.2", "tab:orange", "tab:blue", "tab:green"), strict=False))
+    colors = dict(zip(ways, ("0.2", "tab:orange", "tab:blue", "tab:green", "tab:purple"), strict=False))
     for a, of, title in zip(
         axes, ("over_best", "over_own"), ("bounds from entry interface", "own bounds"), strict=True
     ):

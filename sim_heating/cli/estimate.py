@@ -132,7 +132,7 @@ def _level(text: str, hint: str) -> float:
     "--start",
     default="declared",
     callback=_start,
-    help="initial temperatures: declared, or circuit, profile or filter:TIME_S",
+    help="initial temperatures: declared, or circuit, profile, filter, lost:TIME_S (lost: heating unknown until then)",
 )
 @click.option(
     "--fit",
@@ -178,11 +178,7 @@ def estimate(
             raise InputError(
                 "--segments: segments are fitted without process noise; leave out --process-noise and --ratio-noise"
             )
-        if reference or start is not None:
-            raise InputError(
-                "--segments: each segment has its own start and reference; leave out --start and --reference"
-            )
-        _estimate_trend(records, out, parameters, fit, segments, root)
+        _estimate_trend(records, out, parameters, reference, start, fit, segments, root)
         return
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
@@ -220,6 +216,8 @@ def _estimate_trend(
     records: tuple[Path, ...],
     out: Path,
     parameters: tuple[str, ...] | None,
+    reference: dict[str, float],
+    start: Any,
     fit: list[list[float]],
     length_s: float,
     root: Path | None,
@@ -235,7 +233,7 @@ def _estimate_trend(
     record = _with_fit(load_record(records[0], root=root), fit)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
-        found = trend(record, length_s, parameters, progress=progress)
+        found = trend(record, length_s, parameters, start=start, reference=reference, progress=progress)
         names = write_trend(found, out)
     CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
     for line in found.left_out[:3]:

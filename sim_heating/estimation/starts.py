@@ -9,8 +9,10 @@ profile   conduction with the surface at the readings of the outermost thermocou
           log(1 s^(1/2) + s). For an outermost thermocouple under a coating; a deeper one gives a poor first guess and
           a wide prior
 filter    by the Kalman filter from all readings since the first row of the conditions (filter/records.py)
+lost      the declared model up to a time before which readings were lost; the heating until then is unknown, and so is
+          an error smooth in depth (unknown_heating.py)
 
-Equations 2 to 4 of docs/clocks_and_starts.md, with a comparison of the three.
+Equations 2 to 6 of docs/clocks_and_starts.md, with a comparison of the first three.
 """
 
 from __future__ import annotations
@@ -23,11 +25,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.record_fit import Start, march_times, start_unknowns
+from sim_heating.estimation.unknown_heating import after_unknown_heating, largest_directions, temperatures_at
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.point import PointModel, initial_temperatures
-from sim_heating.thermal.mesh import Mesh, diffusion_depths
+from sim_heating.thermal.mesh import Mesh, diffusion_depths, halve_elements
 from sim_heating.thermal.stack import Sensor
 
 TIME_CONSTANT = 1.0
@@ -39,7 +42,7 @@ IMPOSING_FILM = 10.0
 IMPOSING_CP = 1000.0
 """Specific heat [J/(kg K)] of the wall enthalpy with it."""
 START_SIGMA_K = 10.0
-"""Standard deviation [K] of circuit and conducted profiles, unless deeper thermocouples show a larger error."""
+"""Least standard deviation [K] of the profile at a start."""
 START_LENGTH = 0.7
 """Correlation length of that error in log(1 + s): a factor of two in depth, four in time."""
 DIRECTIONS = 10
@@ -107,14 +110,16 @@ def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     """Start at the temperatures of the circuit analogy, none of them estimated.
 
     time_s  : [s]
-    returns : temperatures [K] without unknowns; a covariance [K2] of 10 K, smooth in depth, which only a fit with
-              process noise uses
+    returns : temperatures [K] without unknowns; a covariance [K2] smooth in depth, of the RMS difference [K] from the
+              conducted profile and at least 10 K, which fits with process noise and of segments use
     raises  : InputError as circuit_profile
 
     Source: docs/clocks_and_starts.md, equations 3 and 4.
     """
     profile = circuit_profile(record, model, mesh, time_s)
-    root = START_SIGMA_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    # conduction is nearer to the truth by an order of magnitude: the difference is the error of the analogy
+    error = float(np.sqrt(np.mean((profile - conducted_profile(record, model, mesh, time_s)) ** 2)))
+    root = max(START_SIGMA_K, error) * smooth_directions(diffusion_depths(model.construction, mesh))
     return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=root @ root.T)
 
 
@@ -221,5 +226,40 @@ def free_start(
     return Start(time_s, profile, columns, start_unknowns(columns.shape[1]))
 
 
-STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start}
+def lost_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> Start:
+    """Start at a time before which the readings were lost: the heating until then is unknown.
+
+    time_s  : [s]
+    returns : temperatures of the declared model there, with unknowns `initial.1` ... of unit prior: the largest
+              directions of the unknown heating and of an error of 10 K that is smooth in depth
+    raises  : InputError where the time lies outside the conditions, RunError where the declared model fails before it
+
+    Source: docs/clocks_and_starts.md, equations 4 and 6.
+    """
+    _check_within(record, time_s)
+    flown = conditions_of_record(record)
+    steps = march_times(flown, float(flown.time_s[0]), time_s)
+    profile, heating = after_unknown_heating(model, mesh, flown, steps, None, time_s)
+    smooth = START_SIGMA_K * smooth_directions(diffusion_depths(model.construction, mesh))
+    columns, _ = largest_directions(np.hstack([heating, smooth]), DIRECTIONS)
+    refined = temperatures_at(model, halve_elements(mesh), [condition_history(flown.at(steps))], steps, None, time_s)[0]
+    return Start(time_s, profile, columns, start_unknowns(columns.shape[1]), refined)
+
+
+def with_estimated_profile(start: Start) -> Start:
+    """A start whose temperatures are estimated: those of a circuit or of a filter, with their covariance as the prior.
+
+    returns : the start with unknowns `initial.1` ... in place of its covariance [K2]; itself where it has unknowns, or
+              temperatures that are exactly known
+
+    Source: docs/clocks_and_starts.md, equation 5.
+    """
+    if start.unknowns or start.covariance_K2 is None:
+        return start
+    values, vectors = np.linalg.eigh(start.covariance_K2)
+    columns, _ = largest_directions(vectors * np.sqrt(np.maximum(values, 0.0)), DIRECTIONS)
+    return replace(start, columns=columns, unknowns=start_unknowns(columns.shape[1]), covariance_K2=None)
+
+
+STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start, "lost": lost_start}
 """Kinds of start at a given time, by the name that a command takes."""

@@ -64,7 +64,10 @@ def run_estimate(capsys, *arguments: object) -> tuple[int, str]:
         (["--segments", "-3"], "segments of -3 s; give a length in s above 0"),
         (["--segments", "0.001"], "segments of 0.001 s are shorter than the 1 s between samples"),
         (["--segments", "5", "--fit", "5000,6000"], "the fit segments contain no recorded time"),
-        (["--segments", "5", "--start", "profile:600"], "each segment has its own start and reference"),
+        (
+            ["--segments", "5", "--start", "profile:600", "--fit", "700,800"],
+            "the first reading after the start at 600 s is at 700 s, more than a segment of 5 s later",
+        ),
     ],
 )
 def test_invalid_request_is_answered_in_a_line(capsys, tmp_path, arguments, line):

@@ -22,7 +22,6 @@ from sim_heating.base.report.figure import (
     save_figure,
 )
 from sim_heating.estimation.trend import Trend
-from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.record import Record, pooled_rmse_K
 from sim_heating.simulation.predict import Prediction
 
@@ -117,13 +116,13 @@ def draw_trend(path: Path, trend: Trend) -> None:
     middle = np.array([0.5 * (s.start_s + s.end_s) for s in segments])
     conditions = np.array([s.condition for s in segments])
     ratio, sigma = np.array([s.ratio for s in segments]), np.array([s.sigma for s in segments])
+    declared = np.array([s.declared for s in segments])
     figure, axes = new_figure(10.5, 4.6, 1, 2, sharey=True)
     for a, x, label in ((axes[0], middle, "time, s"), (axes[1], conditions[:, LOG10_RE], "log10 of Reynolds number")):
         a.errorbar(x, ratio, 2.0 * sigma, fmt="o", color=AFTER, markersize=3, linewidth=0.8, label="segments, 2 sigma")
         if record.ratio_table is not None:
-            declared = table_ratios_at(record.ratio_table, conditions)
             order = np.argsort(x)
-            a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared table, same conditions")
+            a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared model, same conditions")
         a.set_xlabel(label)
     determined = sigma < 0.5 * np.abs(ratio)
     if np.any(determined):

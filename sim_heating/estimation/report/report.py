@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import output_directory, write_csv
 from sim_heating.base.files.package import package_version
@@ -213,6 +214,9 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
         **{v: np.array([s.condition[i] for s in segments]) for i, v in enumerate(RATIO_VARIABLES)},
         "ratio": np.array([s.ratio for s in segments]),
         "sigma": np.array([s.sigma for s in segments]),
+        "declared_ratio": np.array([s.declared for s in segments]),
+        "misfit": np.array([s.misfit for s in segments]),
+        "correlation_before": _correlation_before(trend.covariance),
     }
     for k, name in enumerate(trend.names):
         columns[name] = np.array([s.values[k] for s in segments])
@@ -221,6 +225,13 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
         write_csv(folder / TREND_CSV, columns)
         draw_trend(folder / TREND_PICTURE, trend)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+def _correlation_before(covariance: FloatArray) -> FloatArray:
+    """(segment,) correlation of the error of each ratio with that of the segment before it [-]; 0 for the first."""
+    scale = np.sqrt(np.diag(covariance))
+    before = np.diag(covariance, -1) / np.where(scale[1:] * scale[:-1] > 0.0, scale[1:] * scale[:-1], 1.0)
+    return np.append(0.0, before)
 
 
 def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
