@@ -86,7 +86,7 @@ def test_segments_longer_than_their_data_or_of_no_length_are_refused():
 
 
 def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
-    """Ten nodes put the first segment off by 2.6 sigma where nothing is corrected, and one is as good as a finer mesh."""
+    """Ten nodes put the first segment off by 2.6 sigma where nothing is corrected."""
     record = remade({})
 
     def on(nodes: int) -> Trend:
