@@ -28,6 +28,7 @@ COMMANDS = {
     "design": "estimate",
     "close-loop": "close_loop",
     "update-tables": "tables",
+    "campaign": "campaign",
     "ratio-tables": "tables",
     "measured-records": "tables",
     "plan": "plan",

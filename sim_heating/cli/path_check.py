@@ -1,4 +1,4 @@
-"""Recognise a path as a record, ratio table, vehicle, scenario, study or material, and check it."""
+"""Recognise a path as a record, ratio table, vehicle, scenario, campaign, study or material, and check it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
-FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "study/1", "optimal-entry/1")
+FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "study/1", "optimal-entry/1")
 
 
 @dataclass(frozen=True)
 class CheckedPath:
     """A path without fault.
 
-    kind    : record, ratio table, vehicle, scenario, study or material
+    kind    : record, ratio table, vehicle, scenario, campaign, study or material
     summary : one line for a person
     """
 
@@ -70,6 +70,8 @@ def _toml(place: Path, root: Path | None) -> CheckedPath:
     data = read_toml_dict(place)
     if data.get("format") == "scenario/1":
         return _scenario(place, root)
+    if data.get("format") == "campaign/1":
+        return _campaign(place, root)
     if data.get("format") == "study/1":
         return _study(place, root)
     if data.get("format") == "optimal-entry/1":
@@ -114,6 +116,20 @@ def _scenario(place: Path, root: Path | None) -> CheckedPath:
     scenario = load_scenario(place, root=root)
     check_scenario(scenario)
     return CheckedPath("scenario", place, f"scenario {scenario.title or place.stem}")
+
+
+def _campaign(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.campaign.flights import record_directories
+    from sim_heating.campaign.spec import load_campaign
+    from sim_heating.simulation.scenario_check import check_scenario
+
+    campaign = load_campaign(place, root=root)
+    for source in campaign.flights:
+        for scenario in source.scenarios[:1]:
+            check_scenario(scenario)
+        for record in [] if source.records is None else record_directories(source.records):
+            load_record(record, root=root)
+    return CheckedPath("campaign", place, f"campaign {campaign.title}")
 
 
 def _study(place: Path, root: Path | None) -> CheckedPath:

@@ -14,7 +14,7 @@ from sim_heating.cli.console import CONSOLE, PATH, ROOT
 @click.argument("paths", type=PATH, nargs=-1, required=True)
 @ROOT
 def validate(paths: tuple[Path, ...], root: Path | None) -> None:
-    """Check records, scenarios, tables or vehicles, and report what is wrong."""
+    """Check records, scenarios, campaigns, studies, tables or vehicles, and report what is wrong."""
     from sim_heating.cli.path_check import check_path
 
     problems: list[str] = []

@@ -47,6 +47,8 @@ from sim_heating.thermal.stack import Construction, Material, Sensor, construct
 T = TypeVar("T")
 P = ParamSpec("P")
 
+SUFFIXES = (".toml", ".csv", ".json", ".xml")
+"""Kinds of files of a vehicle that a computation may read."""
 FOLDER = "aircraft_data"
 ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
 """Environment variable that names a folder of vehicles."""
@@ -265,6 +267,11 @@ def vehicle_place(
     if os.path.isfile(Path(vehicle) / "vehicle.toml"):
         return roots_of(file, root).named(vehicle, key, Path())
     return vehicle
+
+
+def vehicle_files(directory: Path) -> list[Path]:
+    """Files of a vehicle that a computation may read, in the order of their names."""
+    return sorted(p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
 
 
 def vehicle_folders() -> list[Path]:

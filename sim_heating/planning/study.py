@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
 from sim_heating.heating.effects import user_effect_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_files, vehicle_place
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
 from sim_heating.planning.limited_point import LimitedPoint
@@ -42,8 +41,6 @@ from sim_heating.trajectory.spec import TrajectorySpec
 
 HASH_LENGTH = 12
 """Characters of the hash that every figure shows."""
-SUFFIXES = (".toml", ".csv", ".json", ".xml")
-"""Kinds of files of a vehicle that a computation may read."""
 
 
 class StudyFile(Declared):
@@ -206,14 +203,9 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
     """SHA-256 over the study, the base entry, all files of the vehicle, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
-    for path in _input_files(base.vehicle.directory):
+    for path in vehicle_files(base.vehicle.directory):
         digest.update(path.relative_to(base.vehicle.directory).as_posix().encode())
         digest.update(path.read_bytes())
     for path in user_effect_files():
         digest.update(path.read_bytes())
     return digest.hexdigest()[:HASH_LENGTH]
-
-
-def _input_files(directory: Path) -> Iterable[Path]:
-    """Files of a vehicle that a computation may read, in the order of their names."""
-    return sorted(p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")

@@ -1,0 +1,327 @@
+"""Report of a campaign: one page, and its fits as CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sim_heating.base.files import write_text_atomic
+from sim_heating.base.parameters import MODEL
+from sim_heating.base.report.figure import new_figure, save_figure
+from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.table import Column, Table
+from sim_heating.campaign.manoeuvre_fits import usable
+from sim_heating.campaign.result import CampaignResult
+from sim_heating.closure.report import closures_table
+
+SUMMARY, FITS_CSV, ERRORS_CSV, PAGE = FILES = "campaign.json", "fits.csv", "errors.csv", "report.html"
+IMPROBABLE = 1e-3
+"""p-value of the agreement of flights below which they are said to disagree."""
+
+
+def write_csvs(folder: Path, result: CampaignResult) -> None:
+    """Write the fits and the errors of the tables as CSV files."""
+    write_text_atomic(folder / FITS_CSV, fits_table(result).csv())
+    write_text_atomic(folder / ERRORS_CSV, errors_table(result).csv())
+
+
+def fits_table(result: CampaignResult) -> Table:
+    """Every estimated parameter of every fit, a row a parameter."""
+    columns = [
+        Column("control point", "control_point"), Column("manoeuvre", is_text=True), Column("flights", is_text=True),
+        Column("parameter", is_text=True), Column("value", format=".5g"), Column("sigma", format=".2g"),
+        Column("unit", is_text=True), Column("RMSE", "rmse_K", ".2f", "K"),
+        Column("noise floor", "noise_floor_K", ".2f", "K"),
+    ]  # fmt: skip
+    rows = [
+        [r["control_point"], r["group"], " ".join(r["flights"]), n, p["value"], p["sigma"], p["unit"], r["rmse_K"],
+         r["noise_floor_K"]]
+        for r in (*result.fits, *result.joint)
+        if "failed" not in r
+        for n, p in r["parameters"].items()
+        if not n.startswith("initial.")
+    ]  # fmt: skip
+    return Table("Fits", columns, rows)
+
+
+def errors_table(result: CampaignResult) -> Table:
+    """RMSE of every manoeuvre by the tables before and after, and by its own fit."""
+    columns = [
+        Column("flight"), Column("control point", "control_point", is_text=True), Column("manoeuvre", is_text=True),
+        Column("use", is_text=True), Column("tables before", "before_K", ".2f", "K"),
+        Column("tables after", "after_K", ".2f", "K"), Column("fit", "fit_K", ".2f", "K"),
+        Column("noise floor", "noise_floor_K", ".2f", "K"),
+    ]  # fmt: skip
+    rows = [
+        [e["flight"], e["control_point"], e["manoeuvre"], "check" if e["check"] else "fitted", e["before_K"],
+         e["after_K"], e["fit_K"], e["noise_floor_K"]]
+        for e in result.errors
+    ]  # fmt: skip
+    return Table("RMSE of the manoeuvres, predicted from entry interface", columns, rows)
+
+
+def write_campaign_page(path: Path, result: CampaignResult) -> None:
+    """Write the page of a campaign."""
+    write_page(path, campaign_page(result))
+
+
+def campaign_page(result: CampaignResult) -> Page:
+    """Flights, findings, fits, their agreement, the revised tables and what they predict."""
+    sections = [
+        _flights_section(result), *_closed_section(result), *_fits_sections(result), *_joint_section(result),
+        *_tables_section(result), *_errors_section(result),
+    ]  # fmt: skip
+    vehicle = result.campaign.vehicle
+    count = f"{len(result.flights)} flights, {len(result.points)} control points"
+    subtitle = f"{vehicle.name}, revision {vehicle.revision}: {count}"
+    return Page(result.campaign.title, subtitle, sections, _headline(result))
+
+
+def _headline(result: CampaignResult) -> tuple[str, str]:
+    """How many fits there are and what the tables predict, in a few words."""
+    fitted = [r for r in (*result.fits, *result.joint) if not usable(r)]
+    head = f"{len(fitted)} of {len(result.fits) + len(result.joint)} fits are within the noise of their thermocouples"
+    if not result.errors:
+        return head, ""
+    parts = []
+    for check, what in ((False, "fitted flights"), (True, "flights that only check")):
+        mine = [e for e in result.errors if e["check"] == check]
+        if mine:
+            before, after, floor = (
+                float(np.median([e[k] for e in mine])) for k in ("before_K", "after_K", "noise_floor_K")
+            )
+            parts.append(
+                f"{what}: median RMSE of a manoeuvre {before:.2f} K with the tables before, {after:.2f} K with the "
+                f"revised ones, noise floor {floor:.2f} K"
+            )
+    line = "; ".join(parts)
+    return head, f"{line[0].upper()}{line[1:]}."
+
+
+def _flights_section(result: CampaignResult) -> Section:
+    columns = [
+        Column("flight"),
+        Column("use", is_text=True),
+        Column("control points"),
+        Column("manoeuvres", is_text=True),
+    ]
+    rows = [
+        [
+            f.name,
+            "check" if f.name in result.checks else "fitted",
+            len(f.records),
+            ", ".join(m.name for m in f.manoeuvres),
+        ]
+        for f in result.flights
+    ]
+    text = [result.campaign.declared.note.strip()] if result.campaign.declared.note.strip() else []
+    text.append(
+        "The number after `mach` is the speed in 1000 ft/s at the start of a manoeuvre, as in the Shuttle's "
+        "literature. Flights that check are not fitted: they show what the revised tables predict."
+    )
+    return Section("Flights", text, points=result.omitted, tables=[Table("", columns, rows)])
+
+
+def _closed_section(result: CampaignResult) -> list[Section]:
+    if not result.closed:
+        return []
+    rows = [{**row, "record": f"{row['flight']}/{row['control_point']}"} for row in result.closed]
+    text = (
+        "Each whole record was searched for an effect that its declared model lacks. What was found is part of the "
+        "model in the fits of its manoeuvres."
+    )
+    return [Section("What the declared models lack", [text], tables=[closures_table(rows)])]
+
+
+def _fits_sections(result: CampaignResult) -> list[Section]:
+    """A section for each control point: its ratio parameters by manoeuvre and flight, as a table and a picture."""
+    sections = []
+    for point in result.points:
+        rows = [r for r in (*result.fits, *result.joint) if r["control_point"] == point and "failed" not in r]
+        failed = [r for r in (*result.fits, *result.joint) if r["control_point"] == point and "failed" in r]
+        if not rows and not failed:
+            continue
+        names = [n for n in MODEL if n.startswith("ratio.") and any(n in r["parameters"] for r in rows)]
+        columns = [
+            Column("manoeuvre"),
+            Column("flights", is_text=True),
+            *(Column(n.removeprefix("ratio."), is_text=True) for n in names),
+        ]
+        columns += [
+            Column("RMSE", format=".2f", unit="K"),
+            Column("noise floor", format=".2f", unit="K"),
+            Column("", is_text=True),
+        ]
+        cells = [
+            [r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"], usable(r)]
+            for r in rows
+        ]
+        others = _other_parameters(rows)
+        points = [f"{r['group']}, {', '.join(r['flights'])}: failed: {r['failed']}" for r in failed]
+        points += [f"{n} not estimated in {', '.join(w)}: {why}" for (n, why), w in _not_estimated(rows).items()]
+        strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
+        picture = (
+            [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")]
+            if names and rows
+            else []
+        )
+        sections.append(
+            Section(
+                f"Fits of {point}", points=points, tables=[Table("", columns, cells, strong), *others], pictures=picture
+            )
+        )
+    return sections
+
+
+def _who(row: Mapping[str, Any]) -> str:
+    return f"{len(row['flights'])} flights together" if len(row["flights"]) > 1 else str(row["flights"][0])
+
+
+def _bound(row: Mapping[str, Any], name: str) -> str:
+    """An estimate with its sigma, as text; empty where it was not estimated."""
+    p = row["parameters"].get(name)
+    return "" if p is None else f"{p['value']:.4g} +- {p['sigma']:.2g}"
+
+
+def _other_parameters(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Estimates that are neither of the ratio nor of the start."""
+    cells = [
+        [r["group"], _who(r), n, p["value"], p["sigma"], p["unit"]]
+        for r in rows
+        for n, p in r["parameters"].items()
+        if not n.startswith(("ratio.", "initial."))
+    ]
+    columns = [Column("manoeuvre"), Column("flights", is_text=True), Column("parameter", is_text=True),
+               Column("value", format=".4g"), Column("sigma", format=".2g"), Column("unit", is_text=True)]  # fmt: skip
+    return [Table("Effects and thermal parameters", columns, cells)] if cells else []
+
+
+def _not_estimated(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], list[str]]:
+    """Fits in which a parameter was left out, by the parameter and the reason without its numbers."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for r in rows:
+        for name, why in r["not_estimated"].items():
+            plain = why.partition(" (")[0].partition(";")[0]
+            found.setdefault((name, plain), []).append(f"{r['group']} ({_who(r)})")
+    return found
+
+
+def _draw(point: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Each parameter by manoeuvre, the single flights in grey and all together in colour."""
+    groups = list(dict.fromkeys(r["group"] for r in rows))
+    columns = min(len(names), 3)
+    lines = -(-len(names) // columns)
+    figure, axes = new_figure(
+        1.5 + 3.4 * columns, 1.2 + 0.5 * len(groups) * lines + 0.9 * lines, lines, columns, squeeze=False, sharey=True
+    )
+    for a in axes.flat[len(names) :]:
+        a.set_visible(False)
+    for a, name in zip(axes.flat, names, strict=False):
+        for k, group in enumerate(groups):
+            mine = [r for r in rows if r["group"] == group and name in r["parameters"]]
+            for i, r in enumerate(mine):
+                p = r["parameters"][name]
+                together = len(r["flights"]) > 1
+                place = k + 0.7 * ((i + 0.5) / len(mine) - 0.5)
+                style = (
+                    {"color": "tab:blue", "linewidth": 2.2}
+                    if together
+                    else {"color": "0.45" if not usable(r) else "tab:red", "linewidth": 1.1}
+                )
+                a.errorbar(p["value"], place, xerr=2.0 * p["sigma"], fmt="o", markersize=3.5, **style)
+        unit = MODEL[name].unit
+        a.set_xlabel(f"{name}" if unit == "1" else f"{name}, {unit}")
+        a.axvline(0.0, color="0.7", linewidth=0.8)
+        a.set_yticks(range(len(groups)), groups)
+        a.set_ylim(len(groups) - 0.5, -0.5)
+        a.locator_params(axis="x", nbins=4)
+    kinds = "grey: one flight, red: one that revises no table, blue: all flights together"
+    return save_figure(figure, None, f"{point}: estimates with 2 sigma ({kinds})", axes)
+
+
+def _joint_section(result: CampaignResult) -> list[Section]:
+    """Whether the flights agree."""
+    rows = [r for r in result.joint if r.get("agreement")]
+    if not rows:
+        return []
+    columns = [
+        Column("control point"), Column("manoeuvre", is_text=True), Column("flights"),
+        Column("chi-square", format=".1f"), Column("degrees of freedom"), Column("p-value", format=".2g"),
+    ]  # fmt: skip
+    cells = [
+        [
+            r["control_point"],
+            r["group"],
+            len(r["flights"]),
+            *(r["agreement"][k] for k in ("chi_square", "degrees", "p_value")),
+        ]
+        for r in rows
+    ]
+    low = [i for i, r in enumerate(rows) if r["agreement"]["p_value"] < IMPROBABLE]
+    text = (
+        "The fits of single flights scatter about the fit of all together as their bounds say where the p-value is "
+        f"not small. In {len(low)} of {len(rows)} it is below {IMPROBABLE:g}: flights differ by more than their bounds."
+    )
+    return [Section("Do the flights agree?", [text], tables=[Table("", columns, cells, low)])]
+
+
+def _tables_section(result: CampaignResult) -> list[Section]:
+    if not result.updates and not result.refused:
+        return []
+    columns = [
+        Column("control point"), Column("revision"), Column("manoeuvre", is_text=True), Column("flights"),
+        Column("written", is_text=True), Column("chi-square", format=".1f"), Column("degrees of freedom"),
+    ]  # fmt: skip
+    cells = [
+        [u["control_point"], u["revision"], u["manoeuvre"], len(u["flights"]), ", ".join(u["parameters"]),
+         u["chi_square"], u["degrees_of_freedom"]]
+        for u in result.updates
+    ]  # fmt: skip
+    text = (
+        "Each revision takes all evidence before it into account, so that their order does not matter. The chi-square "
+        "is that of all evidence so far against the sigma that the table stated before any of it."
+    )
+    points = [f"Not used: {line}" for line in result.refused]
+    return [Section("Revised tables", [text], points, [Table("", columns, cells)])]
+
+
+def _errors_section(result: CampaignResult) -> list[Section]:
+    if not result.errors:
+        return []
+    text = (
+        "Plain predictions, nothing fitted: the tables before and after the campaign. The fit has temperatures at its "
+        "start, coating and effects of its own, which no table holds."
+    )
+    worse = [i for i, e in enumerate(result.errors) if e["after_K"] > 1.05 * e["before_K"]]
+    return [Section("What the revised tables predict", [text], tables=[_strong(errors_table(result), worse)])]
+
+
+def _strong(table: Table, rows: Sequence[int]) -> Table:
+    return Table(table.title, table.columns, table.rows, rows)
+
+
+def totals(result: CampaignResult) -> Table:
+    """Fits and errors in a few numbers, for a terminal."""
+    rows = []
+    for point in result.points:
+        fits = [r for r in result.fits if r["control_point"] == point]
+        joint = [r for r in result.joint if r["control_point"] == point]
+        good = sum(not usable(r) for r in fits)
+        errors = [e for e in result.errors if e["control_point"] == point]
+        medians = [
+            float(np.median([e[k] for e in errors])) if errors else math.nan
+            for k in ("before_K", "after_K", "noise_floor_K")
+        ]
+        updates = sum(u["control_point"] == point for u in result.updates)
+        rows.append([point, len(fits), good, len(joint), updates, *medians])
+    columns = [
+        Column("control point"), Column("fits"), Column("within noise"), Column("joint fits"), Column("revisions"),
+        Column("tables before", format=".2f", unit="K"), Column("tables after", format=".2f", unit="K"),
+        Column("noise floor", format=".2f", unit="K"),
+    ]  # fmt: skip
+    return Table("Campaign: fits, and median RMSE of the manoeuvres by the tables", columns, rows)

@@ -1,0 +1,328 @@
+"""Run a campaign: fly or read its flights, close the loop on each record, fit each manoeuvre, alone and jointly, revise
+the tables, and report.
+
+    DIR/records/FLIGHT/POINT           records of the scenarios that were flown
+    DIR/closed/FLIGHT/POINT            what close-loop found in each record
+    DIR/fits/FLIGHT/POINT/MANOEUVRE    the fit of each manoeuvre
+    DIR/joint/POINT/MANOEUVRE          the fit of all flights that flew it
+    DIR/tables/VEHICLE                 the vehicle with its revised tables
+    DIR/campaign.json, .csv, report.html
+
+Every finished part is kept in a ledger: a campaign that was interrupted goes on where it stopped, and one whose inputs
+have changed repeats what depends on them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import RunError
+from sim_heating.base.files import exclusive, output_directory, require_writable, results_digest, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.base.parallel import Job, Outcome, run_batches
+from sim_heating.base.progress import Progress, no_progress
+from sim_heating.campaign.carried import Carried, read_carried
+from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
+from sim_heating.campaign.joint import agreement, groups_of
+from sim_heating.campaign.manoeuvre_fits import FitTask, fit_job, fit_segment, results_are_there, run_fit, usable
+from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_page, write_csvs
+from sim_heating.campaign.result import CampaignResult
+from sim_heating.campaign.spec import Campaign, FlightInput, load_campaign
+from sim_heating.campaign.tables import revise_tables
+from sim_heating.closure.several.batch import close_all
+from sim_heating.estimation.problem import joint_reference
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.inputs.vehicle import vehicle_files
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.synthesize import synthesize, write_records
+
+COMMAND = "campaign"
+RECORDS, CLOSED, FITS, JOINT, TABLES = "records", "closed", "fits", "joint", "tables"
+LEDGER = "finished"
+"""Folder of finished parts below the results."""
+STAGES = {"flights": 0.1, "close-loop": 0.55, "fits": 0.75, "joint fits": 0.9, "tables": 1.0}
+"""Part of the time by which each stage has ended."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where jobs run: a Dask scheduler at an address, or local processes."""
+
+    out: Path
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def run(
+        self,
+        stage: str,
+        jobs: Sequence[Job],
+        work: Callable[[Any], bytes],
+        is_current: Callable[[Job, bytes], bool],
+        progress: Progress,
+    ) -> Outcome:
+        """Run the jobs of a stage that are not finished yet."""
+        return run_batches(
+            jobs, work, self.out / LEDGER / stage, scheduler=self.scheduler, workers=self.workers,
+            is_current=is_current, progress=progress,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FlyTask:
+    """A scenario to be flown once and measured once a seed; picklable.
+
+    seeds : None for the scenario's own;  folders : of the records, one a seed
+    """
+
+    scenario: str
+    seeds: tuple[int | None, ...]
+    folders: tuple[str, ...]
+    root: str | None
+
+
+def run_campaign(
+    campaign: Campaign | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress = no_progress,
+) -> CampaignResult:
+    """Run a campaign and write its results into a directory.
+
+    campaign  : a campaign, or the path of its file
+    out       : directory of the results; what is finished there and still current is not done again
+    scheduler : address of a Dask scheduler; None for local processes
+    workers   : number of local processes; None for one a core
+    progress  : called with the fraction done and a line of text
+    returns   : the flights, what was found in them, the fits and the revised tables
+    raises    : InputError where an input or the directory cannot be used, RunError where no flight could be flown
+    """
+    campaign, out = load_campaign(campaign), Path(out)
+    engine = Engine(out, scheduler, workers)
+    with exclusive(out):
+        require_writable(out, COMMAND, expected=FILES, inputs=campaign.files)
+        flights, checks = _flights(campaign, engine, _stage(progress, "flights"))
+        groups = groups_of(flights, campaign.declared.joint.speed_tolerance)
+        result = CampaignResult(campaign, out, tuple(flights), frozenset(checks), tuple(groups))
+        if campaign.declared.close_loop:
+            result.closed.extend(_close(result, engine, _stage(progress, "close-loop")))
+        carried = _carried(result)
+        _fit_singles(result, carried, engine, _stage(progress, "fits"))
+        if campaign.declared.joint.fitted:
+            _fit_jointly(result, carried, engine, _stage(progress, "joint fits"))
+        if campaign.declared.update_tables:
+            revise_tables(result, _doubts(result, carried), out / TABLES, _stage(progress, "tables"))
+        progress(1.0, "writing")
+        with output_directory(out, COMMAND, inputs=campaign.files) as folder:
+            write_json(folder / SUMMARY, result.as_json())
+            write_csvs(folder, result)
+            write_campaign_page(folder / PAGE, result)
+    return result
+
+
+def _stage(progress: Progress, name: str) -> Progress:
+    """Progress of one stage within that of the campaign."""
+    ends = [0.0, *STAGES.values()]
+    k = list(STAGES).index(name)
+    return lambda done, text: progress(ends[k] + (ends[k + 1] - ends[k]) * done, f"{name}: {text}")
+
+
+# Flights --------------------------------------------------------------------------------------------------------------
+
+
+def _flights(campaign: Campaign, engine: Engine, progress: Progress) -> tuple[list[CampaignFlight], list[str]]:
+    """All flights with their records, and the names of those that only check.
+
+    raises : RunError where a scenario could not be flown
+    """
+    sources = [f for f in campaign.flights if f.scenarios]
+    jobs = [_fly_job(campaign, source, engine.out) for source in sources]
+    outcome = engine.run("flights", jobs, _fly, _records_are_there, progress)
+    if outcome.failed:
+        raise RunError("; ".join(outcome.failed.values()))
+    folders = iter(jobs)
+    flights, checks = [], []
+    for source in campaign.flights:
+        places = next(folders).task.folders if source.scenarios else (str(source.records),)
+        paths = [p for place in places for p in record_directories(Path(place))]
+        found = flights_of_records(
+            [r for r in (load_record(p, root=campaign.root) for p in paths) if _wanted(campaign, r)]
+        )
+        flights += found
+        checks += [f.name for f in found if source.check]
+    return flights, checks
+
+
+def _wanted(campaign: Campaign, record: Record) -> bool:
+    named = campaign.declared.control_points
+    return named is None or record.declared.control_point in named
+
+
+def _fly_job(campaign: Campaign, source: FlightInput, out: Path) -> Job:
+    first = source.scenarios[0]
+    digest = hashlib.sha256(package_version().encode())
+    for scenario in source.scenarios:
+        digest.update(scenario.declared.model_dump_json().encode())
+    for path in vehicle_files(first.vehicle.directory):
+        digest.update(path.relative_to(first.vehicle.directory).as_posix().encode() + path.read_bytes())
+    folders = tuple(str(out / RECORDS / s.flight) for s in source.scenarios)
+    root = None if campaign.root is None else str(campaign.root)
+    return Job(
+        f"{first.path.stem}-{digest.hexdigest()[:16]}.json", FlyTask(str(first.path), source.seeds, folders, root)
+    )
+
+
+def _fly(task: FlyTask) -> bytes:
+    """Fly a scenario and write its records, one folder a seed; the digests of the folders as JSON."""
+    scenario = load_scenario(task.scenario, root=task.root)
+    flown = fly_scenario(scenario)
+    for seed, folder in zip(task.seeds, task.folders, strict=True):
+        seeded = scenario if seed is None else with_seed(scenario, seed)
+        write_records(seeded, synthesize(seeded, flight=flown), folder)
+    return json.dumps([results_digest(folder) for folder in task.folders]).encode()
+
+
+def _records_are_there(job: Job, finished: bytes) -> bool:
+    try:
+        return bool(json.loads(finished) == [results_digest(folder) for folder in job.task.folders])
+    except ValueError:
+        return False
+
+
+# Closing the loop -----------------------------------------------------------------------------------------------------
+
+
+def _close(result: CampaignResult, engine: Engine, progress: Progress) -> list[dict[str, Any]]:
+    """Close the loop on every record of the flights that revise tables."""
+    rows = []
+    for flight in result.fitted_flights:
+        paths = [record.directory for record in flight.records.values()]
+        found = close_all(
+            paths, engine.out / CLOSED / flight.name, root=result.campaign.root, scheduler=engine.scheduler,
+            workers=engine.workers, progress=_of_flight(progress, flight, result),
+        )  # fmt: skip
+        rows += [
+            {**row, "flight": flight.name, "control_point": p} for row, p in zip(found, flight.records, strict=True)
+        ]
+    return rows
+
+
+def _of_flight(progress: Progress, flight: CampaignFlight, result: CampaignResult) -> Progress:
+    fitted = result.fitted_flights
+    k = fitted.index(flight)
+    return lambda done, text: progress((k + done) / len(fitted), f"{flight.name}, {text}")
+
+
+def _carried(result: CampaignResult) -> dict[tuple[str, str], Carried]:
+    """What closing the loop adds to the fits of each (flight, control point)."""
+    found = {}
+    for row in result.closed:
+        key = (row["flight"], row["control_point"])
+        found[key] = Carried() if "failed" in row else read_carried(result.out / CLOSED / row["flight"] / row["record"])
+    return found
+
+
+def _doubts(result: CampaignResult, carried: Mapping[tuple[str, str], Carried]) -> dict[tuple[str, str], str]:
+    """Why a record should revise no table, by (flight, control point)."""
+    return {key: c.doubt for key, c in carried.items() if c.doubt}
+
+
+# Fits -----------------------------------------------------------------------------------------------------------------
+
+
+def _fit_singles(
+    result: CampaignResult, carried: Mapping[tuple[str, str], Carried], engine: Engine, progress: Progress
+) -> None:
+    """Fit every manoeuvre of every flight at every control point."""
+    tasks = []
+    flights = {f.name: f for f in result.fitted_flights}
+    for point in result.points:
+        for group in result.groups:
+            members = [
+                (flights[name], m) for name, m in group.members if name in flights and point in flights[name].records
+            ]
+            segments = [(f, m, _segment(result, f, m, point)) for f, m in members]
+            result.omitted.extend(f"{f.name}, {point}, {m.name}: {s}" for f, m, s in segments if isinstance(s, str))
+            chosen = [(f, m, s) for f, m, s in segments if not isinstance(s, str)]
+            if not chosen:
+                continue
+            condition = joint_reference([f.records[point].with_fit([s]) for f, _, s in chosen])
+            reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
+            for f, m, segment in chosen:
+                settings = result.campaign.settings(f.name, point, m)
+                found = carried.get((f.name, point), Carried())
+                out = engine.out / FITS / f.name / point / m.name
+                task = FitTask(
+                    point, m.name, group.name, (f.name,), (str(f.records[point].directory),), (segment,), str(out),
+                    settings.start or "declared", _names(settings.parameters), reference, dict(found.values),
+                    None if result.campaign.root is None else str(result.campaign.root),
+                )  # fmt: skip
+                tasks.append((task, [f.records[point]]))
+    result.fits.extend(_run_fits("fits", tasks, engine, progress))
+
+
+def _names(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    return None if names is None else tuple(names)
+
+
+def _segment(result: CampaignResult, flight: CampaignFlight, manoeuvre: Any, point: str) -> tuple[float, float] | str:
+    settings = result.campaign.settings(flight.name, point, manoeuvre)
+    return fit_segment(flight, flight.records[point], manoeuvre, settings)
+
+
+def _fit_jointly(
+    result: CampaignResult, carried: Mapping[tuple[str, str], Carried], engine: Engine, progress: Progress
+) -> None:
+    """Fit the flights of each group together at every control point, those whose own fit is good."""
+    tasks, members = [], []
+    flights = {f.name: f for f in result.flights}
+    for point in result.points:
+        for group in result.groups:
+            mine = [r for r in result.fits if r["control_point"] == point and r["group"] == group.name]
+            good = [r for r in mine if not usable(r) and not carried.get((r["flights"][0], point), Carried()).doubt]
+            if len(good) < 2:
+                continue
+            names = tuple(r["flights"][0] for r in good)
+            found = [carried.get((name, point), Carried()).values for name in names]
+            common = {n: sum(v[n] for v in found) / len(found) for n in found[0] if all(n in v for v in found)}
+            records = [flights[name].records[point] for name in names]
+            first = next(m for name, m in group.members if name == names[0])
+            settings = result.campaign.settings(names[0], point, first)
+            task = FitTask(
+                point, group.name, group.name, names, tuple(str(r.directory) for r in records),
+                tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
+                settings.start or "declared", _names(settings.parameters), good[0]["reference_condition"], common,
+                None if result.campaign.root is None else str(result.campaign.root),
+            )  # fmt: skip
+            tasks.append((task, records))
+            members.append(good)
+    for row, good in zip(_run_fits("joint fits", tasks, engine, progress), members, strict=True):
+        found_agreement = None if "failed" in row else agreement(good, row)
+        result.joint.append({**row, "agreement": None if found_agreement is None else vars(found_agreement)})
+
+
+def _run_fits(
+    stage: str, tasks: Sequence[tuple[FitTask, Sequence[Record]]], engine: Engine, progress: Progress
+) -> list[dict[str, Any]]:
+    """Rows of the fits, in the order of their tasks; one that failed has the reason."""
+    jobs = [fit_job(task, records) for task, records in tasks]
+    outcome = engine.run(stage, jobs, run_fit, results_are_there, progress)
+    rows = []
+    for job, (task, _) in zip(jobs, tasks, strict=True):
+        own = {"control_point": task.point, "manoeuvre": task.manoeuvre, "group": task.group}
+        row = (
+            json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"]
+            if job.id in outcome.done
+            else {"failed": outcome.failed[job.id], "segments": [list(s) for s in task.segments]}
+        )
+        rows.append({**own, "flights": list(task.flights), **row, "folder": os.path.relpath(task.out, engine.out)})
+    return rows

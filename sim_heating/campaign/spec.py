@@ -1,0 +1,229 @@
+"""A campaign as a file: flights, the control points and manoeuvres that are fitted, and what becomes of the fits.
+
+format = "campaign/1"
+title = "..."
+vehicle = "orbiter"                 # whose tables are revised: a name, or a directory relative to the campaign
+control_points = ["V09T9527"]       # all that the flights have records of where absent
+[[flight]]                          # a scenario that is flown and measured, once a seed
+scenario = "../sts2.toml"
+seeds = [8, 108]
+[[flight]]                          # or records: one, or a directory that holds them
+records = "flown/sts4"
+check = true                        # revises no table; its temperatures are predicted before and after
+[fit]                               # of each manoeuvre, from before_s before it to after_s after it
+[[fit_of]]                          # other settings for some: flight, control_point, manoeuvre, and keys of [fit]
+[joint]                             # one fit of all flights that flew a manoeuvre at the same speed
+close_loop = true                   # what the declared model lacks, from each whole record
+update_tables = true
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from sim_heating.base.files import (
+    Declared,
+    LocatedError,
+    Location,
+    display_path,
+    raise_problems,
+    read_toml,
+    repeated_name,
+    roots_of,
+)
+from sim_heating.campaign.flights import Manoeuvre, with_seed
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+
+
+class FlightSource(Declared):
+    """Where a flight comes from: a scenario, flown and measured, or records."""
+
+    scenario: str | None = Field(default=None, description="a scenario file, relative to the campaign")
+    seeds: list[int] | None = Field(default=None, min_length=1, description="of the measurements, a flight for each")
+    records: str | None = Field(default=None, description="a record, or a directory that holds records")
+    check: bool = Field(default=False, description="true: revises no table, and is predicted before and after")
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> FlightSource:
+        if (self.scenario is None) == (self.records is None):
+            raise ValueError("give either `scenario` or `records`, not both and not neither")
+        if self.seeds is not None:
+            if self.records is not None:
+                raise LocatedError((("seeds",), "are of a scenario; remove them"))
+            if repeated_name([str(s) for s in self.seeds]) is not None or min(self.seeds) < 0:
+                raise LocatedError((("seeds",), f"{self.seeds} must be different whole numbers, 0 or above"))
+        return self
+
+
+class FitSettings(Declared):
+    """How a manoeuvre is fitted; what is absent is as in [fit], and there as stated here.
+
+    before_s, after_s : times that are fitted before and after the manoeuvre [s], 20 and 40
+    start             : temperatures at the start of the fit, as `estimate --start`; `profile`
+    parameters        : dotted names, by default magnitude and the derivatives that the record can tell
+    """
+
+    before_s: float | None = Field(default=None, ge=0.0, le=1000.0)
+    after_s: float | None = Field(default=None, ge=0.0, le=1000.0)
+    start: Literal["declared", "circuit", "profile", "filter"] | None = None
+    parameters: list[str] | None = Field(default=None, min_length=1)
+
+    def over(self, other: FitSettings) -> FitSettings:
+        """These settings, and those of `other` where these are absent."""
+        fields = FitSettings.model_fields
+        own = {name: getattr(self, name) for name in fields}
+        return FitSettings(**{n: getattr(other, n) if value is None else value for n, value in own.items()})
+
+
+STANDARD = FitSettings(before_s=20.0, after_s=40.0, start="profile")
+"""What [fit] does not state."""
+
+
+class SelectedFit(FitSettings):
+    """Settings of the fits of one flight, control point or manoeuvre; of all where it is absent."""
+
+    flight: str | None = None
+    control_point: str | None = None
+    manoeuvre: str | None = Field(default=None, description="kind and speed, as `popu-mach20`")
+
+    def selects(self, flight: str, control_point: str, manoeuvre: str) -> bool:
+        """Whether it is meant for this fit."""
+        pairs = ((self.flight, flight), (self.control_point, control_point), (self.manoeuvre, manoeuvre))
+        return all(mine is None or mine == given for mine, given in pairs)
+
+
+class Joint(Declared):
+    """Joint fits of all flights that flew one kind of manoeuvre at nearly the same speed."""
+
+    fitted: bool = Field(default=True, description="false: every flight by itself alone")
+    speed_tolerance: float = Field(default=0.03, gt=0.0, lt=1.0, description="largest relative difference of speeds")
+
+
+class CampaignFile(Declared):
+    """Contents of a campaign file."""
+
+    format: str = Field(pattern="^campaign/1$", description='"campaign/1"')
+    title: str
+    vehicle: str
+    note: str = ""
+    control_points: list[str] | None = Field(default=None, min_length=1)
+    flight: list[FlightSource] = Field(min_length=1, description="[[flight]], at least one")
+    fit: FitSettings = FitSettings()
+    fit_of: list[SelectedFit] = Field(default=[])
+    joint: Joint = Joint()
+    close_loop: bool = True
+    update_tables: bool = True
+
+    @model_validator(mode="after")
+    def _check_flights(self) -> CampaignFile:
+        problems: list[tuple[Location, str]] = []
+        if all(f.check for f in self.flight):
+            problems.append((("flight",), "all are `check`; one at least must be fitted and revise the tables"))
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class FlightInput:
+    """One flight of a campaign before it is flown or read.
+
+    scenarios : the scenario with each of its seeds; empty for records
+    seeds     : of the scenarios, None for the scenario's own
+    records   : directory of the records; None for a scenario
+    check     : whether it only checks the tables
+    """
+
+    scenarios: tuple[Scenario, ...]
+    seeds: tuple[int | None, ...]
+    records: Path | None
+    check: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A checked campaign.
+
+    path, declared : its file
+    vehicle        : whose tables are revised
+    flights        : in order
+    root           : folder that its files may name others in, as it was given
+    """
+
+    path: Path
+    declared: CampaignFile
+    vehicle: Vehicle
+    flights: tuple[FlightInput, ...]
+    root: Path | None = None
+
+    def __repr__(self) -> str:
+        return f"<Campaign {self.title!r}: {self.vehicle.name}, {len(self.flights)} sources of flights>"
+
+    @property
+    def title(self) -> str:
+        """Title of the campaign."""
+        return self.declared.title
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files and directories that it is made from; no results may replace them."""
+        scenarios = (path for f in self.flights for s in f.scenarios[:1] for path in s.files)
+        records = (f.records for f in self.flights if f.records is not None)
+        return (self.path, self.vehicle.directory, *scenarios, *records)
+
+    def settings(self, flight: str, control_point: str, manoeuvre: Manoeuvre) -> FitSettings:
+        """Settings of one fit; of several [[fit_of]] that mean it, a later one takes precedence."""
+        found = self.declared.fit.over(STANDARD)
+        for selected in self.declared.fit_of:
+            if selected.selects(flight, control_point, manoeuvre.name):
+                found = selected.over(found)
+        return found
+
+
+def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.PathLike[str] | None = None) -> Campaign:
+    """Read and check a campaign, its vehicle and its scenarios; records are read when they are fitted.
+
+    path   : of the campaign's TOML file; a campaign that has been loaded is returned as it is
+    root   : folder that it may name files in, as `load_scenario` takes it
+    raises : InputError with one line a problem
+    """
+    if isinstance(path, Campaign):
+        return path
+    place = Path(path)
+    declared = read_toml(place, CampaignFile)
+    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
+    roots = roots_of(place, root, vehicle.directory)
+    flights, problems = [], []
+    for i, source in enumerate(declared.flight, start=1):
+        key = "scenario" if source.scenario is not None else "records"
+        found = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
+        if not found.exists():
+            problems.append(f"{display_path(place)}, [[flight]] {i}: `{key}`: there is no {display_path(found)}")
+        elif source.scenario is None:
+            flights.append(FlightInput((), (), found, source.check))
+        else:
+            scenario = load_scenario(found, root=root)
+            seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
+            flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
+            if scenario.vehicle.name != vehicle.name:
+                problems.append(
+                    f"{display_path(place)}, [[flight]] {i}: {display_path(found)} flies {scenario.vehicle.name}, the "
+                    f"campaign revises the tables of {vehicle.name}; they must be one vehicle"
+                )
+    named = declared.control_points or []
+    problems += [
+        f"{display_path(place)}: `control_points`: {vehicle.name} has no {name}"
+        for name in named
+        if name not in vehicle.control_points
+    ]
+    names = [s.flight for f in flights for s in f.scenarios]
+    if (name := repeated_name(names)) is not None:
+        problems.append(f"{display_path(place)}: two flights are named {name}; give each scenario its own `flight`")
+    raise_problems(problems)
+    return Campaign(place, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
