@@ -110,15 +110,15 @@ def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     """Start at the temperatures of the circuit analogy, none of them estimated.
 
     time_s  : [s]
-    returns : temperatures [K] without unknowns; a covariance [K2] smooth in depth, of the RMS difference [K] from the
-              conducted profile and at least 10 K, which fits with process noise and of segments use
+    returns : temperatures [K] without unknowns; a covariance [K2] smooth in depth, of the largest difference [K] from
+              the conducted profile and at least 10 K, which fits with process noise and of segments use
     raises  : InputError as circuit_profile
 
     Source: docs/clocks_and_starts.md, equations 3 and 4.
     """
     profile = circuit_profile(record, model, mesh, time_s)
     # conduction is nearer to the truth by an order of magnitude: the difference is the error of the analogy
-    error = float(np.sqrt(np.mean((profile - conducted_profile(record, model, mesh, time_s)) ** 2)))
+    error = float(np.max(np.abs(profile - conducted_profile(record, model, mesh, time_s))))
     root = max(START_SIGMA_K, error) * smooth_directions(diffusion_depths(model.construction, mesh))
     return Start(time_s, profile, np.zeros((mesh.nodes, 0)), covariance_K2=root @ root.T)
 

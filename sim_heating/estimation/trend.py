@@ -396,7 +396,7 @@ def _segment(
     table, factor = declared_ratio(record.ratio_table, x), np.ones(len(x))
     linear = basis([p.name for p in RATIO], x, np.array(problem.reference), table)
     model = record_fit.model_at(fit.values)
-    ratio, declared = (table + linear @ [m.value(p.name) for p in RATIO] for m in (model, record_fit.model))
+    ratio, declared = table + linear @ [model.value(p.name) for p in RATIO], table
     if model.effects:
         ratio, factor, declared = _ratios_with_effects(record_fit, fit.values, points_s)
     slope = np.zeros(record_fit.march_columns)
@@ -421,7 +421,9 @@ def _ratios_with_effects(
     """
     model = record_fit.model_at(values)
     more = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + RATIO_STEP})
-    ensemble = Ensemble([model, more, record_fit.model], [record_fit.mesh] * 3)
+    # without the values that a fit sets or fixes
+    declared_model = replace(record_fit.model, parameters={})
+    ensemble = Ensemble([model, more, declared_model], [record_fit.mesh] * 3)
     initial = record_fit.initial_K(values)
     if initial is not None:
         for i in range(3):

@@ -6,15 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, combine_pvalues
 
+from benchmarks.segments import LENGTH_S, practice_flight, repeat
+from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.trend import Trend, trend
+from sim_heating.estimation.unknown_heating import after_unknown_heating, temperatures_at
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import measure
+from sim_heating.march.ensemble import condition_history
 from sim_heating.simulation.predict import predict
 from tests.support.walls import practice_record
 
@@ -95,3 +100,44 @@ def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
 
     pairs = zip(on(10).segments, on(100).segments, strict=True)
     assert max(abs(coarse.ratio - fine.ratio) / fine.sigma for coarse, fine in pairs) < 1.0
+
+
+@pytest.mark.parametrize("case", ["record begins late", "circuit start"])
+def test_bounds_of_consecutive_segments_hold_after_lost_readings_and_at_an_explicit_start(case):
+    """A small count of `python -m benchmarks segments`, with seeds that it does not use."""
+    found = repeat(case, [(1000, k) for k in range(6)])
+    assert combine_pvalues(found.p_value).pvalue > 1e-3
+    assert np.mean(np.abs(found.over_sigma) < 1.96) > 0.85  # of 60 correlated ones
+    assert np.median(found.sigma) < 0.02
+
+
+def test_unknown_heating_over_all_intervals_is_heating_unknown_throughout():
+    """The intervals add up, and the surface forgets the earlier ones first."""
+    record, end_s = practice_flight(), 450.0
+    part = FitProblem([record], ["ratio.scale"], joint_reference([record])).record_fits[0]
+    time = np.arange(0.0, end_s + 1.0)
+    flown = part.conditions.at(time)
+    T, directions = after_unknown_heating(part.model, part.mesh, part.conditions, time, None, end_s)
+    changed = [
+        condition_history(flown.with_columns(h_ref_kg_m2_s=flown["h_ref_kg_m2_s"] * f)) for f in (1.0, 1.05, 0.95)
+    ]
+    plain, more, less = temperatures_at(part.model, part.mesh, changed, time, None, end_s)
+    np.testing.assert_allclose(T, plain)
+    np.testing.assert_allclose(directions.sum(axis=1), (more - less) / 0.1, rtol=0.1, atol=1.0)
+    surface, bondline = directions[0], directions[-1]
+    assert np.argmax(surface) < np.argmax(bondline)
+
+
+def test_ratio_with_a_fixed_derivative_is_that_of_the_flight():
+    """The alpha derivative is known and fixed, as in the founding paper's figure 9: magnitudes follow the pushover."""
+    record = remade({"ratio.d_alpha": 1e-3}).with_fit([[660.0, 760.0]])
+    about = dict(zip(RATIO_VARIABLES, (40.0, 0.0, 6.3, 2.0, 7.0), strict=True))
+    found = trend(record, LENGTH_S, fixed={"ratio.d_alpha": 1e-3}, reference=about)
+    plain = trend(record, LENGTH_S, reference=about)
+
+    assert max(abs(s.values[0]) / s.sigmas[0] for s in found.segments) < 3.5
+    assert not found.warnings
+    assert "noise does not explain the residuals" in plain.warnings[0]
+    for s in found.segments:
+        r = s.declared * (1.0 + s.values[0]) + 1e-3 * (s.condition[0] - 40.0)
+        assert s.ratio == pytest.approx(r, rel=1e-6)

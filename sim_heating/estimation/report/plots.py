@@ -127,6 +127,8 @@ def draw_trend(path: Path, trend: Trend) -> None:
     determined = sigma < 0.5 * np.abs(ratio)
     if np.any(determined):
         low, high = np.min((ratio - 2 * sigma)[determined]), np.max((ratio + 2 * sigma)[determined])
+        # a line that the legend names lies within the axes
+        low, high = min(low, np.min(declared)), max(high, np.max(declared))
         axes[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
     axes[0].set_ylabel("heating ratio")
     axes[0].legend(fontsize=8, loc="best")
