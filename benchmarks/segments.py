@@ -150,18 +150,21 @@ def run() -> list[Figure]:
 
 def figures_of(case: str, found: Repetitions) -> list[Figure]:
     """Coverage of the first segment, of the first after the gap, of all, and of all jointly."""
-    after_gap = found.over_sigma.shape[1] // 2
-    columns = {"first segment": [0], "first segment after the gap": [after_gap], "all segments": slice(None)}
+    places = np.arange(found.over_sigma.shape[1])
+    after_gap = len(places) // 2
+    columns = {
+        "first segment": places[:1],
+        "first segment after the gap": places[after_gap : after_gap + 1],
+        "all segments": places,
+    }
     figures = []
     for what, k in columns.items():
-        covered = float(np.mean(np.abs(found.over_sigma[:, k]) < 1.96))
-        rms, percent = np.sqrt(np.mean(found.over_sigma[:, k] ** 2)), 100.0 * np.median(found.sigma[:, k])
-        note = (
-            f"{covered:.3f} of {found.over_sigma[:, k].size}; RMS {rms:.2f} sigma; sigma {percent:.2g} % of the ratio"
-        )
-        figures.append(
-            Figure(f"{case}, {what}: |coverage of 95% bounds - 0.95|", abs(covered - 0.95), "", 0.05, note=note)
-        )
+        off = found.over_sigma[:, k]
+        covered = float(np.mean(np.abs(off) < 1.96))
+        rms, percent = np.sqrt(np.mean(off**2)), 100.0 * np.median(found.sigma[:, k])
+        note = f"{covered:.3f} of {off.size}; RMS error {rms:.2f} sigma; sigma {percent:.2g} % of the ratio"
+        at = f"{case}, {what}"
+        figures.append(Figure(f"{at}: |coverage of 95% bounds - 0.95|", abs(covered - 0.95), "", 0.05, note=note))
     odd = float(np.mean(found.p_value < 0.05))
     note = f"{len(found.p_value)} repetitions"
     figures.append(Figure(f"{case}: chi-square of all segments jointly with p < 0.05", odd, "", 0.1, note=note))
