@@ -1,6 +1,6 @@
 """The campaign of STS-2 and STS-4 against its truth: estimates, findings, and what the revised tables predict.
 
-Runs `scenarios/campaigns/sts2_sts4.toml` as a user does. The truth of its flights is that of the two scenarios: ratios as
+Runs `scenarios/campaigns/sts2_sts4.toml` as a user does. The truth is that of the two scenarios: ratios as
 in the tables where no effect is stated, coatings thicker than declared, impingement on the OMS pods, a transition on
 the lower surface. Errors of estimates are counted in their own bounds, also where an effect was not found.
 """
