@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,10 @@ from sim_heating.campaign.spec import FitSettings
 from sim_heating.estimation.fit import FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.inference.observability import default_names
-from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.estimation.report.report import estimate_contents, write_fit
 from sim_heating.estimation.starts import STARTS
+from sim_heating.estimation.trend import LOST_INTERVALS
 from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import Record, load_records
 
@@ -30,6 +31,8 @@ MODEL_ERROR_RATIO = 1.3
 """RMS of the residuals over that of noise [-] above which a fit revises no table: its model is incomplete."""
 READINGS_BEFORE = 3
 """Readings of every thermocouple before a start that is made from them."""
+LOST = "lost"
+"""Start of a fit before which the readings were lost."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class FitTask:
     group    : name of the manoeuvres that it is compared with
     records  : directories, one a flight
     segments : fitted [start, end] of each record [s]
-    start    : kind of start, `declared` or one of estimation.starts.STARTS
+    starts   : kind of start of each record, `declared` or one of estimation.starts.STARTS
     names    : parameters of the ratio; None for those that the records can tell
     reference: condition that derivatives are about, by variable ([deg], [-]); that of the records where it is empty
     carried  : dotted name -> value of the parameters that closing the loop found
@@ -52,7 +55,7 @@ class FitTask:
     records: tuple[str, ...]
     segments: tuple[tuple[float, float], ...]
     out: str
-    start: str
+    starts: tuple[str, ...]
     names: tuple[str, ...] | None
     reference: Mapping[str, float] = field(default_factory=dict)
     carried: Mapping[str, float] = field(default_factory=dict)
@@ -64,10 +67,22 @@ class FitTask:
         return f"{self.point}, {self.manoeuvre}, {', '.join(self.flights)}"
 
 
-def fit_segment(
+@dataclass(frozen=True)
+class FittedSpan:
+    """Fitted times of a manoeuvre [s], and the kind of the start."""
+
+    begin_s: float
+    end_s: float
+    start: str
+
+
+def fitted_span(
     flight: CampaignFlight, record: Record, manoeuvre: Manoeuvre, settings: FitSettings
-) -> tuple[float, float] | str:
-    """Fitted [start, end] of a manoeuvre [s], half way to its neighbours at most; where that is impossible, why."""
+) -> FittedSpan | str:
+    """What is fitted of a manoeuvre, half way to its neighbours at most; where that is impossible, why.
+
+    Where the readings before the start are lost, the fit starts with the first one after it, temperatures unknown.
+    """
     assert settings.before_s is not None
     assert settings.after_s is not None
     begin, end = manoeuvre.start_s - settings.before_s, manoeuvre.end_s + settings.after_s
@@ -77,15 +92,24 @@ def fit_segment(
             begin = max(begin, 0.5 * (other.end_s + manoeuvre.start_s))
         elif other.start_s >= manoeuvre.end_s:
             end = min(end, np.nextafter(0.5 * (manoeuvre.end_s + other.start_s), begin))
-    if settings.start != "declared":
-        read = np.isfinite(record.temperatures_K(record.used_sensors)) & (record.time_s >= record.conditions.time_s[0])
-        if np.any(np.count_nonzero(read, axis=1) <= READINGS_BEFORE):
-            return f"a used thermocouple has no more than {READINGS_BEFORE} readings to start from"
-        first = max(record.time_s[row][READINGS_BEFORE - 1] for row in read)
-        begin = max(begin, float(first))
+    start: str = settings.start or "declared"
+    read_s = record.time_s[record.read_mask]
+    if start != "declared" and not _read_before(record, begin):
+        start, begin = LOST, float(read_s[read_s >= begin].min(initial=np.inf))
     if begin >= manoeuvre.end_s:
         return "there are no readings before the end of the manoeuvre"
-    return float(begin), float(end)
+    return FittedSpan(float(begin), float(end), start)
+
+
+def _read_before(record: Record, time_s: float) -> bool:
+    """Whether every used thermocouple was read shortly before a time, so that a start can be made from its readings."""
+    read = np.isfinite(record.temperatures_K(record.used_sensors)) & (record.time_s <= time_s)
+    interval_s = float(np.median(np.diff(record.time_s))) if len(record.time_s) > 1 else 0.0
+    longest_s = (LOST_INTERVALS + READINGS_BEFORE) * interval_s
+    return all(
+        np.count_nonzero(row) >= READINGS_BEFORE and time_s - record.time_s[row][-READINGS_BEFORE] <= longest_s
+        for row in read
+    )
 
 
 def fit_job(task: FitTask, records: Sequence[Record]) -> Job:
@@ -121,7 +145,10 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     """
     carried = Carried(task.carried)
     names = list(default_names(records)) if task.names is None else list(task.names)
-    starts = [None if task.start == "declared" else _start_at(task.start, segment[0]) for segment in task.segments]
+    starts = [
+        None if kind == "declared" else partial(STARTS[kind], time_s=segment[0])
+        for kind, segment in zip(task.starts, task.segments, strict=True)
+    ]
     fixed: dict[str, float] = {}
     settings = NewtonSettings(first_values=dict(task.carried))
     while True:
@@ -138,10 +165,6 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
         fixed |= added
 
 
-def _start_at(kind: str, time_s: float) -> StartMaker:
-    return lambda record, model, mesh: STARTS[kind](record, model, mesh, time_s)
-
-
 def fit_row(task: FitTask, fitted: FitResult) -> dict[str, Any]:
     """A fit as a row of the campaign."""
     contents = estimate_contents(fitted)
@@ -151,6 +174,7 @@ def fit_row(task: FitTask, fitted: FitResult) -> dict[str, Any]:
         "manoeuvre": task.manoeuvre,
         "flights": list(task.flights),
         "segments": [list(s) for s in task.segments],
+        "starts": list(task.starts),
         "converged": contents.converged,
         "parameters": {n: {"value": p.value, "sigma": p.sigma, "unit": p.unit} for n, p in contents.parameters.items()},
         "correlation": dict(contents.correlation),

@@ -31,7 +31,15 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.campaign.carried import Carried, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import agreement, groups_of
-from sim_heating.campaign.manoeuvre_fits import FitTask, fit_job, fit_segment, results_are_there, run_fit, usable
+from sim_heating.campaign.manoeuvre_fits import (
+    FitTask,
+    FittedSpan,
+    fit_job,
+    fitted_span,
+    results_are_there,
+    run_fit,
+    usable,
+)  # fmt: skip
 from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, load_campaign
@@ -255,15 +263,16 @@ def _fit_singles(
             chosen = [(f, m, s) for f, m, s in segments if not isinstance(s, str)]
             if not chosen:
                 continue
-            condition = joint_reference([f.records[point].with_fit([s]) for f, _, s in chosen])
+            condition = joint_reference([f.records[point].with_fit([[s.begin_s, s.end_s]]) for f, _, s in chosen])
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
-            for f, m, segment in chosen:
+            for f, m, span in chosen:
                 settings = result.campaign.settings(f.name, point, m)
                 found = carried.get((f.name, point), Carried())
                 out = engine.out / FITS / f.name / point / m.name
                 task = FitTask(
-                    point, m.name, group.name, (f.name,), (str(f.records[point].directory),), (segment,), str(out),
-                    settings.start or "declared", _names(settings.parameters), reference, dict(found.values),
+                    point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
+                    ((span.begin_s, span.end_s),), str(out), (span.start,), _names(settings.parameters), reference,
+                    dict(found.values),
                     None if result.campaign.root is None else str(result.campaign.root),
                 )  # fmt: skip
                 tasks.append((task, [f.records[point]]))
@@ -274,9 +283,9 @@ def _names(names: Sequence[str] | None) -> tuple[str, ...] | None:
     return None if names is None else tuple(names)
 
 
-def _segment(result: CampaignResult, flight: CampaignFlight, manoeuvre: Any, point: str) -> tuple[float, float] | str:
+def _segment(result: CampaignResult, flight: CampaignFlight, manoeuvre: Any, point: str) -> FittedSpan | str:
     settings = result.campaign.settings(flight.name, point, manoeuvre)
-    return fit_segment(flight, flight.records[point], manoeuvre, settings)
+    return fitted_span(flight, flight.records[point], manoeuvre, settings)
 
 
 def _fit_jointly(
@@ -300,7 +309,8 @@ def _fit_jointly(
             task = FitTask(
                 point, group.name, group.name, names, tuple(str(r.directory) for r in records),
                 tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
-                settings.start or "declared", _names(settings.parameters), good[0]["reference_condition"], common,
+                tuple(s for r in good for s in r["starts"]), _names(settings.parameters),
+                good[0]["reference_condition"], common,
                 None if result.campaign.root is None else str(result.campaign.root),
             )  # fmt: skip
             tasks.append((task, records))
