@@ -244,14 +244,20 @@ def _estimate_trend(
 
 
 def _print_errors(found: Any) -> None:
-    """Print RMSE of the declared and the fitted model, and the noise floor."""
-    declared = (found.model_extra or {}).get("predicted", {})
+    """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
+    declared, innovations = (found.model_extra or {}).get("predicted", {}), found.innovations
+    march = "" if innovations is None else ", plain march without readings"
     for what in ("fit", "holdout"):
         before, after = declared.get(what), getattr(found, what)
         if after is not None and before is not None:
             CONSOLE.print(
-                f"RMSE, {what}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted ({after.n} samples)"
+                f"RMSE, {what}{march}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted ({after.n} samples)"
             )
+    if innovations is not None:
+        CONSOLE.print(
+            f"RMSE, innovations, which the fit minimised: {innovations.rmse_K:.2f} K, "
+            f"{innovations.normalised_rms:.2f} of what the filter expects ({innovations.n} samples)"
+        )
     if found.noise_floor_K is not None:
         CONSOLE.print(f"Noise floor: {found.noise_floor_K:.2f} K")
 

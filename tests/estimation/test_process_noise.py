@@ -248,6 +248,19 @@ def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_o
     assert len(np.unique((picture[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)) > 50
 
 
+def test_the_error_that_the_fit_minimised_is_that_of_a_priori_temperatures_and_not_of_the_march(wandered, fitted: Path):
+    found = read_json(fitted / "estimate.json")
+    sensors = ("V09T9527", "V07T9528", "V07T9529", "V07T9530", "V07T9531")
+    prior = read_csv_columns(fitted / "filtered.csv", [f"{s}_prior_K" for s in sensors])
+    read = read_csv_columns(wandered[0] / "thermocouples.csv", [f"{s}_K" for s in sensors])
+    a_priori = np.sqrt(np.mean([(read[f"{s}_K"] - prior[f"{s}_prior_K"]) ** 2 for s in sensors]))
+    innovations, plain = found["innovations"], found["fit"]
+    # each is predicted from the readings of its own time as well that the filter took before it
+    assert innovations["rmse_K"] == pytest.approx(a_priori, rel=0.05)
+    assert innovations["normalised_rms"] == pytest.approx(1.0, abs=0.2)
+    assert (innovations["n"], innovations["rmse_K"] < plain["rmse_K"]) == (plain["n"], True)
+
+
 @pytest.mark.parametrize(
     ("options", "hint"),
     [

@@ -74,6 +74,17 @@ class FitErrors(Extensible):
     n: int = Field(ge=0)
 
 
+class InnovationErrors(FitErrors):
+    """Readings less the filter's predictions from those before them [K]: what a fit with process noise minimises.
+
+    normalised_rms : RMS of the innovations over the standard deviations that the filter states for them [-]
+
+    Source: docs/estimation_statistics.md, equation 32.
+    """
+
+    normalised_rms: float = Field(ge=0.0)
+
+
 class ReferenceCondition(Extensible):
     """The condition that the derivatives are about ([deg], log10 Re [-])."""
 
@@ -128,6 +139,7 @@ class Estimate(Extensible):
     correlation         : "a|b" -> correlation of two parameters [-]
     noise_floor_K       : root mean square of noise and rounding over the fitted samples [K]
     fit, holdout        : errors over the segments; None where there is none
+    innovations         : errors of the filter's predictions over the fit segments; None without process noise
     control_point       : to which the parameters belong; None in a fit of several points
     vehicle             : as the record names it
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
@@ -148,6 +160,7 @@ class Estimate(Extensible):
     noise_floor_K: float | None = None
     fit: FitErrors | None = None
     holdout: FitErrors | None = None
+    innovations: InnovationErrors | None = None
     control_point: str | None = None
     vehicle: str | None = None
     segments: list[list[list[float]]] | None = None

@@ -16,7 +16,7 @@ from sim_heating.base.files import output_directory, write_csv
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.information import sensitivity_to_effort
-from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.fit import FitResult, rms_normalised_residual
 from sim_heating.estimation.inference.observability import fitted_rows
 from sim_heating.estimation.inference.residual_tests import (
     HypothesisTest,
@@ -70,6 +70,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
             "predicted": {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "innovations": _innovations(fitted),
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
             "process_noise": _process_noise(fitted),
@@ -131,6 +132,19 @@ def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | N
         residuals.append(p.residual_K[used][:, mask].ravel())
     found = pooled_rmse_K(np.concatenate(residuals))
     return None if found is None else FitErrors.model_validate(found)
+
+
+def _innovations(fitted: FitResult) -> dict[str, float] | None:
+    """Errors of the filter's predictions [K], pooled over the fitted samples; None in an output-error fit."""
+    if fitted.innovations is None:
+        return None
+    samples, found = fitted.samples(), []
+    for s in samples:
+        record = s.record_fit.record
+        read_K = record.thermocouples[s.channel.sensor.column][np.searchsorted(record.time_s, s.time_s)]
+        found.append(read_K - s.mean_K)
+    pooled = pooled_rmse_K(np.concatenate(found))
+    return None if pooled is None else {**pooled, "normalised_rms": rms_normalised_residual(samples)}
 
 
 def _sensitivity_to_effort(fitted: FitResult) -> dict[str, dict[str, float]]:
@@ -247,7 +261,7 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
             record_folder.mkdir(exist_ok=True, parents=True)
             history = after.history
             write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
-            draw_fit(record_folder / FIT_PICTURE, before, after)
+            draw_fit(record_folder / FIT_PICTURE, before, after, filtered=fitted.innovations is not None)
             draw_ratio(record_folder / RATIO_PICTURE, fitted, record_fit)
             if fitted.innovations is not None:
                 write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
