@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from sim_heating.base.errors import RunError as RunError
     from sim_heating.base.kernels.jit import njit as njit
     from sim_heating.base.parameters import Parameter as Parameter
+    from sim_heating.campaign.figures.paper import draw_figures as draw_figures
+    from sim_heating.campaign.figures.paper import write_figures as write_figures
     from sim_heating.closure.close import close_loop as close_loop
     from sim_heating.closure.close import write_closed_loop as write_closed_loop
     from sim_heating.closure.revise.report import update_tables as update_tables
@@ -78,6 +80,8 @@ _HOME = {
     "close_loop": "closure.close",
     "close_loops": "closure.several.joint",
     "update_tables": "closure.revise.report",
+    # the founding paper's figures over flights
+    "draw_figures": "campaign.figures.paper",
     # plan
     "plan": "planning.plan",
     # write results into a directory, all files or none
@@ -88,6 +92,7 @@ _HOME = {
     "write_design": "estimation.design.report",
     "write_closed_loop": "closure.close",
     "write_joint_loop": "closure.several.joint",
+    "write_figures": "campaign.figures.paper",
     # effects, those of users among them
     "Effect": "heating.effects",
     "SearchStart": "heating.effects",

@@ -29,6 +29,7 @@ COMMANDS = {
     "close-loop": "close_loop",
     "update-tables": "tables",
     "campaign": "campaign",
+    "figures": "figures",
     "ratio-tables": "tables",
     "measured-records": "tables",
     "plan": "plan",

@@ -9,18 +9,20 @@ from __future__ import annotations
 import io
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogFormatter
+from numpy.typing import ArrayLike
 
 from sim_heating.base.errors import InputError, RunError, printable
 from sim_heating.base.files.paths import display_path
@@ -168,11 +170,25 @@ def explanation(name: str, error: Exception) -> Figure:
     return figure
 
 
+def mark_beyond(axes: Axes, x: ArrayLike, y: ArrayLike, color: str) -> None:
+    """Mark points above and below the axes, whose limits are final, by triangles at the edge."""
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    low, high = sorted(axes.get_ylim())
+    for edge, marker, beyond in ((high, "^", y > high), (low, "v", y < low)):
+        if np.any(beyond):
+            at = np.full(np.count_nonzero(beyond), edge)
+            axes.plot(x[beyond], at, marker, color=color, markersize=5, clip_on=False, zorder=5)
+    axes.set_ylim(low, high)
+
+
 def legend_label(name: str) -> str:
     """A name as the label of a curve; matplotlib leaves labels that begin with an underscore out of a legend."""
     return f" {name}" if name.startswith("_") else name
 
 
-def legend_above(axes: Axes) -> None:
-    """A legend in rows above the axes, where it covers no curve."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1)
+def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
+    """A legend in rows above the axes, where it covers no curve; of the axes' own labels, or of others."""
+    own = {} if handles is None else {"handles": handles}
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1, **own
+    )

@@ -1,0 +1,69 @@
+"""One figure of the paper with its data, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from sim_heating.base.files import write_csv
+from sim_heating.base.files.text import write_bytes_atomic
+from sim_heating.base.report.figure import DPI, picture_file, save_figure
+
+
+@dataclass(frozen=True, eq=False)
+class PaperFigure:
+    """One figure of the paper.
+
+    number : of the paper;  title : what is shown, without the number
+    figure : drawn, not saved
+    tables : part of a file's name -> columns of a CSV; the part is empty where one file holds all
+    notes  : what was found, one line each
+    """
+
+    number: int
+    title: str
+    figure: Figure
+    tables: Mapping[str, Mapping[str, ArrayLike]]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without their ends, `figure_08`."""
+        return f"figure_{self.number:02d}"
+
+    @property
+    def files(self) -> list[str]:
+        """Names of its files, the picture first."""
+        return [f"{self.stem}.png", *(self._csv(part) for part in self.tables)]
+
+    def _csv(self, part: str) -> str:
+        return f"{self.stem}_{part}.csv" if part else f"{self.stem}.csv"
+
+    def write(self, folder: Path) -> None:
+        """Write the picture and its data into a folder."""
+        write_bytes_atomic(folder / f"{self.stem}.png", picture_file(self.figure, "png", dpi=DPI))
+        for part, columns in self.tables.items():
+            header = {"figure": self.number, "title": self.title}
+            write_csv(folder / self._csv(part), columns, ".8g", header)
+
+
+def finished(
+    number: int,
+    title: str,
+    drawn: tuple[Figure, np.ndarray],
+    tables: Mapping[str, Mapping[str, Any]],
+    notes: tuple[str, ...] = (),
+) -> PaperFigure:
+    """A figure with grid and title, laid out.
+
+    drawn : figure and axes
+    """
+    figure, axes = drawn
+    save_figure(figure, None, f"Figure {number}: {title}", axes)
+    return PaperFigure(number, title, figure, tables, notes)

@@ -1,0 +1,323 @@
+"""What the figures are drawn from: control points by their part in the paper, manoeuvres by speed, fits about them.
+
+The heating model of a fit is equation 2 of the founding paper: a ratio linear in angle of attack or elevon, without a
+table, constant parameters over one manoeuvre. It is the ratio of a fully catalytic wall where the record declares
+recombination, as that of a table is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError, RunError, one_line
+from sim_heating.base.files import suggestion
+from sim_heating.base.report.figure import MANOEUVRE_NAMES
+from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
+from sim_heating.estimation.filter.process_noise import ProcessNoise
+from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.record_fit import Start, StartMaker
+from sim_heating.estimation.starts import READINGS, STARTS
+from sim_heating.estimation.trend import Trend, trend
+from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.inputs.points import conditions_of_record, intermittency_along, point_of_record
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.march.point import PointModel
+from sim_heating.simulation.predict import Prediction, predict
+from sim_heating.thermal.mesh import Mesh
+from sim_heating.thermal.stack import Sensor
+
+T = TypeVar("T")
+
+POINTS = {"lower": "V09T9527", "elevon": "V07T9730", "pod": "V07T9975"}
+"""Part of a control point in the paper -> the control point: lower surface, outboard elevon, side of the OMS pod."""
+POPU = ("popu",)
+FLAP = ("bodyflap-sweep", "elevon-sweep", "bodyflap-pulse", "elevon-pulse")
+"""Kinds of manoeuvres that move the elevon, itself or because it trims the body flap."""
+MACH_SPAN = 1.5
+"""Largest distance of a manoeuvre from the paper's, in speed over 1000 ft/s."""
+FIT_SPAN_S = 10.0
+"""Time before and after a manoeuvre that is fitted with it [s]: parameters are constant over a short time only."""
+
+STAGNATION, ECKERT = "stagnation", "eckert-turbulent"
+REFERENCES = {"both": (STAGNATION, ECKERT), STAGNATION: (STAGNATION,), ECKERT: (ECKERT,)}
+"""Choice of the reference heating of figure 9 -> those that are shown; stagnation is that of the records."""
+LENGTH_S = 5.0
+"""Length of the paper's sequential segments [s]."""
+TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
+"""Time before and after the manoeuvre over which they follow each other [s]."""
+
+
+class LeftOut(Exception):
+    """A figure that the given flights cannot give; the text is the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointManoeuvre:
+    """One manoeuvre at one control point.
+
+    flight    : name of the flight;  record : of the control point;  manoeuvre : when, and how fast
+    segment_s : start and end of the fit [s]: the manoeuvre and FIT_SPAN_S about it, as far as there are readings
+    """
+
+    flight: str
+    record: Record
+    manoeuvre: Manoeuvre
+    segment_s: tuple[float, float]
+
+    @property
+    def mach(self) -> str:
+        """`Mach 20`, in units of 1000 ft/s."""
+        return f"Mach {self.manoeuvre.shuttle_mach:.0f}"
+
+    @property
+    def key(self) -> str:
+        """`mach20`, for names of files and columns."""
+        return f"mach{self.manoeuvre.shuttle_mach:.0f}"
+
+    @property
+    def label(self) -> str:
+        """Flight, speed and kind, as `STS-2, Mach 20 pushover-pullup`."""
+        kind = MANOEUVRE_NAMES.get(self.manoeuvre.kind, self.manoeuvre.kind)
+        return f"{self.flight}, {self.mach} {kind}"
+
+    @property
+    def outermost(self) -> tuple[int, Sensor]:
+        """Number and declaration of the used thermocouple nearest the surface."""
+        used = [(i, s) for i, s in enumerate(self.record.sensors) if s.used]
+        return min(used, key=lambda pair: pair[1].depth_m)
+
+
+class FlownData:
+    """Flights, and what several figures take from them: predictions and fits, made once.
+
+    flights   : at least one;  points : part in the paper -> control point, where not the paper's own
+    reference : a key of REFERENCES
+    raises    : InputError for an unknown part or reference, or a control point of which no flight has a record
+    """
+
+    def __init__(
+        self, flights: Sequence[CampaignFlight], points: Mapping[str, str] | None = None, reference: str = "both"
+    ) -> None:
+        self.flights = tuple(flights)
+        if reference not in REFERENCES:
+            raise InputError(f"--reference: `{reference}` is not a choice{suggestion(reference, REFERENCES)}")
+        self.references = REFERENCES[reference]
+        flown = sorted({name for flight in self.flights for name in flight.records})
+        for part, name in (points or {}).items():
+            if part not in POINTS:
+                raise InputError(f"--point: `{part}` is not a part in the paper{suggestion(part, POINTS)}")
+            if name not in flown:
+                raise InputError(f"--point {part}={name}: no flight has a record of it{suggestion(name, flown)}")
+        self.points = POINTS | dict(points or {})
+        self._made: dict[tuple[object, ...], object] = {}
+
+    def _once(self, key: tuple[object, ...], make: Callable[[], T]) -> T:
+        """What `make` returns or the reason that it raises, the same one whenever it is asked for again."""
+        if key not in self._made:
+            try:
+                self._made[key] = make()
+            except LeftOut as reason:
+                self._made[key] = reason
+            except (InputError, RunError) as error:
+                self._made[key] = LeftOut(one_line(str(error)))
+        found = self._made[key]
+        if isinstance(found, LeftOut):
+            raise found
+        return found  # type: ignore[return-value]
+
+    def records_of(self, part: str) -> list[tuple[CampaignFlight, Record]]:
+        """The flights with a record of a part of the paper.
+
+        raises : LeftOut where there is none
+        """
+        name = self.points[part]
+        found = [(flight, flight.records[name]) for flight in self.flights if name in flight.records]
+        if not found:
+            flown = ", ".join(sorted({n for flight in self.flights for n in flight.records}))
+            raise LeftOut(f"no flight has a record of {name}; name another point of {flown}: --point {part}=NAME")
+        return found
+
+    def manoeuvre(self, part: str, kinds: Sequence[str], mach: float) -> PointManoeuvre:
+        """The manoeuvre of these kinds whose speed is nearest, with readings of the point.
+
+        mach   : speed in units of 1000 ft/s
+        raises : LeftOut where none is within MACH_SPAN, or nothing was read in any
+        """
+        near = [
+            (abs(m.shuttle_mach - mach), flight, record, m)
+            for flight, record in self.records_of(part)
+            for m in flight.manoeuvres
+            if m.kind in kinds
+        ]
+        within = sorted((f for f in near if f[0] <= MACH_SPAN), key=lambda f: f[0])
+        what = f"{MANOEUVRE_NAMES[kinds[0]]} near Mach {mach:g}"
+        if not within:
+            others = ", ".join(f"{f[3].shuttle_mach:.1f}" for f in near) or "none at all"
+            raise LeftOut(f"no {what} (speed over 1000 ft/s) with a record of {self.points[part]}; flown: {others}")
+        for _, flight, record, m in within:
+            segment = fit_segment(record, m)
+            if segment is not None:
+                return PointManoeuvre(flight.name, record, m, segment)
+        raise LeftOut(f"{self.points[part]}: no readings during the {what}")
+
+    def declared(self, record: Record, without: Sequence[str] = ()) -> Prediction:
+        """The declared model of a record from the start of its conditions, without some of its effects."""
+
+        def march() -> Prediction:
+            return predict(record, point_of_record(record).without_effects(without) if without else None)
+
+        return self._once(("declared", id(record), *without), march)
+
+    def turbulent_part(self, flown: PointManoeuvre) -> float | None:
+        """Largest declared intermittency over the fit of a manoeuvre [-]; None where no transition is declared."""
+        transitions = [used for used in flown.record.declared.heating.effects if used.effect.name == TRANSITION]
+        if not transitions:
+            return None
+
+        def along() -> FloatArray:
+            return intermittency_along(transitions[0], conditions_of_record(flown.record))
+
+        time_s = flown.record.conditions.time_s
+        inside = (time_s >= flown.segment_s[0]) & (time_s <= flown.segment_s[1])
+        return float(np.max(self._once(("intermittency", id(flown.record)), along)[inside]))
+
+    def linear_fit(self, flown: PointManoeuvre, *terms: str) -> FitResult:
+        """Equation 2 of the paper fitted about a manoeuvre: magnitude, these terms, and Reynolds number.
+
+        terms  : `alpha`, `elevon`, `elevon2` and the like, as in `ratio.d_elevon2`
+        raises : LeftOut where it cannot be fitted
+        """
+        names = ("ratio.d0", *(f"ratio.d_{term}" for term in terms), "ratio.d_logre")
+        return self._fit(("linear", *terms), flown, without_table(flown.record), names, flown.segment_s[0])
+
+    def impingement_fit(self, flown: PointManoeuvre, also: str) -> FitResult:
+        """The declared table and impingement from an onset on, with the clock skew or the coating estimated too.
+
+        also   : name of that other parameter
+        raises : LeftOut where it cannot be fitted
+        """
+        onset = tuple(f"effect.impingement-onset.{name}" for name in ("alpha_onset_deg", "slope"))
+        return self._fit(("onset", also), flown, flown.record, ("ratio.scale", *onset, also), flown.segment_s[0])
+
+    def segments(self, flown: PointManoeuvre) -> Trend:
+        """Magnitude of the ratio over short segments about a manoeuvre, the alpha derivative that of `linear_fit`.
+
+        raises : LeftOut where no segment can be fitted
+        """
+        fit = self.linear_fit(flown, "alpha")
+        about = dict(zip(RATIO_VARIABLES, fit.problem.reference, strict=True))
+        d_alpha = fit.parameters["ratio.d_alpha"][0]
+        begin = max(flown.manoeuvre.start_s - TREND_BEFORE_S, readable_from_s(flown.record))
+        record = without_table(flown.record).with_fit([[begin, flown.manoeuvre.end_s + TREND_AFTER_S]])
+
+        def fit_segments() -> Trend:
+            return trend(
+                record, LENGTH_S, ("ratio.d0",), start=start_at("profile", begin),
+                fixed={"ratio.d_alpha": d_alpha}, reference=about,
+            )  # fmt: skip
+
+        return self._once(("segments", id(flown.record), flown.manoeuvre.start_s), fit_segments)
+
+    def filtered_fit(self, flown: PointManoeuvre, start_s: float, noise: ProcessNoise) -> FitResult:
+        """`linear_fit` in angle of attack by a Kalman filter, from the temperatures of the circuit analogy at a time.
+
+        raises : LeftOut where it cannot be fitted
+        """
+        names, record = ("ratio.d0", "ratio.d_alpha", "ratio.d_logre"), without_table(flown.record)
+        return self._fit(("filtered",), flown, record, names, start_s, "circuit", noise)
+
+    def _fit(
+        self,
+        key: tuple[object, ...],
+        flown: PointManoeuvre,
+        record: Record,
+        names: Sequence[str],
+        start_s: float,
+        kind: str = "profile",
+        noise: ProcessNoise | None = None,
+    ) -> FitResult:
+        segment = record.with_fit([[start_s, flown.segment_s[1]]])
+
+        def fit() -> FitResult:
+            return estimate(segment, names, starts=[start_at(kind, start_s)], process_noise=noise)
+
+        return self._once((*key, id(flown.record), flown.manoeuvre.start_s), fit)
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """The vehicle of the first flight.
+
+        raises : LeftOut where it cannot be read
+        """
+        flight = self.flights[0]
+        if flight.scenario is not None:
+            return flight.scenario.vehicle
+        name = next(iter(flight.records.values())).declared.vehicle
+        try:
+            return load_vehicle(name)
+        except InputError as error:
+            raise LeftOut(f"the vehicle of {flight.name} is not known: {one_line(str(error))}") from None
+
+
+def fit_segment(record: Record, manoeuvre: Manoeuvre) -> tuple[float, float] | None:
+    """Start and end of the fit about a manoeuvre [s]; None where nothing was read in it.
+
+    A start needs some readings before it: where data were lost it is later than FIT_SPAN_S before the manoeuvre.
+    """
+    begin = max(manoeuvre.start_s - FIT_SPAN_S, readable_from_s(record))
+    inside = (record.time_s >= max(begin, manoeuvre.start_s)) & (record.time_s <= manoeuvre.end_s)
+    return (begin, manoeuvre.end_s + FIT_SPAN_S) if np.any(inside & record.read_mask) else None
+
+
+def readable_from_s(record: Record) -> float:
+    """Time from which a fit may start from readings: that of the third of every used thermocouple [s], or infinite."""
+    read = record.time_s[np.all(np.isfinite(record.temperatures_K(record.used_sensors)), axis=0)]
+    return float(read[READINGS - 1]) if len(read) >= READINGS else np.inf
+
+
+def start_at(kind: str, time_s: float) -> StartMaker:
+    """A start of estimation/starts.py at a time [s], by its name."""
+
+    def start(record: Record, model: PointModel, mesh: Mesh) -> Start:
+        return STARTS[kind](record, model, mesh, time_s)
+
+    return start
+
+
+def without_table(record: Record) -> Record:
+    """The record without a declared ratio, so that a fit's ratio is all of it; declared recombination stays."""
+    nothing = {"ratio_table": None, "transition": None}
+    heating = record.declared.heating.model_copy(update=nothing)
+    declared = record.declared.model_copy(update={"heating": heating})
+    return replace(record, declared=declared, ratio_table=None, turbulent=None)
+
+
+def ratio_part(fit: FitResult) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Names of the estimated ratio parameters, their values, and their covariance, in their units."""
+    names = fit.problem.record_fits[0].names
+    index = [k for k, name in enumerate(names) if name.startswith("ratio.")]
+    return tuple(names[k] for k in index), fit.fit.values[index], fit.bounds.covariance[np.ix_(index, index)]
+
+
+def fit_quality(fit: FitResult) -> str:
+    """RMSE of a fit and its noise floor [K], and whether it converged, as text."""
+    record = fit.problem.record_fits[0].record
+    errors = fit.after[0].segment_errors()["fit"]
+    rmse = f"RMSE {errors['rmse_K']:.2f} K, noise {record.noise_floor_K():.2f} K"
+    return rmse if fit.fit.converged else f"{rmse}; {fit.fit.status.value}"
+
+
+def plus_minus(value: float, sigma: float) -> str:
+    """Value and standard deviation as text, both to the second digit of the latter."""
+    if not (np.isfinite(sigma) and sigma > 0.0):
+        return f"{value:.3g}"
+    digits = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"

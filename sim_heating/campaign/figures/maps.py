@@ -1,0 +1,191 @@
+"""Figures 15 and 16: where control points and interfaces of the heat shield are, and the wall temperatures across them.
+
+An interface lies between a point and the nearest one upstream of it on the same side, where their heat shields are
+of different kinds. There the wall is not isothermal: the film coefficient downstream differs from that of the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
+from sim_heating.base.report.figure import new_figure
+from sim_heating.campaign.figures.figure_file import PaperFigure, finished
+from sim_heating.campaign.figures.flown import FlownData, LeftOut
+from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.march.history import march_points
+
+COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:cyan", "tab:olive")
+AT_NOSE = 0.02
+"""x over L up to which a point is on neither side: the flow goes from it to both."""
+SAME_PLACE_M = 0.3
+"""Points nearer to each other than this share a label."""
+LABEL_M, LABEL_SHARE = 4.0, 0.12
+"""Length of a label along x, and its height over the height of a map."""
+FEWEST_KFT_S = 2.0
+"""Speed over 1000 ft/s from which wall temperatures are drawn."""
+
+
+@dataclass(frozen=True)
+class Interface:
+    """An interface between the heat shields of two control points, upstream and downstream."""
+
+    upstream: ControlPoint
+    downstream: ControlPoint
+
+    @property
+    def materials(self) -> str:
+        """Both heat shields, as `RCC/HRSI`."""
+        return f"{self.upstream.declared.heat_shield}/{self.downstream.declared.heat_shield}"
+
+
+def interfaces(points: Sequence[ControlPoint]) -> list[Interface]:
+    """Interfaces between neighbouring control points, in the order of distance from the nose."""
+    found = []
+    for point in sorted(points, key=lambda p: p.position_m[0]):
+        upstream = [q for q in points if q.position_m[0] < point.position_m[0] and _same_side(point, q)]
+        if not upstream:
+            continue
+        nearest = min(upstream, key=lambda q: float(np.linalg.norm(np.subtract(q.position_m, point.position_m))))
+        if nearest.declared.heat_shield != point.declared.heat_shield:
+            found.append(Interface(nearest, point))
+    return found
+
+
+def _same_side(point: ControlPoint, upstream: ControlPoint) -> bool:
+    """Whether both are windward or both leeward; a point at the nose is upstream of all."""
+    return upstream.x_over_L <= AT_NOSE or (point.position_m[2] > 0.0) == (upstream.position_m[2] > 0.0)
+
+
+def control_points(data: FlownData) -> PaperFigure:
+    """Figure 15: the control points of the vehicle from the side and from above, by heat shield, and its interfaces."""
+    vehicle = data.vehicle
+    points = list(vehicle.control_points.values())
+    flown = {name for flight in data.flights for name in flight.records}
+    peaks = _peaks(data, points)
+    shields = list(dict.fromkeys(p.declared.heat_shield for p in sorted(points, key=lambda p: p.position_m[0])))
+    drawn = new_figure(10.5, 9.0, 2, sharex=True)
+    for a, axis, label in zip(drawn[1], (2, 1), ("z, m, up", "y, m, starboard"), strict=True):
+        for face in interfaces(points):
+            ends = np.array([face.upstream.position_m, face.downstream.position_m])
+            a.plot(ends[:, 0], ends[:, axis], color="0.45", linewidth=1.0, linestyle=":", zorder=1)
+            if axis == 2:
+                a.annotate(
+                    face.materials, np.mean(ends[:, [0, 2]], axis=0), xytext=(14, -6), textcoords="offset points",
+                    fontsize=7.5, color="0.3",
+                )  # fmt: skip
+        for shield, color in zip(shields, COLORS, strict=False):
+            mine = [p for p in points if p.declared.heat_shield == shield]
+            x, y = (np.array([p.position_m[k] for p in mine]) for k in (0, axis))
+            filled = [color if p.name in flown else "white" for p in mine]
+            a.scatter(x, y, s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3)
+        hot = [p for p in points if peaks[p.name] > p.limits.surface_K]
+        at = [np.array([p.position_m[k] for p in hot]) for k in (0, axis)]
+        a.scatter(
+            *at, s=150, facecolors="none", edgecolors="tab:red", linewidths=1.4, label="above its limit", zorder=2
+        )
+        _name_points(a, points, axis)
+        a.set_ylabel(label)
+        a.margins(0.06, 0.22)
+    drawn[1][1].set_xlabel("x, m, aft of the nose")
+    drawn[0].legend(*drawn[1][0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=9)
+    note = f"{len(interfaces(points))} interfaces: " + "; ".join(
+        f"{i.materials} between {i.upstream.name} and {i.downstream.name}" for i in interfaces(points)
+    )
+    above = [f"{p.name} {peaks[p.name]:.0f} of {p.limits.surface_K:.0f} K" for p in hot]
+    notes = (note, f"predicted above the surface limit, {data.flights[0].name}: {', '.join(above) or 'none'}")
+    title = f"control points of the vehicle {vehicle.name}; filled: with a record; dotted: interfaces"
+    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes)
+
+
+def _table(points: Sequence[ControlPoint], flown: set[str], peaks: dict[str, float]) -> dict[str, Any]:
+    """Columns of the map: places, heat shields, the neighbour upstream across an interface, peaks and limits."""
+    upstream = {i.downstream.name: i.upstream.name for i in interfaces(points)}
+    return {
+        "control_point": [p.name for p in points],
+        "heat_shield": [p.declared.heat_shield for p in points],
+        **{f"{axis}_m": np.array([p.position_m[k] for p in points]) for k, axis in enumerate("xyz")},
+        "interface_upstream": [upstream.get(p.name, "") for p in points],
+        "has_record": np.array([float(p.name in flown) for p in points]),
+        "peak_surface_K": np.array([peaks[p.name] for p in points]),
+        "limit_surface_K": np.array([p.limits.surface_K for p in points]),
+    }
+
+
+def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
+    """Name the points, those at one place together; of near ones the upper is named above and the lower below."""
+    groups: list[tuple[float, float, list[str]]] = []
+    for p in sorted(points, key=lambda p: (p.position_m[0], p.position_m[axis])):
+        x, y = p.position_m[0], p.position_m[axis]
+        near = [g for g in groups if np.hypot(x - g[0], y - g[1]) < SAME_PLACE_M]
+        if near:
+            near[0][2].append(p.name)
+        else:
+            groups.append((x, y, [p.name]))
+    far_y = LABEL_SHARE * float(np.ptp([g[1] for g in groups]))
+    for k, (x, y, names) in enumerate(groups):
+        beside = [(abs(g[0] - x), g[1]) for g in groups if abs(g[0] - x) < LABEL_M and 0.0 < abs(g[1] - y) < far_y]
+        up = min(beside)[1] < y if beside else k % 2 == 0
+        a.annotate(
+            "\n".join(names), (x, y), xytext=(0, 8 if up else -8), textcoords="offset points", ha="center",
+            va="bottom" if up else "top", fontsize=7,
+        )  # fmt: skip
+
+
+def wall_temperatures(data: FlownData) -> PaperFigure:
+    """Figure 16: predicted wall temperatures on both sides of each interface against speed, and their difference."""
+    vehicle, flight = data.vehicle, data.flights[0]
+    found = interfaces(list(vehicle.control_points.values()))
+    if not found:
+        raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
+    flown = next(iter(flight.records.values())).conditions
+    mach = flown["velocity_m_s"] / SHUTTLE_MACH_M_S
+    shown = mach >= FEWEST_KFT_S
+    names = dict.fromkeys(p.name for i in found for p in (i.upstream, i.downstream))
+    walls = _walls(vehicle, [vehicle.control_points[n] for n in names], flown)
+    drawn = new_figure(4.0 * len(found) + 0.6, 5.8, 2, len(found), squeeze=False, sharex=True, height_ratios=[2, 1])
+    columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
+    notes = []
+    for (upper, lower), face in zip(drawn[1].T, found, strict=True):
+        for point, color in ((face.upstream, "tab:red"), (face.downstream, "tab:blue")):
+            columns[f"{point.name}_K"] = walls[point.name][shown]
+            label = f"{point.name}, {point.declared.heat_shield}"
+            upper.plot(columns["speed_kft_s"], columns[f"{point.name}_K"], color=color, label=label)
+        step = walls[face.upstream.name] - walls[face.downstream.name]
+        columns[f"{face.upstream.name}_minus_{face.downstream.name}_K"] = step[shown]
+        lower.plot(mach[shown], step[shown], color="0.2")
+        lower.axhline(0.0, color="0.5", linewidth=0.8)
+        upper.set_title(f"{face.materials} interface", fontsize=10)
+        upper.legend(fontsize=8, loc="best")
+        peak, largest = int(np.argmax(walls[face.upstream.name])), int(np.argmax(step))
+        notes.append(
+            f"{face.materials}, {face.upstream.name} to {face.downstream.name}: upstream wall hottest at Mach "
+            f"{mach[peak]:.1f}, {walls[face.upstream.name][peak]:.0f} K; it is hotter by {step[largest]:.0f} K at "
+            f"most, at Mach {mach[largest]:.1f}"
+        )
+        lower.set_xlabel("speed, 1000 ft/s")
+    drawn[1][0, 0].set_ylabel("wall temperature, K")
+    drawn[1][1, 0].set_ylabel("upstream -\ndownstream, K")
+    drawn[1][0, 0].invert_xaxis()
+    title = f"wall temperatures across interfaces of the heat shield, {flight.name}, declared tables"
+    return finished(16, title, drawn, {"": columns}, tuple(notes))
+
+
+def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:
+    """Highest predicted wall temperature of each point in the first flight [K]."""
+    flown = next(iter(data.flights[0].records.values())).conditions
+    return {name: float(np.max(T)) for name, T in _walls(data.vehicle, points, flown).items()}
+
+
+def _walls(vehicle: Vehicle, points: Sequence[ControlPoint], flown: Conditions) -> dict[str, FloatArray]:
+    """Predicted wall temperatures of control points along a flight [K], with the declared tables."""
+    models = [point_of_vehicle(vehicle, point) for point in points]
+    histories = march_points(models, [conditions_at_point(vehicle, point, flown) for point in points])
+    return {h.name: h.surface_K for h in histories}

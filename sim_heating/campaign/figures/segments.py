@@ -1,0 +1,139 @@
+"""Figure 9: the heating ratio over sequential five-second segments against Reynolds number, over two references.
+
+The derivative against angle of attack is fixed at that of the manoeuvre's fit; the ratio of a segment is the one at the
+angle of attack that the fit is about. Over the turbulent flat plate of Eckert the same film coefficient is divided by
+another reference film coefficient.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.kernels.block import ALPHA, LOG10_RE
+from sim_heating.base.report.figure import mark_beyond, new_figure
+from sim_heating.campaign.figures.figure_file import PaperFigure, finished
+from sim_heating.campaign.figures.flown import (
+    ECKERT,
+    LENGTH_S,
+    POPU,
+    STAGNATION,
+    FlownData,
+    LeftOut,
+    PointManoeuvre,
+    fit_quality,
+    plus_minus,
+)
+from sim_heating.estimation.trend import Trend
+from sim_heating.heating.ratio.uncertainty import declared_ratio
+from sim_heating.heating.reference.models import reference_heating
+from sim_heating.inputs.points import conditions_of_record
+
+COLORS = {STAGNATION: "tab:blue", ECKERT: "tab:red"}
+NAMES = {STAGNATION: "stagnation point", ECKERT: "turbulent flat plate, Eckert"}
+DETERMINED = 0.5
+"""Relative standard deviation up to which a segment sets the limits of the axes [-]."""
+SIGMAS = 2.0
+
+
+def reynolds_trend(data: FlownData) -> PaperFigure:
+    """Figure 9: trend with Reynolds number about the Mach 8 POPU."""
+    flown = data.manoeuvre("lower", POPU, 8.0)
+    fit = data.linear_fit(flown, "alpha")
+    if "ratio.d_alpha" not in fit.parameters:
+        raise LeftOut(f"{flown.label}: its fit gives no alpha derivative to fix; {fit.not_estimated['ratio.d_alpha']}")
+    found = data.segments(flown)
+    reference = np.array(fit.problem.reference)
+    ratio, sigma = (np.array([getattr(s, name)[0] for s in found.segments]) for name in ("values", "sigmas"))
+    conditions = np.array([s.condition for s in found.segments])
+    at_reference = conditions.copy()
+    at_reference[:, ALPHA] = reference[ALPHA]
+    scale, shown = _scales(data, flown, found)
+    drawn = new_figure(5.6 * len(shown) + 0.4, 5.0, 1, len(shown), squeeze=False)
+    table: dict[str, Any] = {
+        "start_s": np.array([s.start_s for s in found.segments]),
+        "end_s": np.array([s.end_s for s in found.segments]),
+        "log10_re": conditions[:, LOG10_RE],
+        "alpha_deg": conditions[:, ALPHA],
+    }
+    notes = []
+    for a, name in zip(drawn[1].flat, shown, strict=True):
+        factor, key = scale[name], name.replace("-", "_")
+        table |= {f"{key}_ratio": ratio * factor, f"{key}_sigma": sigma * factor}
+        _plot_segments(a, table["log10_re"], ratio * factor, sigma * factor, name)
+        for own, kind, style in ((flown.record.ratio_table, "", "--"), (flown.record.turbulent, "_turbulent", ":")):
+            if own is not None:
+                column = f"{key}_table{kind}"
+                table[column] = declared_ratio(own, at_reference) * factor
+                label = f"declared {'turbulent ' if kind else ''}table"
+                a.plot(table["log10_re"], table[column], style, color="0.35", label=label)
+        _limit(
+            a, table["log10_re"], ratio * factor, sigma * factor, [v for n, v in table.items() if f"{key}_table" in n]
+        )
+        a.legend(fontsize=8, loc="best")
+        notes.append(_trend_text(table["log10_re"], ratio * factor, sigma * factor, name))
+    d_alpha, bound = fit.parameters["ratio.d_alpha"]
+    notes.append(f"d_alpha fixed at {plus_minus(d_alpha, bound)} per deg; {fit_quality(fit)}")
+    notes += [f"left out: {line}" for line in found.left_out]
+    title = (
+        f"heating ratio of {data.points['lower']} in segments of {LENGTH_S:g} s, {flown.label}, at "
+        f"{reference[ALPHA]:.1f} deg"
+    )
+    return finished(9, title, drawn, {"": table}, tuple(notes))
+
+
+def _scales(data: FlownData, flown: PointManoeuvre, found: Trend) -> tuple[dict[str, FloatArray], list[str]]:
+    """(segment,) factors from the record's reference film coefficient to each that is shown, and these."""
+    conditions = conditions_of_record(flown.record)
+    length = flown.record.declared.heating.running_length_m
+    scale = {STAGNATION: np.ones(len(found.segments))}
+    if ECKERT in data.references:
+        if length is None:
+            raise LeftOut(
+                f"{flown.record.name}: its record states no running_length_m, which {ECKERT} needs; give it in "
+                f"[heating], or choose --reference {STAGNATION}"
+            )
+        film = reference_heating(ECKERT, conditions, running_length_m=length).h_ref_kg_m2_s
+        factor = conditions["h_ref_kg_m2_s"] / film
+        scale[ECKERT] = np.array([_mean(conditions, factor, s.start_s, s.end_s) for s in found.segments])
+    return scale, list(data.references)
+
+
+def _mean(conditions: Conditions, values: FloatArray, start_s: float, end_s: float) -> float:
+    """Mean of a history between two times."""
+    t = np.linspace(start_s, min(end_s, float(conditions.time_s[-1])), 21)
+    return float(np.mean(np.interp(t, conditions.time_s, values)))
+
+
+def _plot_segments(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray, name: str) -> None:
+    a.errorbar(
+        x, ratio, SIGMAS * sigma, fmt="o-", color=COLORS[name], markersize=4, linewidth=0.9, capsize=2.0,
+        label="segments, 2 sigma",
+    )  # fmt: skip
+    a.set_xlabel("log10 of Reynolds number")
+    a.set_ylabel(f"heating ratio over the {NAMES[name]}")
+
+
+def _limit(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray, tables: list[FloatArray]) -> None:
+    """Limits by the tables and the well-determined segments; the others are marked at the edge."""
+    good = sigma < DETERMINED * np.abs(ratio)
+    ends = [ratio[good] - SIGMAS * sigma[good], ratio[good] + SIGMAS * sigma[good], *tables]
+    values = np.concatenate([ratio, *ends]) if not np.any(good) else np.concatenate(ends)
+    margin = 0.06 * float(np.ptp(values))
+    a.set_ylim(float(values.min()) - margin, float(values.max()) + margin)
+    mark_beyond(a, x, ratio, "0.3")
+
+
+def _trend_text(x: FloatArray, ratio: FloatArray, sigma: FloatArray, name: str) -> str:
+    """Weighted straight line through the segments as text."""
+    weight = 1.0 / np.maximum(sigma, 1e-3 * np.max(np.abs(ratio))) ** 2
+    mean_x, mean_r = np.average(x, weights=weight), np.average(ratio, weights=weight)
+    slope = float(np.sum(weight * (x - mean_x) * (ratio - mean_r)) / np.sum(weight * (x - mean_x) ** 2))
+    return (
+        f"over the {NAMES[name]}: {ratio[0]:.3g} +- {sigma[0]:.2g} at log10 Re {x[0]:.2f} to {ratio[-1]:.3g} +- "
+        f"{sigma[-1]:.2g} at {x[-1]:.2f}; {slope / mean_r:+.1f} of the mean per decade"
+    )
