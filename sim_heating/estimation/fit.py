@@ -21,7 +21,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, SHORT_NAMES, Parameter
+from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
@@ -31,16 +31,20 @@ from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status, check_parameters, maximise
 from sim_heating.estimation.inference.observability import (
+    MAGNITUDES,
     constant_variables,
     default_names,
+    deviations,
     least_determined,
     mean_ratio,
     parameters_without_heating,
+    unsupported_derivatives,
     without_stuck_sensors,
 )
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
-from sim_heating.heating.effects import EffectUse, use
+from sim_heating.estimation.stated import Owners
+from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
 from sim_heating.march.history import table_excursions
@@ -51,6 +55,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+DEFAULT = "default"
+"""Stands for the default parameters among the names of parameters."""
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
@@ -140,7 +146,10 @@ def estimate(
     *,
     reference: Mapping[str, float] | None = None,
     effects: Sequence[EffectUse] = (),
-    priors: Mapping[str, Parameter] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    priors: Mapping[str, Parameter | tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    ties: Sequence[Sequence[str]] = (),
     starts: Sequence[Start | StartMaker | None] | None = None,
     settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
@@ -149,10 +158,14 @@ def estimate(
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 
     records   : flight records or their directories, one or several
-    names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them
+    names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them and the
+                tables can hold them. `default` among the names stands for these
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
     effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
-    priors    : dotted name -> Parameter with another prior or other bounds
+    fixed     : name -> value of a parameter that is not estimated, in place of the declared one
+    priors    : name -> mean and standard deviation of another prior, infinite for a flat one; or a whole Parameter
+    bounds    : name -> least and greatest value
+    ties      : names that have one value, each a tie; a single name ties all parameters that it covers
     starts    : by record, where its march begins: a record_fit.Start, or what makes one (starts.STARTS)
     settings  : values that the iteration begins with, when it stops, and how far it may step
     process_noise : given or to be estimated; None for an output-error fit
@@ -161,8 +174,9 @@ def estimate(
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
                 the values found
 
-    A fit that does not converge is returned, with its status. Source: docs/estimation_statistics.md, equations 13 to
-    26 and 31; 32 to 35 with process noise.
+    A name of all these may have an owner: a control point, `ratio.d_alpha@V09T9527`; for clocks and thermocouples a
+    record or a flight, `clock.skew@STS-2`. A fit that does not converge is returned, with its status. Source:
+    docs/estimation_statistics.md, equations 13 to 26 and 31; 32 to 35 with process noise.
 
     >>> import sim_heating as sh
     >>> fit = sh.estimate("scenarios/records/practice/p06", ["ratio.scale", "ratio.d_alpha"])
@@ -175,28 +189,29 @@ def estimate(
     check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
     loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
-    wanted = tuple(names) if names is not None else default_names(loaded)
-    declared = loaded[0].declared.heating.effects
-    implied = implied_effects(wanted, (*effects, *declared))
-    options = FitOptions((*effects, *implied), priors=priors, starts=starts)
+    options = FitOptions(
+        effects,
+        fixed=fixed,
+        priors={n: p for n, p in (priors or {}).items() if isinstance(p, Parameter)},
+        normal_priors={n: p for n, p in (priors or {}).items() if not isinstance(p, Parameter)},
+        bounds=bounds,
+        ties=ties,
+        starts=starts,
+    )
+    wanted, omitted = _wanted(names, loaded, options)
     condition = joint_reference(loaded, reference)
-    # derivatives against variables that do not change are known before any march; the rest is judged by its bounds
-    # below
-    omitted = constant_variables(wanted, loaded) | parameters_without_heating(wanted, loaded)
     remaining = _remaining_names(wanted, omitted, loaded)
+    options = _without(options, set(omitted), Owners(loaded))
     first = {} if settings is None else settings.first_values
     problem = FitProblem(loaded, remaining, condition, options)
     _check_samples(problem)
     begin = _first_values(problem, first)
-    while True:
-        labels, information = [u.label for u in problem.unknowns], _information(problem, begin)
-        worst = least_determined(labels, information, _ratio(problem, begin), loaded)
-        if not worst:
-            break
+    while worst := _least_determined(problem, begin):
         # one at a time: each omission lowers the bounds of the others
         omitted |= worst
-        names_out = {label.partition(AT)[0] for label in worst}
-        remaining = _remaining_names([n for n in remaining if n not in names_out], omitted, loaded)
+        out = {m for u in problem.unknowns if u.label in worst for m in (u.tied or (u.label,))}
+        remaining = _remaining_names([n for n in remaining if n not in out], omitted, loaded)
+        options = _without(options, out, problem.owners)
         problem = FitProblem(loaded, remaining, condition, options)
         begin = _first_values(problem, first)
     fit, innovations = _fit(problem, begin, settings, progress), None
@@ -248,6 +263,58 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     return _fit_result(problem, fit, dict(reasons or {}), stuck, None)
 
 
+def _wanted(
+    names: Sequence[str] | None, records: Sequence[Record], options: FitOptions
+) -> tuple[list[str], dict[str, str]]:
+    """Labels of the parameters that are to be estimated, and of those that are left out before any march, with reasons.
+
+    raises : InputError where one is named and fixed
+    """
+    owners, fixed = Owners(records), options.fixed or {}
+    fixed_labels = owners.labels(fixed)
+    named = [n for n in names or () if n != DEFAULT]
+    both = next((n for n in named if n in fixed or n.partition(AT)[0] in fixed), None)
+    if both is not None:
+        raise InputError(f"{both}: is fixed, and named to be estimated; do one of the two")
+    by_default = owners.labels(default_names(records)) if names is None or DEFAULT in names else []
+    wanted = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
+    require_estimated(options, owners, wanted)
+    tied = {label for tie in options.ties for label in owners.labels(tie)}
+    chosen = {*owners.labels((*named, *(options.normal_priors or {}), *(options.bounds or {}))), *tied}
+    omitted = {n: _fixed_at(n, owners, fixed) for n in by_default if n in fixed_labels}
+    for label in wanted:
+        of, reasons = owners.covered(label), {}
+        if label not in tied:  # of tied ones the value is that of where the variable changes
+            reasons = constant_variables([label], of)
+        reasons |= parameters_without_heating([label], of)
+        if label not in chosen:
+            reasons = unsupported_derivatives([label], of) | reasons
+        omitted |= reasons
+    return wanted, omitted
+
+
+def _without(options: FitOptions, labels: set[str], owners: Owners) -> FitOptions:
+    """Options without what they state of some parameters alone, by label; a tie of any of these is void."""
+
+    def remains(name: str) -> bool:
+        return not set(owners.labels([name])) <= labels
+
+    return replace(
+        options,
+        normal_priors={n: v for n, v in (options.normal_priors or {}).items() if remains(n)},
+        bounds={n: v for n, v in (options.bounds or {}).items() if remains(n)},
+        ties=[tie for tie in options.ties if not labels & set(owners.labels(tie))],
+    )
+
+
+def _fixed_at(label: str, owners: Owners, fixed: Mapping[str, float]) -> str:
+    """Why a parameter that is fixed is not estimated."""
+    name = label.partition(AT)[0]
+    value = owners.stated(fixed, owners.covered(label)[0])[name]
+    unit = MODEL[name].unit
+    return f"fixed at {value:g}{'' if unit == '1' else f' {unit}'}"
+
+
 def _remaining_names(names: Sequence[str], omitted: Mapping[str, str], records: Sequence[Record]) -> list[str]:
     """The names that remain to be estimated.
 
@@ -257,16 +324,6 @@ def _remaining_names(names: Sequence[str], omitted: Mapping[str, str], records: 
     if not remaining:
         raise InputError(f"{records[0].name}: nothing to estimate: {'; '.join(dict.fromkeys(omitted.values()))}")
     return remaining
-
-
-def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
-    """The effects that dotted parameter names imply and that are not given, at their nominal values.
-
-    names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
-    """
-    present = {u.effect.name for u in given}
-    wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
-    return [use(name) for name in wanted if name not in present]
 
 
 def _check_samples(problem: FitProblem) -> None:
@@ -325,11 +382,25 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
     return found.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
 
 
-def _ratio(problem: FitProblem, values: FloatArray) -> float:
-    """A typical heating ratio of the fit: d0, else the declared one; NaN where there is neither."""
-    d0 = [abs(v) for u, v in zip(problem.unknowns, values, strict=True) if u.parameter.name == "ratio.d0"]
-    ratios = d0 or [r for r in (mean_ratio(record_fit.record) for record_fit in problem.record_fits) if np.isfinite(r)]
-    return float(np.mean(ratios)) if ratios else float("nan")
+def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]:
+    """The least determined parameter of a problem with the reason, as `least_determined`, at a parameter vector."""
+    labels = [u.label for u in problem.unknowns]
+    d0 = {i: abs(v) for u, v in zip(problem.unknowns, values, strict=True) for i in u.records if is_d0(u.parameter)}
+    declared = [mean_ratio(record_fit.record) for record_fit in problem.record_fits]
+    ratio, excursion = np.full(len(labels), np.nan), np.zeros((len(labels), len(RATIO_VARIABLES)))
+    flown: dict[tuple[int, ...], FloatArray] = {}
+    for k, u in enumerate(problem.unknowns):
+        ratios = [r for r in (d0.get(i, declared[i]) for i in u.records) if np.isfinite(r)]
+        ratio[k] = np.mean(ratios) if ratios else np.nan
+        if u.records not in flown:
+            flown[u.records] = deviations([problem.record_fits[i].record for i in u.records])
+        excursion[k] = flown[u.records]
+    return least_determined(labels, _information(problem, values), ratio, excursion)
+
+
+def is_d0(parameter: Parameter) -> bool:
+    """Whether a parameter is the heating ratio itself [-], where there is no table."""
+    return parameter.name == MAGNITUDES[1]
 
 
 def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None, progress: Progress) -> Fit:

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.parameters import AT, CLOCK_SKEW, Parameter
+from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
@@ -45,7 +46,8 @@ from sim_heating.estimation.record_fit import (
     sensor_definition,
     set_parameters,
 )
-from sim_heating.heating.effects import EffectUse
+from sim_heating.estimation.stated import Owners, is_of_record
+from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
@@ -64,20 +66,27 @@ class FitParameter:
     label     : its name in results, with its record or control point where there are several
     parameter : definition, prior and bounds
     records   : indices of the records that have it
+    tied      : labels of the parameters that it stands for, where these are tied
     """
 
     label: str
     parameter: Parameter
     records: tuple[int, ...]
+    tied: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class FitOptions:
     """Options of a fit, all with defaults.
 
-    effects        : in addition to the declared model
-    fixed          : values of parameters that are not estimated but differ from the declared ones
-    priors         : dotted name -> Parameter with another prior or other bounds
+    Names are as in estimation/stated.py: plain, or with an owner behind @.
+
+    effects        : in addition to the declared model, and to those that the names of parameters imply
+    fixed          : name -> value of a parameter in place of the declared one, where it is not estimated
+    priors         : name -> Parameter with another prior or other bounds
+    normal_priors  : name -> mean and standard deviation of another normal prior; infinite for a flat one
+    bounds         : name -> least and greatest value
+    ties           : names of parameters that have one value, each a tie; a single name ties all that it covers
     prior_scale    : factor on the sigma of all other priors [-]; infinite for flat ones
     starts         : by record, start of its march, how that is made, or None for the declared one
     sample_masks   : (sample,) of each record, which of its samples are fitted; by default those of the fit segments
@@ -88,6 +97,9 @@ class FitOptions:
     effects: Sequence[EffectUse] = ()
     fixed: Mapping[str, float] | None = None
     priors: Mapping[str, Parameter] | None = None
+    normal_priors: Mapping[str, tuple[float, float]] | None = None
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    ties: Sequence[Sequence[str]] = ()
     prior_scale: float = 1.0
     starts: Sequence[Start | StartMaker | None] | None = None
     sample_masks: Sequence[NDArray[np.bool_]] | None = None
@@ -119,14 +131,17 @@ class FitProblem:
     ) -> None:
         self.reference, self.options = reference, options
         self.priors = dict(options.priors or {})
-        models = [replace(point_of_record(r, options.fixed, options.effects), reference=reference) for r in records]
+        self.owners = Owners(records)
+        fixed = [self.owners.stated(options.fixed or {}, r) for r in records]
+        own = [self.owners.of_record(names, r) for r in records]
+        models = [self._model(r, n, f) for r, n, f in zip(records, own, fixed, strict=True)]
         # the mesh is chosen once, for the declared model: a likelihood with another mesh at each step would not be
         # smooth, and those of two models could not be compared
         meshes = [_mesh(point_of_record(r), r, options.longest_step_s) for r in records]
         begin = list(options.starts) if options.starts is not None else [None] * len(records)
         self.record_fits = [
-            self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, names)
-            for record, model, mesh, start in zip(records, models, meshes, begin, strict=True)
+            self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, n, f)
+            for record, model, mesh, start, n, f in zip(records, models, meshes, begin, own, fixed, strict=True)
         ]
         self.unknowns = self._index_parameters()
         for i, record_fit in enumerate(self.record_fits):
@@ -177,36 +192,96 @@ class FitProblem:
 
     # Parameters ------------------------------------------------------------------------------------------------------
 
+    def _model(self, record: Record, names: Sequence[str], fixed: Mapping[str, float]) -> PointModel:
+        """The model of a record's point with its effects and with what is fixed in it.
+
+        raises : InputError for a fixed value beyond the limits of its parameter
+        """
+        given = (*self.options.effects, *record.declared.heating.effects)
+        implied = implied_effects((*names, *fixed), given)
+        model = point_of_record(record, effects=(*self.options.effects, *implied))
+        for name, value in fixed.items():
+            p = sensor_definition(record, name) or model.definition(name)
+            if not p.lower <= value <= p.upper:
+                raise InputError(f"{name}: fixed at {value:g}, outside its limits {p.lower:g} to {p.upper:g}")
+        of_point = {n: v for n, v in fixed.items() if not is_of_record(n)}
+        check_one_name(model.name, model.places, [*of_point, *(n for n in names if not is_of_record(n))])
+        return replace(model.with_parameters(of_point), reference=self.reference)
+
     @staticmethod
     def _record_fit(
-        record: Record, model: PointModel, mesh: Mesh, start: Start | None, names: Sequence[str]
+        record: Record,
+        model: PointModel,
+        mesh: Mesh,
+        start: Start | None,
+        names: Sequence[str],
+        fixed: Mapping[str, float],
     ) -> RecordFit:
         sensor_names = tuple(n for n in names if sensor_definition(record, n) is not None)
         march_names = tuple(n for n in names if n not in sensor_names)
         for name in march_names:
             model.definition(name)
-        check_one_name(model.name, model.places, march_names)
         conditions = conditions_of_record(record, flow_of_record(record, model.effects))
-        return RecordFit(record, model, mesh, start, conditions, march_names, sensor_names)
+        known = {n: v for n, v in fixed.items() if is_of_record(n)}
+        return RecordFit(record, model, mesh, start, conditions, march_names, sensor_names, fixed=known)
 
     def _index_parameters(self) -> list[FitParameter]:
-        """Index the unknowns of every record in the parameter vector, shared where they are of one control point."""
-        points = {record_fit.record.declared.control_point for record_fit in self.record_fits}
-        found: dict[tuple[str, str], tuple[str, Parameter, list[int]]] = {}
+        """Index the unknowns of every record in the parameter vector, shared where they are of one point, or tied."""
+        found: dict[str, FitParameter] = {}
+        labels = []
         for i, record_fit in enumerate(self.record_fits):
-            for k, name in enumerate(record_fit.names):
-                of_record = k >= len(record_fit.march_names)
-                owner = record_fit.record.name if of_record else record_fit.record.declared.control_point
-                several = len(self.record_fits) > 1 if of_record else len(points) > 1
-                label = f"{name}{AT}{owner}" if several else name
-                found.setdefault((name, owner), (label, self._parameter(record_fit, name), []))[2].append(i)
-        keys = list(found)
-        for record_fit in self.record_fits:
-            owners = [record_fit.record.declared.control_point] * len(record_fit.march_names)
-            owners += [record_fit.record.name] * (len(record_fit.names) - len(record_fit.march_names))
-            index = [keys.index((name, owner)) for name, owner in zip(record_fit.names, owners, strict=True)]
+            of_start = [p.name for p in record_fit.start.unknowns] if record_fit.start else []
+            labels.append([self._label(name, record_fit.record, name in of_start) for name in record_fit.names])
+            for name, label in zip(record_fit.names, labels[-1], strict=True):
+                known = found.get(label) or FitParameter(label, self._parameter(record_fit, name), ())
+                found[label] = replace(known, records=(*known.records, i))
+        require_estimated(self.options, self.owners, list(found))
+        unknowns, stands_for = self._tied(found)
+        places = [u.label for u in unknowns]
+        for record_fit, own in zip(self.record_fits, labels, strict=True):
+            index = [places.index(stands_for.get(label, label)) for label in own]
             record_fit.index = np.array(index, dtype=np.int64)
-        return [FitParameter(label, parameter, tuple(numbers)) for label, parameter, numbers in found.values()]
+        return unknowns
+
+    def _label(self, name: str, record: Record, of_start: bool) -> str:
+        if of_start:  # temperatures at a start are of a record, as its clock is
+            return f"{name}{AT}{record.name}" if len(self.owners.records) > 1 else name
+        return self.owners.label(name, record)
+
+    def _tied(self, found: Mapping[str, FitParameter]) -> tuple[list[FitParameter], dict[str, str]]:
+        """The unknowns with those that are tied made one, and the label of that one for each of them.
+
+        The one has the definition and the prior of the first, and the narrowest of their bounds.
+        raises : InputError where a tie has one parameter only, or parameters of two units
+        """
+        stands_for: dict[str, str] = {}
+        groups: dict[str, list[str]] = {label: [label] for label in found}
+        for names in self.options.ties:
+            own = [label for label in self.owners.labels(names) if label in found]
+            if len(own) < 2:
+                raise InputError(f"{'='.join(names)}: ties one parameter only; name another one to be equal to it")
+            joined = list(dict.fromkeys(m for label in own for m in groups[stands_for.get(label, label)]))
+            units = {found[m].parameter.unit for m in joined}
+            if len(units) > 1:
+                stated = ", ".join(f"{m} [{found[m].parameter.unit}]" for m in joined)
+                raise InputError(f"{'='.join(names)}: their units differ: {stated}; only like parameters may be tied")
+            for m in joined:
+                groups.pop(stands_for.get(m, m), None)
+            called = names[0] if len(names) == 1 else joined[0]
+            groups[called] = joined
+            stands_for |= dict.fromkeys(joined, called)
+        unknowns = []
+        for label, members in groups.items():
+            if label not in stands_for.values():
+                unknowns.append(found[label])
+                continue
+            every = [found[m] for m in members]
+            first, records = every[0].parameter, sorted({i for u in every for i in u.records})
+            lower, upper = max(u.parameter.lower for u in every), min(u.parameter.upper for u in every)
+            limited = replace(first, lower=lower, upper=upper)
+            unknowns.append(FitParameter(label, limited, tuple(records), tuple(members)))
+        order = {label: i for i, label in enumerate(found)}
+        return sorted(unknowns, key=lambda u: order[u.tied[0] if u.tied else u.label]), stands_for
 
     def _parameter(self, record_fit: RecordFit, name: str) -> Parameter:
         """Definition of an unknown of a record; its value is where the fit starts, and the mean of its prior."""
@@ -221,7 +296,40 @@ class FitProblem:
             parameter = replace(parameter, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
         if self.options.prior_scale != 1.0:
             parameter = replace(parameter, sigma=self.options.prior_scale * parameter.sigma)
-        return replace(self.priors.get(name, parameter), name=name)
+        parameter = self.owners.stated(self.priors, record_fit.record).get(name, parameter)
+        return replace(self._as_stated(name, parameter, record_fit.record), name=name)
+
+    def _as_stated(self, name: str, parameter: Parameter, record: Record) -> Parameter:
+        """A parameter with the normal prior and the bounds that are stated for it.
+
+        raises : InputError where either is beyond the limits of the parameter, or they exclude each other
+        """
+        label = self.owners.label(name, record)
+        prior = self.owners.stated(self.options.normal_priors or {}, record).get(name)
+        bounds = self.owners.stated(self.options.bounds or {}, record).get(name)
+        limits = f"its limits {parameter.lower:g} to {parameter.upper:g}"
+        if prior is not None:
+            mean, sigma = prior
+            if not sigma > 0.0:
+                raise InputError(f"{label}: prior {mean:g} +- {sigma:g}; give a sigma above 0")
+            if not parameter.lower <= mean <= parameter.upper:
+                raise InputError(f"{label}: the mean of its prior, {mean:g}, is outside {limits}")
+            parameter = replace(parameter, value=mean, sigma=sigma)
+        if bounds is None:
+            return parameter
+        lower, upper = bounds
+        if not lower < upper:
+            raise InputError(f"{label}: bounds {lower:g} to {upper:g}; give the lower one first")
+        if not parameter.lower <= lower < upper <= parameter.upper:
+            raise InputError(f"{label}: bounds {lower:g} to {upper:g} are beyond {limits}")
+        if lower <= parameter.value <= upper or np.isinf(parameter.sigma):
+            # the value of a flat prior is only where the search begins
+            return replace(parameter, value=min(max(parameter.value, lower), upper), lower=lower, upper=upper)
+        mean, sigma = parameter.value, parameter.sigma
+        raise InputError(
+            f"{label}: bounds {lower:g} to {upper:g} exclude the mean of its prior, {mean:g} +- {sigma:g}; give "
+            "another prior as well"
+        )
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -237,7 +345,7 @@ class FitProblem:
         record, flown = record_fit.record, record_fit.conditions.time_s
         begin = record_fit.begin_s
         # the set of samples must not change with the skew, or likelihoods could not be compared
-        slack = SKEW_SPAN_S if CLOCK_SKEW.name in record_fit.names else 0.0
+        slack = record_fit.skew_span_s
         t = record.time_s
         mask = record.fit_mask() if sample_mask is None else sample_mask
         mask = mask & ((t >= begin + slack) & (t <= flown[-1] - slack) if slack else (t >= begin) & (t <= flown[-1]))
@@ -292,12 +400,10 @@ class FitProblem:
             total = sum(record_fit.known_log_likelihood for record_fit in self.groups[k])
             gradient, information = np.zeros(m), np.zeros((m, m))
             for s in self._samples_of_group(k, vector):
-                at = s.record_fit.index
                 of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
                 total += of_channel
-                gradient[at] += score @ s.sensitivity
-                # no index occurs twice in a record, so that += with an index array adds everything
-                information[at[:, np.newaxis], at] += (s.sensitivity * weight[:, np.newaxis]).T @ s.sensitivity
+                s.record_fit.add(gradient, score @ s.sensitivity)
+                s.record_fit.add(information, (s.sensitivity * weight[:, np.newaxis]).T @ s.sensitivity)
             return Evaluation(total, gradient, information)
 
         try:
@@ -483,6 +589,28 @@ def _mesh(point: PointModel, record: Record, step_s: float) -> Mesh:
         # its error on the flight, which takes two marches, would change nothing
         return choose_meshes([point], step_s)[0][0]
     return meshes_on_flights([point], [conditions_of_record(record)], step_s)[0][0]
+
+
+def require_estimated(options: FitOptions, owners: Owners, labels: Sequence[str]) -> None:
+    """Check that priors, bounds and ties are of parameters that are estimated.
+
+    labels : of these;  raises : InputError naming the first that is not
+    """
+    tied = [name for tie in options.ties for name in tie]
+    for name in (*(options.normal_priors or {}), *(options.bounds or {}), *tied):
+        if not set(owners.labels([name])) & set(labels):
+            hint = suggestion(name, labels, otherwise="; name it among the parameters")
+            raise InputError(f"`{name}`: is not estimated{hint}")
+
+
+def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
+    """The effects that dotted parameter names imply and that are not given, at their nominal values.
+
+    names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
+    """
+    present = {u.effect.name for u in given}
+    wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
+    return [use(name) for name in wanted if name not in present]
 
 
 R = TypeVar("R")

@@ -86,6 +86,7 @@ class RecordFit:
     mesh_warning : warning about the mesh, or empty
     known_log_likelihood : of readings that are explained without the march and are no samples, such as those of a stuck
                    thermocouple; added to that of the samples
+    fixed        : values of parameters of clock and sensors that are not estimated, by dotted name
     """
 
     record: Record
@@ -103,6 +104,7 @@ class RecordFit:
     correction_K: FloatArray | float = 0.0
     mesh_warning: str = ""
     known_log_likelihood: float = 0.0
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -115,8 +117,33 @@ class RecordFit:
         return len(self.names) - len(self.sensor_names)
 
     def values(self, vector: FloatArray) -> dict[str, float]:
-        """Values of the record's unknowns by dotted name, each in its unit ([-] for ratios, [s] for the skew)."""
-        return dict(zip(self.names, vector[self.index], strict=True))
+        """Values of the record's unknowns, and of what is fixed of its clock and sensors, by dotted name.
+
+        vector  : (parameter,)
+        returns : each in its unit ([-] for ratios, [s] for the skew)
+        """
+        return {**self.fixed, **dict(zip(self.names, vector[self.index], strict=True))}
+
+    def add(self, total: FloatArray, own: FloatArray) -> None:
+        """Add to a (parameter,) vector or a (parameter, parameter) matrix that of the record's unknowns.
+
+        total : changed in place;  own : (unknown of the record,) or (unknown, unknown)
+        """
+        at = self.index if own.ndim == 1 else np.ix_(self.index, self.index)
+        if self.has_ties:  # += with an index array would add only one of two tied unknowns
+            np.add.at(total, at, own)
+        else:
+            total[at] += own
+
+    @property
+    def has_ties(self) -> bool:
+        """Whether two unknowns of the record are one parameter."""
+        return len(set(self.index.tolist())) < len(self.index)
+
+    @property
+    def skew_span_s(self) -> float:
+        """By how much the clock may be off [s]: samples this near the ends of the conditions are omitted."""
+        return SKEW_SPAN_S if CLOCK_SKEW.name in self.sensor_names else abs(self.fixed.get(CLOCK_SKEW.name, 0.0))
 
     def model_at(self, vector: FloatArray) -> PointModel:
         """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
@@ -164,7 +191,8 @@ class RecordFit:
     @cached_property
     def lags(self) -> bool:
         """Whether a thermocouple of the record lags, or its lag is unknown."""
-        return any(s.tau_s > 0.0 for s in self.record.sensors) or any(n.endswith(LAG_NAME) for n in self.sensor_names)
+        own = (*self.sensor_names, *self.fixed)
+        return any(s.tau_s > 0.0 for s in self.record.sensors) or any(n.endswith(LAG_NAME) for n in own)
 
     @cached_property
     def read_s(self) -> FloatArray:
@@ -177,7 +205,7 @@ class RecordFit:
         """
         if not self.lags:
             return self.sample_s
-        begin, slack = self.time_s[0], SKEW_SPAN_S if CLOCK_SKEW.name in self.names else 0.0
+        begin, slack = self.time_s[0], self.skew_span_s
         first = begin + slack if self.start is not None else begin
         steps = self.time_s[(self.time_s >= first) & (self.time_s < self.sample_s[-1])]
         before = 2.0 * begin - self.time_s[(self.time_s > begin) & (self.time_s <= begin + slack)]
@@ -366,7 +394,8 @@ class PredictedSamples:
         S_i of docs/estimation_statistics.md, equation 14.
         """
         whole = np.zeros((len(self.mean_K), self.unknowns))
-        whole[:, self.record_fit.index] = self.sensitivity
+        for k, place in enumerate(self.record_fit.index):  # two tied unknowns have one place
+            whole[:, place] += self.sensitivity[:, k]
         return whole
 
 

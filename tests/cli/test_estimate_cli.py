@@ -126,19 +126,19 @@ def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
         shutil.copytree(workdir / flown, record)
     names, fit = ",".join([*TRUTH, "clock.skew"]), tmp_path / "fit"
     found = estimate(str(a), str(b), str(pod), "--parameters", names, out=fit)
-    clocks = [f"clock.skew@{owner}" for owner in (f"A/{PLUG}", f"B/{PLUG}", POD)]
+    clocks = [f"clock.skew@{owner}" for owner in (f"first/{PLUG}", f"second/{PLUG}", POD)]
     assert set(found["parameters"]) == {*(f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)), *clocks}
     for clock, skew_s in zip(clocks, (0.0, SKEW_S, 0.0), strict=True):
         assert error_in_sigma(found["parameters"][clock], skew_s) < 3.0
-    for folder in (f"A/{PLUG}", f"B/{PLUG}", POD):
+    for folder in (f"first/{PLUG}", f"second/{PLUG}", POD):
         assert {p.name for p in (fit / folder).iterdir()} == {"temperatures.csv", "fit.png", "ratio.png"}
     assert main(["predict", str(a), str(b), "--out", str(tmp_path / "predicted")]) == 0
-    assert read_json(tmp_path / "predicted" / "B" / PLUG / "summary.json")["record"] == f"B/{PLUG}"
+    assert read_json(tmp_path / "predicted" / "second" / PLUG / "summary.json")["record"] == f"second/{PLUG}"
     capsys.readouterr()
     arguments = ["--vehicle", "orbiter", "--point", PLUG, "--dry-run", "--check", "second"]
     assert main(["update-tables", str(fit), *arguments]) == 0
     printed = capsys.readouterr().out
-    assert all(name in printed for name in (f"A/{PLUG}", f"B/{PLUG}", "second"))
+    assert all(name in printed for name in (f"first/{PLUG}", f"second/{PLUG}", " second "))
 
 
 def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path, tmp_path: Path) -> None:

@@ -198,8 +198,8 @@ class Innovations:
             if f is None:
                 return -np.inf
             total += float(np.sum(f.log_likelihood))
-            g[part.index] += f.score()
-            M[np.ix_(part.index, part.index)] += f.information()
+            part.add(g, f.score())
+            part.add(M, f.information())
         s = scale(M)
         # scaled for the determinant's sake; sum(log s) below puts the scale back
         M, g = M * np.outer(s, s), g * s

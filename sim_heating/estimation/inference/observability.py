@@ -2,7 +2,8 @@
 
 A derivative is identified where its variable changes over the fit segments, where no other parameter has the same
 effect on all samples, and where its bound over the variable's own excursion is below the heating ratio itself
-(docs/estimation_statistics.md, equation 20).
+(docs/estimation_statistics.md, equation 20). By default only those are estimated whose variable changes by more than it
+is known to, and for which the ratio table has nodes.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from sim_heating.simulation.predict import predict
 
 CONSTANT_BELOW = {"alpha_deg": 0.05, "beta_deg": 0.02, "log10_re": 0.01, "elevon_deg": 0.05, "bodyflap_deg": 0.05}
 """Standard deviation over the fit segments below which a variable counts as constant, in its own unit."""
+KNOWN_TO = {"alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.02, "elevon_deg": 0.1, "bodyflap_deg": 0.1}
+"""Standard deviation of the error of a variable along a reconstructed trajectory, in its own unit: assumed. That of
+log10 Re is 5 % of the density."""
 FEWEST_STUCK = 10
 STUCK = 10.0
 """Change of the declared model, in recorder steps or sigmas, above which a sensor with constant readings is stuck."""
@@ -102,6 +106,32 @@ def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[
     return reasons
 
 
+def unsupported_derivatives(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
+    """Derivatives that are not estimated unless they are named, with the reason.
+
+    names   : dotted names of parameters;  records : those that have them
+    returns : name -> reason: the standard deviation of a variable, in [deg] or log10 Re [-], is not above the error to
+              which a trajectory is known, or a ratio table has one node in it
+
+    An error of a variable that is as large as its excursion halves the derivative (Fuller, "Measurement Error Models",
+    1987). A table of one value declares no shape, and has no say. Source: docs/estimation_statistics.md, equation 20a.
+    """
+    sigma = deviations(records)
+    tables = [r.ratio_table for r in records if r.ratio_table is not None and r.ratio_table.ratio.size > 1]
+    reasons: dict[str, str] = {}
+    for name in names:
+        for i in variables_of(name):
+            variable = RATIO_VARIABLES[i]
+            why = ""
+            if sigma[i] <= KNOWN_TO[variable]:
+                why = f"{variable} varies by {sigma[i]:.2g} (standard deviation) and is known to {KNOWN_TO[variable]:g}"
+            elif any(len(table.axes[i]) == 1 for table in tables):
+                why = f"the ratio table has one node in {variable} and cannot hold the derivative"
+            if why:
+                reasons.setdefault(name, f"{why}; name it to estimate it all the same")
+    return reasons
+
+
 def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:
     """Parameters of the heating ratio where a record has no aerodynamic heating at all, with the reason.
 
@@ -132,7 +162,7 @@ def mean_ratio(record: Record) -> float:
 
 
 def least_determined(
-    labels: Sequence[str], information: FloatArray, ratio: float, records: Sequence[Record]
+    labels: Sequence[str], information: FloatArray, ratio: FloatArray, excursion: FloatArray
 ) -> dict[str, str]:
     """The least determined derivative, with the reason, where it should be omitted; empty where all are identified.
 
@@ -142,28 +172,28 @@ def least_determined(
 
     labels      : (parameter,) names
     information : (parameter, parameter) of data and priors
-    ratio       : typical heating ratio [-]
+    ratio       : (parameter,) typical heating ratio of the records that have it [-]
+    excursion   : (parameter, 5) standard deviations of the ratio variables in these, [deg] and [-]
     returns     : {name: reason} with one entry at most, as each omission changes the bounds of the others
 
     Source: docs/estimation_statistics.md, equations 19 and 20.
     """
     singular = directions(information, list(labels), SINGULAR)
     sigma = np.sqrt(np.abs(np.diag(covariance(information))))
-    excursion = deviations(records)
     worst, name, reason = 1.0, "", ""
     for k, label in enumerate(labels):
         variables = variables_of(label)
         if not variables:
             continue
-        bound = float(sigma[k] * np.prod(excursion[list(variables)]))
+        bound = float(sigma[k] * np.prod(excursion[k, list(variables)]))
         if not np.isfinite(bound):
             bound = np.inf
         # false for a NaN ratio as well: without a scale no bound is too large
-        if bound > worst * ratio:
-            worst, name = bound / ratio, label
+        if bound > worst * ratio[k]:
+            worst, name = bound / ratio[k], label
             # the text shows the excursion, as a longer one is the remedy
-            flown = " x ".join(f"{excursion[i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
-            reason = f"its bound over the excursion flown ({flown}) is {bound / ratio:.1f} times the ratio itself"
+            flown = " x ".join(f"{excursion[k, i]:.2g} of {RATIO_VARIABLES[i]}" for i in variables)
+            reason = f"its bound over the excursion flown ({flown}) is {bound / ratio[k]:.1f} times the ratio itself"
             if singular:
                 reason = f"{reason}; {singular[0].describe()}"
     if not name and singular and not np.all(np.isfinite(sigma)):
