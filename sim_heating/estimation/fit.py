@@ -43,8 +43,8 @@ from sim_heating.estimation.inference.observability import (
 )
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
-from sim_heating.estimation.stated import Owners
 from sim_heating.heating.effects import EffectUse
+from sim_heating.inputs.parameter_owners import Owners
 from sim_heating.inputs.points import undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
 from sim_heating.march.history import table_excursions

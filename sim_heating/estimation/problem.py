@@ -46,8 +46,8 @@ from sim_heating.estimation.record_fit import (
     sensor_definition,
     set_parameters,
 )
-from sim_heating.estimation.stated import Owners, is_of_record
 from sim_heating.heating.effects import EffectUse, use
+from sim_heating.inputs.parameter_owners import Owners, is_of_record
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.march.linearised import Linearised, LinearMarch
@@ -79,7 +79,7 @@ class FitParameter:
 class FitOptions:
     """Options of a fit, all with defaults.
 
-    Names are as in estimation/stated.py: plain, or with an owner behind @.
+    Names are as in inputs/parameter_owners.py: plain, or with an owner behind @.
 
     effects        : in addition to the declared model, and to those that the names of parameters imply
     fixed          : name -> value of a parameter in place of the declared one, where it is not estimated
