@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
+from sim_heating.cli.parameter_options import merged_settings, parameter_options
+
+if TYPE_CHECKING:
+    from sim_heating.inputs.fit_settings import FitSettings
 
 ESTIMATED = "estimated"
 """Value of an option for a level of noise that the fit is to find."""
@@ -57,12 +61,12 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
     return found
 
 
-def _start(_: click.Context, __: click.Parameter, value: str) -> Any:
+def _start(value: str | None) -> Any:
     """Value of --start, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
     from sim_heating.base.files import plain_number, suggestion
     from sim_heating.estimation.starts import STARTS
 
-    if value == "declared":
+    if value in (None, "declared"):
         return None
     kind, _colon, at = value.partition(":")
     if kind not in STARTS:
@@ -130,9 +134,8 @@ def _level(text: str, hint: str) -> float:
 )
 @click.option(
     "--start",
-    default="declared",
-    callback=_start,
-    help="initial temperatures: declared, or circuit, profile, filter, lost:TIME_S (lost: heating unknown until then)",
+    help="initial temperatures: declared (default), or circuit, profile, filter, lost:TIME_S (lost: heating unknown "
+    "until then)",
 )
 @click.option(
     "--fit",
@@ -156,14 +159,20 @@ def _level(text: str, hint: str) -> float:
 @click.option(
     "--segments", type=float, metavar="LENGTH_S", help="fit consecutive segments of this length [s] (one record)"
 )
+@parameter_options
 @ROOT
 def estimate(
     records: tuple[Path, ...],
     out: Path,
     parameters: tuple[str, ...] | None,
     reference: dict[str, float],
-    start: Any,
+    start: str | None,
     fit: list[list[float]],
+    settings_file: Path | None,
+    fix: dict[str, float],
+    prior: dict[str, Any],
+    bound: dict[str, Any],
+    tie: list[list[str]],
     node_noise: str | None,
     ratio_noise: str | None,
     segments: float | None,
@@ -173,29 +182,41 @@ def estimate(
     from sim_heating.base.files import require_writable
 
     noise = _process_noise(node_noise, ratio_noise)
+    names = None if parameters is None else list(parameters)
+    stated = merged_settings(
+        settings_file, parameters=names, reference=reference, start=start, fit=fit, fix=fix, prior=prior, bound=bound,
+        tie=tie,
+    )  # fmt: skip
     if segments is not None:
         if noise is not None:
             raise InputError(
                 "--segments: segments are fitted without process noise; leave out --process-noise and --ratio-noise"
             )
-        _estimate_trend(records, out, parameters, reference, start, fit, segments, root)
+        _estimate_trend(records, out, stated, segments, root)
         return
     from sim_heating.estimation.fit import estimate as fit_records
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_records
 
-    loaded = [_with_fit(record, fit) for record in load_records(records, root=root)]
+    loaded = [_with_fit(record, stated.fit) for record in load_records(records, root=root)]
     files = output_files(loaded, filtered=noise is not None)
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
-        starts = [start] * len(loaded)
+        starts = [_start(stated.start)] * len(loaded)
         fitted = fit_records(
-            loaded, parameters, reference=reference, starts=starts, process_noise=noise, progress=progress
-        )
+            loaded, stated.parameters, reference=stated.reference_condition, fixed=stated.fix, priors=stated.priors,
+            bounds=stated.bounds, ties=stated.tie, starts=starts, process_noise=noise, progress=progress,
+        )  # fmt: skip
         progress(0.95, "writing")
         names = write_fit(fitted, out)
     found = estimate_contents(fitted)
     print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", found))
+    for name, p in found.fixed.items():
+        if name not in found.not_estimated:
+            CONSOLE.print(f"{name}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}")
+    for name, other in found.ties.items():
+        if name != other:
+            CONSOLE.print(f"{name}: tied to {other}")
     for name, why in found.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
     for line in fitted.warnings:
@@ -208,19 +229,12 @@ def estimate(
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
 
-def _with_fit(record: Any, fit: list[list[float]]) -> Any:
+def _with_fit(record: Any, fit: list[list[float]] | None) -> Any:
     return record.with_fit(fit) if fit else record
 
 
 def _estimate_trend(
-    records: tuple[Path, ...],
-    out: Path,
-    parameters: tuple[str, ...] | None,
-    reference: dict[str, float],
-    start: Any,
-    fit: list[list[float]],
-    length_s: float,
-    root: Path | None,
+    records: tuple[Path, ...], out: Path, stated: FitSettings, length_s: float, root: Path | None
 ) -> None:
     """Fit consecutive segments of one record, and print how many were fitted and omitted."""
     from sim_heating.base.files import require_writable
@@ -230,10 +244,15 @@ def _estimate_trend(
 
     if len(records) > 1:
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
-    record = _with_fit(load_record(records[0], root=root), fit)
+    if stated.tie:
+        raise InputError("--segments: each segment has its own parameters; leave out --tie")
+    record = _with_fit(load_record(records[0], root=root), stated.fit)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
-        found = trend(record, length_s, parameters, start=start, reference=reference, progress=progress)
+        found = trend(
+            record, length_s, stated.parameters, start=_start(stated.start), reference=stated.reference_condition,
+            fixed=stated.fix, priors=stated.priors, bounds=stated.bounds, progress=progress,
+        )  # fmt: skip
         names = write_trend(found, out)
     CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
     for line in found.left_out[:3]:

@@ -192,8 +192,7 @@ def estimate(
     options = FitOptions(
         effects,
         fixed=fixed,
-        priors={n: p for n, p in (priors or {}).items() if isinstance(p, Parameter)},
-        normal_priors={n: p for n, p in (priors or {}).items() if not isinstance(p, Parameter)},
+        priors=priors,
         bounds=bounds,
         ties=ties,
         starts=starts,
@@ -280,7 +279,7 @@ def _wanted(
     wanted = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
     require_estimated(options, owners, wanted)
     tied = {label for tie in options.ties for label in owners.labels(tie)}
-    chosen = {*owners.labels((*named, *(options.normal_priors or {}), *(options.bounds or {}))), *tied}
+    chosen = {*owners.labels((*named, *options.normal_priors, *(options.bounds or {}))), *tied}
     omitted = {n: _fixed_at(n, owners, fixed) for n in by_default if n in fixed_labels}
     for label in wanted:
         of, reasons = owners.covered(label), {}
@@ -301,7 +300,7 @@ def _without(options: FitOptions, labels: set[str], owners: Owners) -> FitOption
 
     return replace(
         options,
-        normal_priors={n: v for n, v in (options.normal_priors or {}).items() if remains(n)},
+        priors={n: p for n, p in (options.priors or {}).items() if isinstance(p, Parameter) or remains(n)},
         bounds={n: v for n, v in (options.bounds or {}).items() if remains(n)},
         ties=[tie for tie in options.ties if not labels & set(owners.labels(tie))],
     )

@@ -83,8 +83,8 @@ class FitOptions:
 
     effects        : in addition to the declared model, and to those that the names of parameters imply
     fixed          : name -> value of a parameter in place of the declared one, where it is not estimated
-    priors         : name -> Parameter with another prior or other bounds
-    normal_priors  : name -> mean and standard deviation of another normal prior; infinite for a flat one
+    priors         : name -> mean and standard deviation of another prior, infinite for a flat one; or a Parameter with
+                     another prior or other bounds
     bounds         : name -> least and greatest value
     ties           : names of parameters that have one value, each a tie; a single name ties all that it covers
     prior_scale    : factor on the sigma of all other priors [-]; infinite for flat ones
@@ -96,8 +96,7 @@ class FitOptions:
 
     effects: Sequence[EffectUse] = ()
     fixed: Mapping[str, float] | None = None
-    priors: Mapping[str, Parameter] | None = None
-    normal_priors: Mapping[str, tuple[float, float]] | None = None
+    priors: Mapping[str, Parameter | tuple[float, float]] | None = None
     bounds: Mapping[str, tuple[float, float]] | None = None
     ties: Sequence[Sequence[str]] = ()
     prior_scale: float = 1.0
@@ -105,6 +104,11 @@ class FitOptions:
     sample_masks: Sequence[NDArray[np.bool_]] | None = None
     longest_step_s: float = LONGEST_STEP_S
     tolerance_K: float = STEP_TOLERANCE_K
+
+    @property
+    def normal_priors(self) -> dict[str, tuple[float, float]]:
+        """Means and standard deviations by name, each in the unit of the parameter ([-] for a ratio)."""
+        return {n: p for n, p in (self.priors or {}).items() if not isinstance(p, Parameter)}
 
 
 DEFAULT_OPTIONS = FitOptions()
@@ -130,7 +134,7 @@ class FitProblem:
         options: FitOptions = DEFAULT_OPTIONS,
     ) -> None:
         self.reference, self.options = reference, options
-        self.priors = dict(options.priors or {})
+        self.priors = {n: p for n, p in (options.priors or {}).items() if isinstance(p, Parameter)}
         self.owners = Owners(records)
         fixed = [self.owners.stated(options.fixed or {}, r) for r in records]
         own = [self.owners.of_record(names, r) for r in records]
@@ -305,13 +309,14 @@ class FitProblem:
         raises : InputError where either is beyond the limits of the parameter, or they exclude each other
         """
         label = self.owners.label(name, record)
-        prior = self.owners.stated(self.options.normal_priors or {}, record).get(name)
+        prior = self.owners.stated(self.options.normal_priors, record).get(name)
         bounds = self.owners.stated(self.options.bounds or {}, record).get(name)
         limits = f"its limits {parameter.lower:g} to {parameter.upper:g}"
         if prior is not None:
             mean, sigma = prior
             if not sigma > 0.0:
                 raise InputError(f"{label}: prior {mean:g} +- {sigma:g}; give a sigma above 0")
+            mean = parameter.value if np.isinf(sigma) else mean  # a flat prior has none: the search begins as declared
             if not parameter.lower <= mean <= parameter.upper:
                 raise InputError(f"{label}: the mean of its prior, {mean:g}, is outside {limits}")
             parameter = replace(parameter, value=mean, sigma=sigma)
@@ -330,6 +335,16 @@ class FitProblem:
             f"{label}: bounds {lower:g} to {upper:g} exclude the mean of its prior, {mean:g} +- {sigma:g}; give "
             "another prior as well"
         )
+
+    @property
+    def fixed(self) -> dict[str, tuple[float, str]]:
+        """Values and units of the parameters that are fixed, by the names that they were stated by."""
+        units = {}
+        for name in self.options.fixed or {}:
+            stem, record = name.partition(AT)[0], self.owners.covered(name)[0]
+            model = next(p.model for p in self.record_fits if p.record is record)
+            units[name] = (sensor_definition(record, stem) or model.definition(stem)).unit
+        return {name: (float(value), units[name]) for name, value in (self.options.fixed or {}).items()}
 
     @property
     def parameters(self) -> list[Parameter]:
@@ -597,7 +612,7 @@ def require_estimated(options: FitOptions, owners: Owners, labels: Sequence[str]
     labels : of these;  raises : InputError naming the first that is not
     """
     tied = [name for tie in options.ties for name in tie]
-    for name in (*(options.normal_priors or {}), *(options.bounds or {}), *tied):
+    for name in (*options.normal_priors, *(options.bounds or {}), *tied):
         if not set(owners.labels([name])) & set(labels):
             hint = suggestion(name, labels, otherwise="; name it among the parameters")
             raise InputError(f"`{name}`: is not estimated{hint}")

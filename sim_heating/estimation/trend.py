@@ -127,7 +127,8 @@ def trend(
     *,
     start: Start | StartMaker | None = None,
     fixed: Mapping[str, float] | None = None,
-    priors: Mapping[str, Parameter] | None = None,
+    priors: Mapping[str, Parameter | tuple[float, float]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     reference: Mapping[str, float] | None = None,
     progress: Progress = no_progress,
 ) -> Trend:
@@ -138,7 +139,7 @@ def trend(
     start    : where the first segment starts, or what makes it (starts.STARTS); by default at the declared
                temperatures, and where readings begin later at the first of them, the heating until then unknown
     fixed    : values of parameters that are not estimated but differ from the declared ones
-    priors   : dotted name -> Parameter with another prior or other bounds, the same for every segment
+    priors, bounds : as `estimate` takes them, the same for every segment
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the record's own
     progress : called with the fraction done and a line of text
     returns  : the segments whose fit converged, each with its mean ratio [-] and the sigma of it
@@ -190,7 +191,7 @@ def trend(
             first = partial(lost_start, time_s=begin)
         else:
             first = None
-        options = FitOptions(fixed=fixed, priors=priors, starts=[first], sample_masks=[mask])
+        options = FitOptions(fixed=fixed, priors=priors, bounds=bounds, starts=[first], sample_masks=[mask])
         problem = FitProblem([record], fitted, about, options)
         # the parameters change little from one segment to the next, so that the search begins near its end
         values = np.array([p.value for p in problem.parameters]) if last is None else _carried_values(problem, last)

@@ -93,7 +93,7 @@ def test_estimate_json_holds_what_the_contract_names(workdir: Path, tmp_path: Pa
     assert found["converged"] is True
     assert found["iterations"] >= 1
     assert set(found["reference_condition"]) == set(RATIO_VARIABLES)
-    assert found["reference_condition"]["alpha_deg"] == 40.0
+    assert found["reference_condition"]["beta_deg"] == 0.01
     for name, parameter in found["parameters"].items():
         assert set(parameter) >= {"value", "sigma", "unit"}
         assert parameter["unit"] == ("1" if name in ("ratio.scale", "ratio.d_logre") else "1/deg")
@@ -182,6 +182,59 @@ def test_invalid_options_are_refused_in_one_line_and_leave_no_files(
     assert hint in errors
     assert "Traceback" not in errors
     assert not (tmp_path / "fit").exists()
+
+
+SETTINGS = """
+parameters = ["ratio.scale", "clock.skew"]
+fit = [[20.0, 150.0]]
+reference = { beta_deg = 0.01 }
+[fix]
+ratio.d_alpha = 0.0
+[prior]
+clock.skew = [0.0, 0.5]
+[bound]
+ratio.scale = [0.0, 1.0]
+"""
+
+
+def test_what_is_fixed_and_known_before_comes_from_a_file_and_the_line_and_is_stated(
+    workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "fit.toml").write_text(SETTINGS)
+    found = estimate(
+        "second", "--settings", str(tmp_path / "fit.toml"), "--fix", "ratio.d_alpha=0.0006", out=tmp_path / "fit"
+    )
+    assert found["fixed"] == {"ratio.d_alpha": {"value": 0.0006, "unit": "1/deg"}}
+    assert found["segments"] == [[[20.0, 150.0]]]
+    assert found["reference_condition"]["beta_deg"] == 0.01
+    scale, skew = found["parameters"]["ratio.scale"], found["parameters"]["clock.skew"]
+    assert (scale["lower"], scale["upper"], skew["prior_mean"], skew["prior_sigma"]) == (0.0, 1.0, 0.0, 0.5)
+    assert found["fit"]["rmse_K"] == pytest.approx(found["noise_floor_K"], rel=0.1)
+    assert error_in_sigma(skew, SKEW_S) < 3.0
+    printed = capsys.readouterr().out
+    assert "ratio.d_alpha: fixed at 0.0006 1/deg" in printed
+    assert "0 +- 0.5" in printed
+    assert main(["update-tables", str(tmp_path / "fit"), "--vehicle", "orbiter", "--out", str(tmp_path)]) == 2
+    assert "[fixed]: ratio.d_alpha was fixed at 0.0006" in capsys.readouterr().err
+
+
+def test_a_clock_that_is_known_is_fixed(workdir: Path, tmp_path: Path) -> None:
+    names = ["--parameters", ",".join(TRUTH)]
+    found = estimate("second", *names, "--fix", f"clock.skew={SKEW_S}", out=tmp_path / "fit")
+    assert found["fit"]["rmse_K"] == pytest.approx(found["noise_floor_K"], rel=0.1)
+    assert all(error_in_sigma(found["parameters"][name], true) < 3.0 for name, true in TRUTH.items())
+
+
+def test_one_coating_of_two_points_is_tied(workdir: Path, tmp_path: Path) -> None:
+    coating, records = "stack.coating.thickness_factor", [f"both/{PLUG}", f"both/{POD}"]
+    names = ["--parameters", f"ratio.scale,ratio.d_alpha,{coating}", "--prior", f"{coating}=flat"]
+    own = estimate(*records, *names, out=tmp_path / "own")["parameters"]
+    tied = estimate(*records, *names, "--tie", f"{coating}@{PLUG}={coating}@{POD}", out=tmp_path / "tied")
+    assert tied["ties"] == {f"{coating}@{p}": f"{coating}@{PLUG}" for p in (PLUG, POD)}
+    assert f"{coating}@{POD}" not in tied["parameters"]
+    common = tied["parameters"][f"{coating}@{PLUG}"]
+    assert common["white_sigma"] < min(own[f"{coating}@{p}"]["white_sigma"] for p in (PLUG, POD))
+    assert error_in_sigma(common, 1.0) < 3.0
 
 
 def test_a_record_without_a_vehicle_is_fitted(tmp_path: Path) -> None:

@@ -68,12 +68,47 @@ def run_estimate(capsys, *arguments: object) -> tuple[int, str]:
             ["--segments", "5", "--start", "profile:600", "--fit", "700,800"],
             "the first reading after the start at 600 s is at 700 s, more than a segment of 5 s later",
         ),
+        (["--fix", "ratio.d_alhpa=0"], "unknown parameter `ratio.d_alhpa`; did you mean `ratio.d_alpha`"),
+        (["--fix", "ratio.d_alpha"], "--fix ratio.d_alpha: write --fix NAME=0.0013"),
+        (["--fix", "stack.rsi.conductivity_factor=99"], "fixed at 99, outside its limits 0.001 to 10"),
+        (
+            ["--fix", "ratio.d_beta=0", "--parameters", "ratio.d_beta"],
+            "ratio.d_beta: is fixed, and named to be estimat",
+        ),
+        (["--fix", "ratio.d_beta@p07=0"], "there is no control point `p07`; known: `LS`"),
+        (["--prior", "clock.skew=0,1"], "`clock.skew`: is not estimated; name it among the parameters"),
+        (["--prior", "ratio.scale=0,0"], "ratio.scale: prior 0 +- 0; give a sigma above 0"),
+        (
+            ["--prior", "ratio.scale=0.1,0.1", "--bound", "ratio.scale=0.5,1"],
+            "exclude the mean of its prior, 0.1 +- 0.1",
+        ),
+        (["--bound", "ratio.scale=1,-1"], "ratio.scale: bounds 1 to -1; give the lower one first"),
+        (["--tie", "ratio.scale"], "ratio.scale: ties one parameter only"),
+        (["--tie", "ratio.scale=ratio.d_alpha"], "units differ: ratio.scale [1], ratio.d_alpha [1/deg]"),
+        (["--tie", "ratio.scale="], "write --tie NAME=OTHER, two names or more"),
+        (["--settings", "no.toml"], "no.toml: there is no such file"),
     ],
 )
 def test_invalid_request_is_answered_in_a_line(capsys, tmp_path, arguments, line):
     status, text = run_estimate(capsys, PRACTICE / "p06", "--out", tmp_path / "out", *arguments)
     assert (status, line in text) == (2, True), text
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("parameter = []", "fit.toml: unknown key `parameter`; did you mean `parameters`"),
+        ("[prior]\nratio.scale = [0.0]", "[0.0] is not a pair; give two numbers"),
+        ("[fix]\nratio.scale = true", "fit.toml"),
+    ],
+)
+def test_invalid_settings_are_answered_in_a_line(capsys, tmp_path, text, line):
+    (tmp_path / "fit.toml").write_text(text)
+    status, said = run_estimate(
+        capsys, PRACTICE / "p06", "--settings", tmp_path / "fit.toml", "--out", tmp_path / "out"
+    )
+    assert (status, line in said) == (2, True), said
 
 
 def test_two_records_of_one_flight_and_name_are_refused(capsys, tmp_path):

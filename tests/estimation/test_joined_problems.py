@@ -49,3 +49,23 @@ def test_a_common_value_is_the_mean_of_own_ones_by_their_weights_and_is_better_k
     assert value == pytest.approx(np.average([v for v, _ in separate], weights=weights), abs=0.2 * sigma)
     assert sigma == pytest.approx(sum(weights) ** -0.5, rel=0.1)
     assert value == pytest.approx(0.002, abs=4.0 * sigma)
+
+
+def test_tied_parameters_have_the_gradient_and_the_information_of_both() -> None:
+    """Two thermocouples with one bias: what the problem of two biases has along the direction (1, 1)."""
+    record = parts()[0].record_fits[0].record
+    a, b = (f"sensor.{s.name}.bias" for s in record.used_sensors[:2])
+    own, tied = (
+        FitProblem([record], ("ratio.scale", a, b), joint_reference([record]), FitOptions([ONSET], ties=ties))
+        for ties in ((), [(b, a)])
+    )
+    assert [u.label for u in tied.unknowns] == ["ratio.scale", a]
+    assert tied.unknowns[1].tied == (a, b)
+    at = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    separate, common = own.evaluate(at @ [0.01, 2.0]), tied.evaluate(np.array([0.01, 2.0]))
+    assert common.log_likelihood == separate.log_likelihood
+    np.testing.assert_allclose(common.gradient, at.T @ separate.gradient, rtol=1e-12)
+    np.testing.assert_allclose(common.information, at.T @ separate.information @ at, rtol=1e-12)
+    jacobians = [np.concatenate([s.jacobian for s in p.samples(v)]) for p, v in (
+        (own, at @ [0.01, 2.0]), (tied, np.array([0.01, 2.0])))]  # fmt: skip
+    np.testing.assert_allclose(jacobians[1], jacobians[0] @ at, rtol=1e-12)

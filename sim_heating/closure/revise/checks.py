@@ -27,11 +27,28 @@ def check_estimate(estimate: Estimate, name: str) -> None:
     name   : the estimate's file, for messages
     raises : InputError naming the parameter and the limit
     """
+    _check_whole(estimate, name)
     labels = [label for label in estimate.parameters if label.startswith("ratio.")]
     for label in labels:
         _check_value(estimate, label, name)
     _check_correlation(estimate, labels, name)
     _check_reference(estimate, labels, name)
+
+
+def _check_whole(estimate: Estimate, name: str) -> None:
+    """No part of the ratio that is fixed, which has no bound, or that two points have in common."""
+    fixed = {n: p.value for n, p in estimate.fixed.items() if n.startswith("ratio.") and p.value != 0.0}
+    for label, value in fixed.items():
+        raise InputError(
+            f"{name}, [fixed]: {label} was fixed at {value:g}, which no flight estimated, and the ratio of the fit has "
+            "it; estimate again with it free, or fixed at 0"
+        )
+    tied = next((n for n, other in estimate.ties.items() if n != other and n.startswith("ratio.")), None)
+    if tied is not None:
+        raise InputError(
+            f"{name}, [ties]: {tied} is that of several control points, and a table is of one; estimate again without "
+            "the tie"
+        )
 
 
 def _check_value(estimate: Estimate, label: str, name: str) -> None:

@@ -54,7 +54,8 @@ class EstimatedParameter(Extensible):
     value, sigma : estimate and one standard deviation, corrected for coloured residuals, in `unit`
     unit         : contract unit
     white_sigma  : standard deviation before that correction
-    prior_sigma  : of the prior that was used; None where it was flat
+    prior_mean, prior_sigma : of the prior that was used; None where it was flat
+    lower, upper : bounds that were stated for it; None where none were
 
     Source: docs/estimation_statistics.md, equations 18 (white) and 22 (corrected).
     """
@@ -63,7 +64,26 @@ class EstimatedParameter(Extensible):
     sigma: float = Field(ge=0.0, description="one standard deviation")
     unit: str
     white_sigma: float | None = Field(default=None, ge=0.0)
+    prior_mean: float | None = None
     prior_sigma: float | None = Field(default=None, ge=0.0)
+    lower: float | None = None
+    upper: float | None = None
+
+    @property
+    def known_before(self) -> str:
+        """Prior and bounds in words; empty where the prior was flat and there was no bound."""
+        prior = "" if self.prior_sigma is None else f"{self.prior_mean or 0.0:g} +- {self.prior_sigma:g}"
+        if self.lower is None or self.upper is None:
+            return prior
+        within = f"{self.lower:g} to {self.upper:g}"
+        return f"{prior}, {within}" if prior else within
+
+
+class FixedParameter(Extensible):
+    """A parameter that was not estimated, at a value that is not the declared one."""
+
+    value: float
+    unit: str
 
 
 class FitErrors(Extensible):
@@ -135,6 +155,8 @@ class Estimate(Extensible):
     converged, iterations : how the search ended, and its number of steps
     reference_condition : condition that the derivatives are about
     parameters          : by dotted name
+    fixed               : by dotted name, parameters that were fixed
+    ties                : name of a parameter -> that of `parameters` which stands for it, where some were tied
     not_estimated       : name -> reason
     correlation         : "a|b" -> correlation of two parameters [-]
     noise_floor_K       : root mean square of noise and rounding over the fitted samples [K]
@@ -147,6 +169,7 @@ class Estimate(Extensible):
     inputs              : record -> hash of its files, `inputs_hash`
     effects             : those of the fitted model, in addition to what the records declare
     program             : name and version
+    record_names        : of each record, as in the names of its parameters; None: those of the directories
     """
 
     format: Literal["estimate/1"]
@@ -155,6 +178,8 @@ class Estimate(Extensible):
     iterations: int = Field(ge=0)
     reference_condition: ReferenceCondition
     parameters: dict[str, EstimatedParameter]
+    fixed: dict[str, FixedParameter] = Field(default={})
+    ties: dict[str, str] = Field(default={})
     not_estimated: dict[str, str] = Field(default={})
     correlation: dict[str, float] = Field(default={})
     noise_floor_K: float | None = None
@@ -168,6 +193,7 @@ class Estimate(Extensible):
     inputs: dict[str, str] = Field(default={})
     effects: list[FittedEffect] = Field(default=[])
     program: str | None = None
+    record_names: list[str] | None = None
 
     def __repr__(self) -> str:
         values = ", ".join(f"{n}={p.value:.5g} +- {p.sigma:.2g} {p.unit}" for n, p in self.parameters.items())
@@ -302,7 +328,8 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate with its digest, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
-    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program")
+    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "fixed", "ties",
+                "record_names")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
 

@@ -47,6 +47,8 @@ def estimate_contents(fitted: FitResult) -> Estimate:
     records = [record_fit.record for record_fit in problem.record_fits]
     points = {r.declared.control_point for r in records}
     white = np.sqrt(np.diag(fitted.bounds.white))
+    stated = set(problem.owners.labels(problem.options.bounds or {}))
+    bounded = {u.label for u in problem.unknowns if stated & {u.label, *u.tied}}
     return Estimate.model_validate(
         {
             "format": "estimate/1",
@@ -60,10 +62,14 @@ def estimate_contents(fitted: FitResult) -> Estimate:
                     "sigma": float(s),
                     "unit": u.parameter.unit,
                     "white_sigma": float(w),
-                    "prior_sigma": float(u.parameter.sigma) if np.isfinite(u.parameter.sigma) else None,
+                    "prior_mean": float(u.parameter.value) if np.isfinite(u.parameter.sigma) else None,
+                    "prior_sigma": _finite(u.parameter.sigma),
+                    **({"lower": u.parameter.lower, "upper": u.parameter.upper} if u.label in bounded else {}),
                 }
                 for u, value, s, w in zip(problem.unknowns, fitted.fit.values, sigma, white, strict=True)
             },
+            "fixed": {n: {"value": v, "unit": unit} for n, (v, unit) in problem.fixed.items()},
+            "ties": {label: u.label for u in problem.unknowns for label in u.tied},
             "not_estimated": fitted.not_estimated,
             "correlation": correlations(fitted.labels, fitted.bounds.covariance),
             "noise_floor_K": noise_floor_K(fitted),
@@ -84,19 +90,29 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
             "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
+            "record_names": [r.name for r in records] if any(r.label for r in records) else None,
         }
     )
 
 
 def estimate_table(title: str, estimate: Estimate) -> Table:
-    """Estimated parameters with their standard deviations, a row a parameter."""
+    """Estimated parameters with their standard deviations, and priors and bounds where some have them, a row each."""
     columns = [
         Column("parameter"),
         Column("value", format=".5g"),
         Column("sigma", format=".2g"),
         Column("unit", is_text=True),
     ]
-    return Table(title, columns, [[name, p.value, p.sigma, p.unit] for name, p in estimate.parameters.items()])
+    rows: list[list[Any]] = [[name, p.value, p.sigma, p.unit] for name, p in estimate.parameters.items()]
+    before = [p.known_before for p in estimate.parameters.values()]
+    if any(before):
+        columns.append(Column("prior, bounds", is_text=True))
+        rows = [[*row, text] for row, text in zip(rows, before, strict=True)]
+    return Table(title, columns, rows)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _effects(fitted: FitResult) -> list[dict[str, Any]]:

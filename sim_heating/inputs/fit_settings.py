@@ -1,0 +1,92 @@
+"""Settings of a fit, as a TOML file or a table of one states them; every key is optional.
+
+parameters = ["default", "clock.skew"]      # names of what is estimated; `default`: magnitude and derivatives
+reference = { alpha_deg = 40.0 }            # condition that derivatives are about
+start = "circuit:650"                       # where the march begins, as `--start` of `sim-heating estimate`
+fit = [[640.0, 760.0]]                      # segments in place of the record's own [s]
+tie = [["stack.coating.thickness_factor"]]  # names of parameters that have one value, each a tie
+[fix]
+ratio.d_alpha = 0.0013                      # value of a parameter that is not estimated
+[prior]
+"clock.skew@STS-2" = [0.0, 0.3]             # mean and standard deviation, or "flat"
+[bound]
+ratio.scale = [-0.5, 0.5]                   # least and greatest value
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, field_validator
+
+from sim_heating.base.files import Declared, LocatedError, Location
+from sim_heating.inputs.record import ReferenceCondition, Segments
+
+FLAT = "flat"
+
+
+def _by_dotted_name(tables: Any) -> Any:
+    """Nested tables as one with dotted names: TOML reads the key `ratio.d_alpha` as `d_alpha` of a table `ratio`."""
+    if not isinstance(tables, Mapping):
+        return tables
+    found: dict[str, Any] = {}
+    for key, value in tables.items():
+        below = _by_dotted_name(value)
+        found |= {f"{key}.{k}": v for k, v in below.items()} if isinstance(below, dict) else {key: value}
+    return found
+
+
+Dotted = BeforeValidator(_by_dotted_name)
+
+
+class FitSettings(Declared):
+    """What is estimated, from which readings, and what is known of the parameters before."""
+
+    quantities: ClassVar = {"fix": None, "prior": None, "bound": None}
+
+    parameters: list[str] | None = Field(default=None, min_length=1, description="names of parameters")
+    reference: ReferenceCondition | None = None
+    start: str | None = Field(default=None, description='as `--start`, for example "circuit:650"')
+    fit: list[list[float]] | None = Field(default=None, min_length=1, description="[[start_s, end_s], ...]")
+    fix: Annotated[dict[str, float], Dotted] = Field(default_factory=dict, description="name = value")
+    prior: Annotated[dict[str, list[float] | Literal["flat"]], Dotted] = Field(
+        default_factory=dict, description='name = [mean, sigma], or "flat"'
+    )
+    bound: Annotated[dict[str, list[float]], Dotted] = Field(
+        default_factory=dict, description="name = [least, greatest]"
+    )
+    tie: list[list[str]] = Field(default_factory=list, description='[["name", "name", ...], ...]')
+
+    @field_validator("prior", "bound")
+    @classmethod
+    def _check_pairs(cls, values: dict[str, Any]) -> dict[str, Any]:
+        problems: list[tuple[Location, str]] = [
+            ((name,), f"{value} is not a pair; give two numbers")
+            for name, value in values.items()
+            if value != FLAT and len(value) != 2
+        ]
+        if problems:
+            raise LocatedError(*problems)
+        return values
+
+    @field_validator("fit")
+    @classmethod
+    def _check_segments(cls, segments: list[list[float]] | None) -> list[list[float]] | None:
+        return Segments(fit=segments).fit
+
+    @property
+    def reference_condition(self) -> dict[str, float]:
+        """Values that derivatives are about, by variable ([deg], log10 Re [-])."""
+        return {} if self.reference is None else self.reference.model_dump(exclude_none=True)
+
+    @property
+    def priors(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation by name, each in the unit of the parameter; a flat one has mean 0."""
+        return {n: (0.0, math.inf) if p == FLAT else (float(p[0]), float(p[1])) for n, p in self.prior.items()}
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Least and greatest value by name, each in the unit of the parameter."""
+        return {n: (b[0], b[1]) for n, b in self.bound.items()}
