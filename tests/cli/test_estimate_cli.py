@@ -93,7 +93,7 @@ def test_estimate_json_holds_what_the_contract_names(workdir: Path, tmp_path: Pa
     assert found["converged"] is True
     assert found["iterations"] >= 1
     assert set(found["reference_condition"]) == set(RATIO_VARIABLES)
-    assert found["reference_condition"]["beta_deg"] == 0.01
+    assert found["reference_condition"]["alpha_deg"] == 40.0
     for name, parameter in found["parameters"].items():
         assert set(parameter) >= {"value", "sigma", "unit"}
         assert parameter["unit"] == ("1" if name in ("ratio.scale", "ratio.d_logre") else "1/deg")
@@ -186,7 +186,7 @@ def test_invalid_options_are_refused_in_one_line_and_leave_no_files(
 
 SETTINGS = """
 parameters = ["ratio.scale", "clock.skew"]
-fit = [[20.0, 150.0]]
+fit = [[0.0, 160.0]]
 reference = { beta_deg = 0.01 }
 [fix]
 ratio.d_alpha = 0.0
@@ -205,7 +205,7 @@ def test_what_is_fixed_and_known_before_comes_from_a_file_and_the_line_and_is_st
         "second", "--settings", str(tmp_path / "fit.toml"), "--fix", "ratio.d_alpha=0.0006", out=tmp_path / "fit"
     )
     assert found["fixed"] == {"ratio.d_alpha": {"value": 0.0006, "unit": "1/deg"}}
-    assert found["segments"] == [[[20.0, 150.0]]]
+    assert found["segments"] == [[[0.0, 160.0]]]
     assert found["reference_condition"]["beta_deg"] == 0.01
     scale, skew = found["parameters"]["ratio.scale"], found["parameters"]["clock.skew"]
     assert (scale["lower"], scale["upper"], skew["prior_mean"], skew["prior_sigma"]) == (0.0, 1.0, 0.0, 0.5)

@@ -59,8 +59,8 @@ def test_tied_parameters_have_the_gradient_and_the_information_of_both() -> None
         FitProblem([record], ("ratio.scale", a, b), joint_reference([record]), FitOptions([ONSET], ties=ties))
         for ties in ((), [(b, a)])
     )
-    assert [u.label for u in tied.unknowns] == ["ratio.scale", a]
-    assert tied.unknowns[1].tied == (a, b)
+    assert [u.label for u in tied.unknowns] == ["ratio.scale", b]
+    assert tied.unknowns[1].tied == (b, a)
     at = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     separate, common = own.evaluate(at @ [0.01, 2.0]), tied.evaluate(np.array([0.01, 2.0]))
     assert common.log_likelihood == separate.log_likelihood
