@@ -14,12 +14,12 @@ import numpy as np
 from sim_heating.base.files import results_digest
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job
+from sim_heating.base.parameters import AT
 from sim_heating.campaign.carried import Carried
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
-from sim_heating.campaign.spec import FitSettings
-from sim_heating.estimation.fit import FitResult, estimate, rms_normalised_residual
+from sim_heating.campaign.spec import ManoeuvreSettings
+from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings
-from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.estimation.report.report import estimate_contents, write_fit
 from sim_heating.estimation.starts import STARTS
@@ -43,8 +43,8 @@ class FitTask:
     records  : directories, one a flight
     segments : fitted [start, end] of each record [s]
     starts   : kind of start of each record, `declared` or one of estimation.starts.STARTS
-    names    : parameters of the ratio; None for those that the records can tell
-    reference: condition that derivatives are about, by variable ([deg], [-]); that of the records where it is empty
+    settings : what is estimated, and what is known before, as data of a ManoeuvreSettings
+    reference: condition that derivatives are about, by variable ([deg], [-])
     carried  : dotted name -> value of the parameters that closing the loop found
     """
 
@@ -56,8 +56,8 @@ class FitTask:
     segments: tuple[tuple[float, float], ...]
     out: str
     starts: tuple[str, ...]
-    names: tuple[str, ...] | None
-    reference: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, Any]
+    reference: Mapping[str, float]
     carried: Mapping[str, float] = field(default_factory=dict)
     root: str | None = None
 
@@ -77,7 +77,7 @@ class FittedSpan:
 
 
 def fitted_span(
-    flight: CampaignFlight, record: Record, manoeuvre: Manoeuvre, settings: FitSettings
+    flight: CampaignFlight, record: Record, manoeuvre: Manoeuvre, settings: ManoeuvreSettings
 ) -> FittedSpan | str:
     """What is fitted of a manoeuvre, half way to its neighbours at most; where that is impossible, why.
 
@@ -144,21 +144,21 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     Parameters found in the whole record that the manoeuvre does not tell have their values from the whole record.
     """
     carried = Carried(task.carried)
-    names = list(default_names(records)) if task.names is None else list(task.names)
+    given = ManoeuvreSettings(**task.settings)
     starts = [
         None if kind == "declared" else partial(STARTS[kind], time_s=segment[0])
         for kind, segment in zip(task.starts, task.segments, strict=True)
     ]
-    fixed: dict[str, float] = {}
+    fixed = dict(given.fix)
     settings = NewtonSettings(first_values=dict(task.carried))
     while True:
         free = [name for name in carried.names if name not in fixed]
-        more: dict[str, Any] = {"fixed": fixed} if fixed else {}
         fitted = estimate(
-            records, [*names, *free] if task.names is not None or free else None, effects=carried.uses(),
-            **more, starts=starts, settings=settings, reference=task.reference,
+            records, [*(given.parameters or [DEFAULT]), *free], effects=carried.uses(), fixed=fixed, starts=starts,
+            reference={**task.reference, **given.reference_condition}, priors=given.priors, bounds=given.bounds,
+            ties=given.tie, settings=settings,
         )  # fmt: skip
-        omitted = {label.partition("@")[0] for label in fitted.not_estimated}
+        omitted = {label.partition(AT)[0] for label in fitted.not_estimated}
         added = {name: task.carried[name] for name in free if name in omitted}
         if not added:
             return fitted

@@ -42,7 +42,7 @@ from sim_heating.campaign.manoeuvre_fits import (
 )  # fmt: skip
 from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
-from sim_heating.campaign.spec import Campaign, FlightInput, load_campaign
+from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
 from sim_heating.campaign.tables import revise_tables
 from sim_heating.closure.several.batch import close_all
 from sim_heating.estimation.problem import joint_reference
@@ -271,7 +271,7 @@ def _fit_singles(
                 out = engine.out / FITS / f.name / point / m.name
                 task = FitTask(
                     point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
-                    ((span.begin_s, span.end_s),), str(out), (span.start,), _names(settings.parameters), reference,
+                    ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
                     dict(found.values),
                     None if result.campaign.root is None else str(result.campaign.root),
                 )  # fmt: skip
@@ -279,8 +279,8 @@ def _fit_singles(
     result.fits.extend(_run_fits("fits", tasks, engine, progress))
 
 
-def _names(names: Sequence[str] | None) -> tuple[str, ...] | None:
-    return None if names is None else tuple(names)
+def _as_data(settings: ManoeuvreSettings) -> dict[str, Any]:
+    return settings.model_dump(exclude_unset=True)
 
 
 def _segment(result: CampaignResult, flight: CampaignFlight, manoeuvre: Any, point: str) -> FittedSpan | str:
@@ -309,7 +309,7 @@ def _fit_jointly(
             task = FitTask(
                 point, group.name, group.name, names, tuple(str(r.directory) for r in records),
                 tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
-                tuple(s for r in good for s in r["starts"]), _names(settings.parameters),
+                tuple(s for r in good for s in r["starts"]), _as_data(settings),
                 good[0]["reference_condition"], common,
                 None if result.campaign.root is None else str(result.campaign.root),
             )  # fmt: skip

@@ -37,6 +37,7 @@ from sim_heating.base.files import (
     roots_of,
 )
 from sim_heating.campaign.flights import Manoeuvre, with_seed
+from sim_heating.inputs.fit_settings import ParameterSettings
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 
@@ -61,31 +62,31 @@ class FlightSource(Declared):
         return self
 
 
-class FitSettings(Declared):
+class ManoeuvreSettings(ParameterSettings):
     """How a manoeuvre is fitted; what is absent is as in [fit], and there as stated here.
 
     before_s, after_s : times that are fitted before and after the manoeuvre [s], 20 and 40
     start             : temperatures at the start of the fit, as `estimate --start`; `profile`
-    parameters        : dotted names, by default magnitude and the derivatives that the record can tell
+
+    By default the magnitude and the derivatives that the record can tell are estimated.
     """
 
     before_s: float | None = Field(default=None, ge=0.0, le=1000.0)
     after_s: float | None = Field(default=None, ge=0.0, le=1000.0)
     start: Literal["declared", "circuit", "profile", "filter"] | None = None
-    parameters: list[str] | None = Field(default=None, min_length=1)
 
-    def over(self, other: FitSettings) -> FitSettings:
-        """These settings, and those of `other` where these are absent."""
-        fields = FitSettings.model_fields
-        own = {name: getattr(self, name) for name in fields}
-        return FitSettings(**{n: getattr(other, n) if value is None else value for n, value in own.items()})
+    def over(self, other: ManoeuvreSettings) -> ManoeuvreSettings:
+        """These settings, and those of `other` where these are absent; tables are merged name by name."""
+        stated = {n: getattr(self, n) for n in self.model_fields_set if n in ManoeuvreSettings.model_fields}
+        merged = {n: {**getattr(other, n), **v} if isinstance(v, dict) else v for n, v in stated.items()}
+        return other.model_copy(update=merged)
 
 
-STANDARD = FitSettings(before_s=20.0, after_s=40.0, start="profile")
+STANDARD = ManoeuvreSettings(before_s=20.0, after_s=40.0, start="profile")
 """What [fit] does not state."""
 
 
-class SelectedFit(FitSettings):
+class SelectedFit(ManoeuvreSettings):
     """Settings of the fits of one flight, control point or manoeuvre; of all where it is absent."""
 
     flight: str | None = None
@@ -114,7 +115,7 @@ class CampaignFile(Declared):
     note: str = ""
     control_points: list[str] | None = Field(default=None, min_length=1)
     flight: list[FlightSource] = Field(min_length=1, description="[[flight]], at least one")
-    fit: FitSettings = FitSettings()
+    fit: ManoeuvreSettings = ManoeuvreSettings()
     fit_of: list[SelectedFit] = Field(default=[])
     joint: Joint = Joint()
     close_loop: bool = True
@@ -177,7 +178,7 @@ class Campaign:
         records = (f.records for f in self.flights if f.records is not None)
         return (self.path, self.vehicle.directory, *scenarios, *records)
 
-    def settings(self, flight: str, control_point: str, manoeuvre: Manoeuvre) -> FitSettings:
+    def settings(self, flight: str, control_point: str, manoeuvre: Manoeuvre) -> ManoeuvreSettings:
         """Settings of one fit; of several [[fit_of]] that mean it, a later one takes precedence."""
         found = self.declared.fit.over(STANDARD)
         for selected in self.declared.fit_of:

@@ -41,15 +41,13 @@ def _by_dotted_name(tables: Any) -> Any:
 Dotted = BeforeValidator(_by_dotted_name)
 
 
-class FitSettings(Declared):
-    """What is estimated, from which readings, and what is known of the parameters before."""
+class ParameterSettings(Declared):
+    """What is estimated, and what is known of the parameters before."""
 
     quantities: ClassVar = {"fix": None, "prior": None, "bound": None}
 
     parameters: list[str] | None = Field(default=None, min_length=1, description="names of parameters")
     reference: ReferenceCondition | None = None
-    start: str | None = Field(default=None, description='as `--start`, for example "circuit:650"')
-    fit: list[list[float]] | None = Field(default=None, min_length=1, description="[[start_s, end_s], ...]")
     fix: Annotated[dict[str, float], Dotted] = Field(default_factory=dict, description="name = value")
     prior: Annotated[dict[str, list[float] | Literal["flat"]], Dotted] = Field(
         default_factory=dict, description='name = [mean, sigma], or "flat"'
@@ -71,11 +69,6 @@ class FitSettings(Declared):
             raise LocatedError(*problems)
         return values
 
-    @field_validator("fit")
-    @classmethod
-    def _check_segments(cls, segments: list[list[float]] | None) -> list[list[float]] | None:
-        return Segments(fit=segments).fit
-
     @property
     def reference_condition(self) -> dict[str, float]:
         """Values that derivatives are about, by variable ([deg], log10 Re [-])."""
@@ -90,3 +83,15 @@ class FitSettings(Declared):
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Least and greatest value by name, each in the unit of the parameter."""
         return {n: (b[0], b[1]) for n, b in self.bound.items()}
+
+
+class FitSettings(ParameterSettings):
+    """What is estimated, from which readings, and what is known of the parameters before."""
+
+    start: str | None = Field(default=None, description='as `--start`, for example "circuit:650"')
+    fit: list[list[float]] | None = Field(default=None, min_length=1, description="[[start_s, end_s], ...]")
+
+    @field_validator("fit")
+    @classmethod
+    def _check_segments(cls, segments: list[list[float]] | None) -> list[list[float]] | None:
+        return Segments(fit=segments).fit
