@@ -11,8 +11,9 @@ from benchmarks.measure import Figure, table
 
 NAMES = (
     "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
-    "covariance", "end_to_end", "ground_step", "skew", "initial", "segments", "design", "estimator_speed",
-    "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases", "switched_off",
+    "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
+    "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
+    "switched_off",
     "kaowool", "dispersion", "practice", "closure", "campaign", "mutants", "kills", "concurrency",
 )  # fmt: skip
 

@@ -33,6 +33,7 @@ class Owners:
     def __init__(self, records: Sequence[Record]) -> None:
         self.records = tuple(records)
         self.points = tuple(dict.fromkeys(r.declared.control_point for r in records))
+        self._found: dict[str, list[Record]] = {}
 
     def known(self, stem: str) -> tuple[str, ...]:
         """Owners that a parameter may have, those of the fewest records first."""
@@ -43,8 +44,13 @@ class Owners:
     def covered(self, name: str) -> list[Record]:
         """The records whose parameter a name covers.
 
-        raises : InputError where no record or control point has that owner, or no record the thermocouple
+        raises : InputError where no record, flight or control point is the owner
         """
+        if name not in self._found:
+            self._found[name] = self._covered(name)
+        return self._found[name]
+
+    def _covered(self, name: str) -> list[Record]:
         stem, at, owner = name.partition(AT)
         if not at:
             return self._with_sensor(stem)

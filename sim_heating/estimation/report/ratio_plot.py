@@ -80,14 +80,16 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
 
     returns : whether there was a ratio parameter to draw
     """
-    chosen = {
-        n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in {p.name for p in RATIO}
-    }
+    known = {p.name for p in RATIO}
+    chosen = {n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in known}
     if not chosen:
         return False
-    names, index = tuple(chosen), list(chosen.values())
+    fixed = {n: v for n, v in record_fit.model.parameters.items() if n in known and n not in chosen}
+    names, index = (*chosen, *fixed), list(chosen.values())
     reference = np.array(fitted.problem.reference)
-    values, covariance = fitted.fit.values[index], fitted.bounds.covariance[np.ix_(index, index)]
+    values = np.append(fitted.fit.values[index], list(fixed.values()))
+    covariance = np.zeros((len(names), len(names)))  # what is fixed has no error
+    covariance[: len(index), : len(index)] = fitted.bounds.covariance[np.ix_(index, index)]
     samples = np.unique(np.concatenate([record_fit.sample_s[c.samples] for c in record_fit.channels]))
     flown = condition_history(record_fit.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
     variables, table = panel_variables(names), record_fit.record.ratio_table
