@@ -22,19 +22,27 @@ SHOWN_NAMES = 4
 @click.command()
 @click.argument("scenario", type=PATH)
 @OUT
+@click.option(
+    "--plot-points",
+    callback=comma_list,
+    metavar="POINT,...",
+    help="control points that are drawn, separated by commas; default: all",
+)
 @ROOT
-def run(scenario: Path, out: Path, root: Path | None) -> None:
+def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Path | None) -> None:
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.results import run_table
-    from sim_heating.simulation.run import files_of, rmse_by_point, run, summary, write_run
+    from sim_heating.simulation.run import files_of, require_points, rmse_by_point, run, summary, write_run
 
     loaded = load_scenario(scenario, root=root)
+    if plot_points is not None:
+        require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
         result = run(loaded, progress=progress)
-        names = write_run(result, out, progress=progress)
+        names = write_run(result, out, points=plot_points, progress=progress)
     found = summary(result)
     _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
     _print_run_warnings(found)

@@ -399,6 +399,14 @@ class Ensemble:
         # FILM has one row a stage; the third is that of the end of a step, where the samples are.
         return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
 
+    def heat_offsets(self) -> IntArray:
+        """(2, point) offsets in `state` of the heat that enters the wall [W/m2], and of T_sur^4 [K4], at the samples.
+
+        Source: docs/equations_thermal_step.md, equations 14 and 30.
+        """
+        rows = (block.STAGE_IN, block.STAGE_SURROUNDINGS4 + 2)
+        return np.array([[place.scalar(row) for place in self.lane_offsets] for row in rows], dtype=np.int64)
+
     @property
     def film_kg_m2_s(self) -> FloatArray:
         """(point,) film coefficient r h_ref [kg/(m2 s)] at the end of the last step: docs/equations_march.md, eq 18."""

@@ -15,6 +15,7 @@ from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
+from sim_heating.march.surface_heat import SurfaceHeat, surface_heat
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements
 
@@ -28,6 +29,7 @@ class PointHistory:
     sensors_K  : (sensor, time) temperature of each thermocouple [K], behind its lag, without its errors, noise and
                  quantisation
     ratio      : (time,) heating ratio with all corrections and effects [-]; NaN where h_ref is 0
+    heat       : heat fluxes at the surface [W/m2] and heat load [J/m2], at the same times
     nodes      : number of nodes of the mesh
     mesh_error_K : estimate of the largest error that the mesh leaves in a temperature [K]; None where a march on the
                    refined mesh did not converge
@@ -39,6 +41,7 @@ class PointHistory:
     bondline_K: FloatArray
     sensors_K: FloatArray
     ratio: FloatArray
+    heat: SurfaceHeat
     nodes: int
     mesh_error_K: float | None
 
@@ -78,8 +81,8 @@ def march_points(
     returns        : one history for each point, at the flight's times and the extra ones
     raises         : RunError where a step did not converge
 
-    The heating ratio is recovered as film coefficient over h_ref. Derived in docs/equations_march.md, equations 1, 16
-    and 18.
+    The heating ratio is recovered as film coefficient over h_ref, fluxes from the balance of the surface. Derived in
+    docs/equations_march.md, equations 1, 16 and 18.
     """
     chosen = meshes_on_flights(models, flights, longest_step_s)
     meshes = [halve_repeatedly(mesh, halvings) for mesh, _ in chosen]
@@ -88,7 +91,8 @@ def march_points(
     time = np.union1d(flights[0].time_s, np.asarray(extra_times_s, dtype=float))
     # Interpolated only where a time was added: the samples themselves are taken as they are.
     flown = [f.at(time) for f in flights] if len(time) > len(flights[0]) else list(flights)
-    out = ensemble.march(time, histories(flown), keep=np.concatenate([ensemble.outputs(), ensemble.film_offsets()]))
+    keep = np.concatenate([ensemble.outputs(), ensemble.film_offsets(), *ensemble.heat_offsets()])
+    out = ensemble.march(time, histories(flown), keep=keep)
     return _point_histories(ensemble, time, out, flown, errors_K)
 
 
@@ -110,14 +114,15 @@ def _point_histories(
     mesh_errors_K: Sequence[float | None],
 ) -> list[PointHistory]:
     points, column = [], 0
-    first_film = out.shape[1] - len(ensemble.models)
+    films, entering, surroundings = np.split(out[:, -3 * len(ensemble.models) :], 3, axis=1)
     for i, model in enumerate(ensemble.models):
         count = 2 + len(model.depths_m)
         own = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
-        ratio = np.divide(out[:, first_film + i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
+        ratio = np.divide(films[:, i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
         sensed, nodes = _sensed(model, time, own[2:]), ensemble.meshes[i].nodes
-        points.append(PointHistory(model.name, time, own[0], own[1], sensed, ratio, nodes, mesh_errors_K[i]))
+        heat = surface_heat(model, flown[i], own[0], entering[:, i], surroundings[:, i])
+        points.append(PointHistory(model.name, time, own[0], own[1], sensed, ratio, heat, nodes, mesh_errors_K[i]))
         column += count
     return points
 
@@ -182,15 +187,15 @@ def negative_ratio_s(history: PointHistory) -> float:
     return float(np.sum(np.gradient(history.time_s)[history.ratio < 0.0]))
 
 
-def peak(time_s: FloatArray, temperature_K: FloatArray) -> tuple[float, float]:
-    """Highest temperature of a history [K] and the time when it first occurs [s].
+def peak(time_s: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Highest value of a history, a temperature [K] for instance, and the time when it first occurs [s].
 
-    time_s, temperature_K : (time,) [s], [K]
+    time_s, values : (time,) [s], [K] or [W/m2]
 
     The maximum is that of docs/equations_march.md, equation 21.
     """
-    i = int(np.argmax(temperature_K))
-    return float(temperature_K[i]), float(time_s[i])
+    i = int(np.argmax(values))
+    return float(values[i]), float(time_s[i])
 
 
 def point_summary(
@@ -201,14 +206,15 @@ def point_summary(
     history : temperatures of the point [K]
     limits  : `surface_K` and `bondline_K`, limits [K]; a limit that is None or absent has no margin
     outside : excursions beyond the ratio table
-    returns : peaks [K] and their times [s], margins limit minus peak [K], positive below the limit, excursions, time of
-              negative ratio [s]
+    returns : peaks [K], [W/m2] and their times [s], limits and margins limit minus peak [K], positive below the limit,
+              heat load [J/m2], excursions, time of negative ratio [s]
 
     Derived in docs/equations_march.md, equations 19 to 21.
     """
     surface, at_s = peak(history.time_s, history.surface_K)
     bondline, bond_at_s = peak(history.time_s, history.bondline_K)
     surface_limit, bondline_limit = limits.get("surface_K"), limits.get("bondline_K")
+    flux, flux_at_s = peak(history.time_s, history.heat.convected_W_m2)
     return {
         "peak_surface_K": surface,
         "peak_surface_s": at_s,
@@ -216,6 +222,11 @@ def point_summary(
         "peak_bondline_K": bondline,
         "peak_bondline_s": bond_at_s,
         "bondline_margin_K": None if bondline_limit is None else bondline_limit - bondline,
+        "surface_limit_K": surface_limit,
+        "bondline_limit_K": bondline_limit,
+        "peak_convected_W_m2": flux,
+        "peak_convected_s": flux_at_s,
+        "heat_load_J_m2": float(history.heat.heat_load_J_m2[-1]),
         "outside_table": [vars(o) for o in outside],
         "negative_ratio_s": negative_ratio_s(history),
         "nodes": history.nodes,

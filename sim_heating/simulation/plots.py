@@ -31,6 +31,8 @@ BEFORE_S, AFTER_S = 15.0, 25.0
 """Time before and after a manoeuvre that is drawn [s]."""
 HOT_STRUCTURE = 0.95
 """Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
+LIMITS_SHOWN = 4
+"""Number of points in a picture of temperatures up to which their limits are drawn as well."""
 DRAWN_CHANGE_DEG = 0.5
 """An angle that changes less during a manoeuvre is not drawn with the one that is flown [deg]."""
 
@@ -103,19 +105,25 @@ def _plot_angles(axes: Axes, flown: Conditions, names: Sequence[str]) -> None:
 
 @replaced_if_undrawable
 def draw_temperatures(
-    path: Path | None, title: str, points: Sequence[PointHistory], windows: Sequence[Window]
+    path: Path | None,
+    title: str,
+    points: Sequence[PointHistory],
+    windows: Sequence[Window],
+    limits: Mapping[str, Mapping[str, float | None]] | None = None,
 ) -> Figure:
-    """Surface and bondline temperatures of all control points against time, legends in the order of the peaks."""
+    """Surface and bondline temperatures of control points against time, legends in the order of the peaks.
+
+    limits : `surface_K` and `bondline_K` [K] of each point, drawn dotted where a few points are
+    """
     figure, axes = new_figure(10.0, 9.0, 2, sharex=True)
-    hottest = sorted(points, key=lambda p: -float(np.max(p.surface_K)))
-    colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(hottest)))
-    style = {
-        p.name: {"color": colors[i], "linestyle": ("-", "--", "-.")[i % 3], "linewidth": 1.4}
-        for i, p in enumerate(hottest)
-    }
-    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface")
+    style = _styles(points, {p.name: p.surface_K for p in points})
+    hottest = [p for name in style for p in points if p.name == name]
+    _plot_by_peak(axes[0], {p.name: (p.time_s, p.surface_K) for p in hottest}, style, "surface temperature, K")
     insulated = [p for p in hottest if np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)]
-    _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline")
+    _plot_by_peak(axes[1], {p.name: (p.time_s, p.bondline_K) for p in insulated}, style, "bondline temperature, K")
+    if len(points) <= LIMITS_SHOWN:
+        for a, shown, key in ((axes[0], hottest, "surface_K"), (axes[1], insulated, "bondline_K")):
+            _plot_limits(a, {p.name: (limits or {}).get(p.name, {}).get(key) for p in shown}, style)
     axes[1].set_xlabel("time, s")
     for a in axes:
         _shade(a, windows)
@@ -126,15 +134,66 @@ def draw_temperatures(
     return save_figure(figure, path, title, axes)
 
 
+def _styles(points: Sequence[PointHistory], values: Mapping[str, FloatArray]) -> dict[str, dict[str, Any]]:
+    """Colour and line of each point by its name, in the order of their peaks."""
+    ordered = sorted(points, key=lambda p: -float(np.max(values[p.name])))
+    colors = mpl.colormaps["turbo"](np.linspace(0.95, 0.05, len(ordered)))
+    return {
+        p.name: {"color": colors[i], "linestyle": ("-", "--", "-.")[i % 3], "linewidth": 1.4}
+        for i, p in enumerate(ordered)
+    }
+
+
+def _plot_limits(axes: Axes, limits: Mapping[str, float | None], style: Mapping[str, dict[str, Any]]) -> None:
+    """Plot the limit of each point dotted, in its colour."""
+    for name, limit in limits.items():
+        if limit is not None:
+            label = legend_label(f"{name}, limit  {limit:.0f} K")
+            axes.axhline(limit, color=style[name]["color"], linestyle=":", linewidth=1.2, label=label)
+    if any(limit is not None for limit in limits.values()):
+        _legend_right(axes)
+
+
 def _plot_by_peak(
-    axes: Axes, lines: Mapping[str, tuple[FloatArray, FloatArray]], style: Mapping[str, dict[str, Any]], what: str
+    axes: Axes, lines: Mapping[str, tuple[FloatArray, FloatArray]], style: Mapping[str, dict[str, Any]], label: str
 ) -> None:
+    """Plot a line for each point, with its peak in the legend, in the order of the peaks.
+
+    label : quantity and unit, separated by a comma
+    """
+    unit = label.rpartition(", ")[2]
     for name in sorted(lines, key=lambda n: -float(np.max(lines[n][1]))):
-        t, T = lines[name]
-        axes.plot(t, T, label=legend_label(f"{name}  {np.max(T):.0f} K"), **style[name])
-    axes.set_ylabel(f"{what} temperature, K")
+        t, values = lines[name]
+        top = float(np.max(values))
+        axes.plot(t, values, label=legend_label(f"{name}  {top:.{0 if top >= 100.0 else 1}f} {unit}"), **style[name])
+    axes.set_ylabel(label)
     if lines:
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
+        _legend_right(axes)
+
+
+def _legend_right(axes: Axes) -> None:
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
+
+
+@replaced_if_undrawable
+def draw_heating(path: Path | None, title: str, points: Sequence[PointHistory], windows: Sequence[Window]) -> Figure:
+    """Convected, radiated and conducted heat flux and heat load of control points against time."""
+    figure, axes = new_figure(10.0, 11.0, 4, sharex=True)
+    style = _styles(points, {p.name: p.heat.convected_W_m2 for p in points})
+    panels = (
+        ("convected_W_m2", 1e3, "convected, kW/m2"),
+        ("radiated_W_m2", 1e3, "radiated, kW/m2"),
+        ("conducted_W_m2", 1e3, "conducted, kW/m2"),
+        ("heat_load_J_m2", 1e6, "heat load, MJ/m2"),
+    )
+    for a, (key, unit, label) in zip(axes, panels, strict=True):
+        _plot_by_peak(a, {p.name: (p.time_s, p.heat.columns()[key] / unit) for p in points}, style, label)
+        _shade(a, windows)
+    axes[2].axhline(0.0, color="0.3", linewidth=0.8)
+    axes[-1].set_xlabel("time, s")
+    _name_windows(axes[0], windows)
+    figure.align_ylabels(axes)
+    return save_figure(figure, path, f"{title}: heat at the surface", axes)
 
 
 @replaced_if_undrawable

@@ -28,9 +28,9 @@ from sim_heating.march.history import (
     values_at,
 )
 from sim_heating.march.point import PointModel
-from sim_heating.simulation.results import write_temperatures_csv
+from sim_heating.simulation.results import write_heating_csv, write_temperatures_csv
 
-FILES = TABLE, SUMMARY, PICTURE = "temperatures.csv", "summary.json", "prediction.png"
+FILES = TABLE, HEATING, SUMMARY, PICTURE = "temperatures.csv", "heating.csv", "summary.json", "prediction.png"
 """Files that a prediction writes."""
 
 
@@ -139,6 +139,7 @@ def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:
         bondline_K=at_samples(marched.bondline_K),
         sensors_K=at_samples(marched.sensors_K),
         ratio=at_samples(marched.ratio),
+        heat=replace(marched.heat, **{name: at_samples(values) for name, values in marched.heat.columns().items()}),
     )
 
 
@@ -168,10 +169,11 @@ def summary(prediction: Prediction) -> dict[str, object]:
 
 
 def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> list[str]:
-    """Write temperatures.csv, summary.json and a picture; returns the names of the files."""
+    """Write temperatures.csv, heating.csv, summary.json and a picture; returns the names of the files."""
     record, history = prediction.record, prediction.history
     with output_directory(out, "predict", inputs=[record.directory]) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
+        write_heating_csv(folder / HEATING, history, {})
         write_json(folder / SUMMARY, summary(prediction))
         prediction.draw(folder / PICTURE)
         return sorted(p.name for p in folder.iterdir() if p.is_file())

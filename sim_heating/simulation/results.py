@@ -29,14 +29,24 @@ UNITS = {
     "log10_re": "1", "elevon_deg": "degree", "bodyflap_deg": "degree", "rho_kg_m3": "kg m-3", "T_inf_K": "K",
     "p_inf_Pa": "Pa", "p_surface_Pa": "Pa", "h_ref_kg_m2_s": "kg m-2 s-1", "H_r_J_kg": "J kg-1", "q_add_W_m2": "W m-2",
     "jets": "1", "bank_deg": "degree", "gamma_deg": "degree", "heading_deg": "degree", "latitude_deg": "degree_north",
-    "longitude_deg": "degree_east", "qbar_Pa": "Pa", "axial_accel_g": "1",
+    "longitude_deg": "degree_east", "qbar_Pa": "Pa", "axial_accel_g": "1", "convected_W_m2": "W m-2",
+    "radiated_W_m2": "W m-2", "conducted_W_m2": "W m-2", "added_W_m2": "W m-2", "heat_load_J_m2": "J m-2",
 }  # fmt: skip
-"""Units of the conditions in the spelling of the CF conventions."""
+"""Units of conditions and fluxes in the spelling of the CF conventions."""
 
 LONG_NAMES = {
     "surface_K": "temperature of the outer surface",
     "bondline_K": "temperature at the outer face of the last layer",
     "ratio": "heating ratio with all corrections and effects",
+    "convected_W_m2": "convected heat flux into the surface, r h_ref (H_r - H_w)",
+    "radiated_W_m2": "heat flux that the surface radiates",
+    "conducted_W_m2": "heat flux conducted from the surface into the wall",
+    "added_W_m2": "known additional heat flux into the surface",
+    "heat_load_J_m2": "time integral of the convected heat flux",
+    "surface_limit_K": "limit of the surface temperature",
+    "bondline_limit_K": "limit of the bondline temperature",
+    "surface_margin_K": "limit of the surface temperature less that temperature",
+    "bondline_margin_K": "limit of the bondline temperature less that temperature",
     "sensor_K": "temperature of the sensor, behind its lag, without noise and quantisation",
     "p_surface_Pa": "pressure at the surface of the control point",
 }
@@ -47,6 +57,25 @@ def write_temperatures_csv(path: Path, time_s: FloatArray, history: PointHistory
     columns = {"time_s": time_s, "surface_K": history.surface_K, "bondline_K": history.bondline_K}
     columns |= {s.column: values for s, values in zip(sensors, history.sensors_K, strict=True)}
     write_csv(path, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
+
+
+def write_heating_csv(path: Path, history: PointHistory, limits: Mapping[str, float | None]) -> None:
+    """Write heating.csv of one control point: time_s, ratio, heat fluxes, heat load, margins to the limits that it has.
+
+    limits : `surface_K` and `bondline_K` [K]
+    """
+    columns = {"time_s": history.time_s, "ratio": history.ratio, **history.heat.columns()}
+    columns |= {name: values for name, values in _margins(history, limits).items() if np.any(np.isfinite(values))}
+    write_csv(path, columns, {"time_s": ".10g"} | {name: ".7g" for name in columns if name != "time_s"})
+
+
+def _margins(history: PointHistory, limits: Mapping[str, float | None]) -> dict[str, FloatArray]:
+    """Margins of surface and bondline [K], (time,) each; NaN without a limit."""
+    found = {}
+    for name, values in (("surface", history.surface_K), ("bondline", history.bondline_K)):
+        limit = limits.get(f"{name}_K")
+        found[f"{name}_margin_K"] = (np.nan if limit is None else limit) - values
+    return found
 
 
 def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float]) -> Table:
@@ -93,12 +122,13 @@ def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
     sensors: Mapping[str, Sequence[Sensor]],
+    limits: Mapping[str, Mapping[str, float | None]],
     attributes: Mapping[str, str],
 ) -> xr.Dataset:
     """All histories of a flight as one data set, with units and long names.
 
     flown      : conditions on the points' times
-    sensors    : sensors of each point by its name
+    sensors    : sensors of each point by its name;  limits : its `surface_K` and `bondline_K` [K]
     attributes : of the data set: title, vehicle, ...
     """
     import xarray as xr  # slow to import, and wanted only where results are written
@@ -109,6 +139,12 @@ def histories_dataset(
         key: (per_point, np.array([getattr(p, key) for p in points]), _attributes(key))
         for key in ("surface_K", "bondline_K", "ratio")
     }
+    heat = [p.heat.columns() | _margins(p, limits[p.name]) for p in points]
+    data |= {key: (per_point, np.array([h[key] for h in heat]), _attributes(key)) for key in heat[0]}
+    for name in ("surface", "bondline"):
+        known = [limits[p.name].get(f"{name}_K") for p in points]
+        values = np.array([np.nan if limit is None else limit for limit in known])
+        data[f"{name}_limit_K"] = ("control_point", values, _attributes(f"{name}_limit_K"))
     data["sensor_K"] = (
         ("sensor", "time"),
         np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +12,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.errors import error_context
-from sim_heating.base.files import display_path, output_directory, write_csv, write_json
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
@@ -23,7 +24,7 @@ from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.results import histories_dataset, write_temperatures_csv
+from sim_heating.simulation.results import histories_dataset, write_heating_csv, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window, check_samples
 from sim_heating.trajectory.jsbsim import entry as jsbsim
@@ -55,8 +56,10 @@ MANOEUVRE_VARIABLE = {
     "jet-firing": "jets",
 }
 """Column of the conditions that a manoeuvre varies."""
-SUMMARY, CONDITIONS, HISTORIES, TABLE = "summary.json", "conditions.csv", "flight.nc", "temperatures.csv"
-TRAJECTORY, TEMPERATURES, COMPARED = "trajectory.png", "temperatures.png", "compared.png"
+SUMMARY, CONDITIONS, HISTORIES = "summary.json", "conditions.csv", "flight.nc"
+OF_POINT = TABLE, HEATING = "temperatures.csv", "heating.csv"
+"""Files of each control point."""
+TRAJECTORY, TEMPERATURES, HEAT, COMPARED = "trajectory.png", "temperatures.png", "heating.png", "compared.png"
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface temperature responds most."""
 RESPONSE_S = 5.0
@@ -101,14 +104,54 @@ class RunResult:
         sensors = {name: vehicle.control_point(name).sensors for name in self.points}
         about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
         histories = [p.history for p in self.points.values()]
-        return histories_dataset(with_reference_heating(self), histories, sensors, about)
+        return histories_dataset(with_reference_heating(self), histories, sensors, self.limits, about)
 
-    def plot(self) -> Figure:
-        """Surface and bondline temperatures of all control points against time."""
+    @property
+    def limits(self) -> dict[str, dict[str, float | None]]:
+        """Limits `surface_K` and `bondline_K` [K] by control point; None where the vehicle declares none."""
+        found = {name: self.scenario.vehicle.control_point(name).limits for name in self.points}
+        return {name: {"surface_K": own.surface_K, "bondline_K": own.bondline_K} for name, own in found.items()}
+
+    def histories(self, points: Sequence[str] | None = None) -> list[PointHistory]:
+        """Histories of control points, by default of all.
+
+        points : names
+        raises : InputError with the nearest name for a point that was not flown
+        """
+        wanted = list(self.points) if points is None else list(points)
+        require_points(wanted, self.points)
+        return [self.points[name].history for name in wanted]
+
+    def plot(self, points: Sequence[str] | None = None) -> Figure:
+        """Surface and bondline temperatures of control points against time.
+
+        points : names, by default of all;  raises : InputError with the nearest name for one that was not flown
+        """
         from sim_heating.simulation.plots import draw_temperatures  # matplotlib is slow to import
 
-        histories = [p.history for p in self.points.values()]
-        return draw_temperatures(None, self.scenario.title, histories, self.flight.windows)
+        histories, limits = self.histories(points), self.limits
+        return draw_temperatures(None, self.scenario.title, histories, self.flight.windows, limits)
+
+    def plot_heating(self, points: Sequence[str] | None = None) -> Figure:
+        """Convected, radiated and conducted heat flux and heat load of control points against time.
+
+        points : names, by default of all;  raises : InputError with the nearest name for one that was not flown
+        """
+        from sim_heating.simulation.plots import draw_heating  # matplotlib is slow to import
+
+        return draw_heating(None, self.scenario.title, self.histories(points), self.flight.windows)
+
+
+def require_points(wanted: Sequence[str], flown: Collection[str], option: str = "points") -> None:
+    """Check names of control points.
+
+    raises : InputError with the nearest name for one that is not among those flown, and for no name
+    """
+    if not wanted:
+        raise InputError(f"{option}: no control point is named; name one of {', '.join(flown)}")
+    for name in wanted:
+        if name not in flown:
+            raise InputError(f"{option}: `{name}` is not a control point of this flight{suggestion(name, flown)}")
 
 
 @dataclass(frozen=True)
@@ -244,9 +287,9 @@ def summary(result: RunResult) -> dict[str, object]:
     scenario, flown = result.scenario, result.flight.conditions
     points = {}
     for name, point in result.points.items():
-        limits = scenario.vehicle.control_point(name).limits
-        bounds = {"surface_K": limits.surface_K, "bondline_K": limits.bondline_K}
-        points[name] = point_summary(point.history, bounds, table_excursions(point.model, point.conditions))
+        points[name] = point_summary(
+            point.history, result.limits[name], table_excursions(point.model, point.conditions)
+        )
     return {
         "format": "run-summary/1",
         "program": f"sim-heating {package_version()}",
@@ -269,22 +312,31 @@ def files_of(scenario: Scenario) -> list[str]:
     folders = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
     declared = scenario.declared.trajectory.manoeuvre
     manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(declared) + 1) for m in declared}
-    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, COMPARED,
-            *(f"{folder}{TABLE}" for folder in folders), *sorted(manoeuvres)]  # fmt: skip
+    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED,
+            *(f"{folder}{name}" for folder in folders for name in OF_POINT), *sorted(manoeuvres)]  # fmt: skip
 
 
 def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
 
 
-def write_run(result: RunResult, out: str | os.PathLike[str], *, progress: Progress = no_progress) -> list[str]:
-    """Write all files of a run, all together or not at all; returns their names within the directory."""
+def write_run(
+    result: RunResult,
+    out: str | os.PathLike[str],
+    *,
+    points: Sequence[str] | None = None,
+    progress: Progress = no_progress,
+) -> list[str]:
+    """Write all files of a run, all together or not at all; returns their names within the directory.
+
+    points : control points that are drawn, by default all;  raises : InputError for one that was not flown
+    """
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
         _write_histories(result, folder)
         progress(0.92, "drawing")
-        draw_run(result, folder)
+        draw_run(result, folder, points)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
     progress(1.0, "done")
     return names
@@ -315,6 +367,7 @@ def _write_histories(result: RunResult, folder: Path) -> None:
         point_folder = folder if len(result.points) == 1 else folder / name
         point_folder.mkdir(exist_ok=True)
         write_temperatures_csv(point_folder / TABLE, point.history.time_s, point.history, sensors[name])
+        write_heating_csv(point_folder / HEATING, point.history, result.limits[name])
     write_bytes_atomic(folder / HISTORIES, _netcdf(result.to_xarray()))
 
 
@@ -329,14 +382,18 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
     return bytes(file.close())
 
 
-def draw_run(result: RunResult, folder: Path) -> None:
-    """Pictures of a run: trajectory, temperatures, each manoeuvre, measured against predicted."""
+def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> None:
+    """Pictures of a run: trajectory, temperatures, heating, each manoeuvre, measured against predicted.
+
+    points : names of those that are drawn, by default all
+    """
     from sim_heating.simulation import plots  # matplotlib is slow to import
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
-    histories = [p.history for p in result.points.values()]
+    histories = result.histories(points)
     plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
-    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows)
+    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows, result.limits)
+    plots.draw_heating(folder / HEAT, title, histories, windows)
     for i, window in enumerate(windows, start=1):
         chosen = _largest_responses(histories, window)
         path = folder / _picture_of(i, window.kind)

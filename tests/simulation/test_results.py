@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from sim_heating.base.errors import InputError
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
 from tests.support.gliding import gliding
@@ -72,6 +73,33 @@ def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> 
     assert point["surface_margin_K"] == pytest.approx(limit - point["peak_surface_K"])
 
 
+def test_heating_csv_and_netcdf_hold_fluxes_heat_load_and_margins(out: Path, result: RunResult) -> None:
+    table = pd.read_csv(out / "V09T9527" / "heating.csv")
+    fluxes = ["convected_W_m2", "radiated_W_m2", "conducted_W_m2", "added_W_m2", "heat_load_J_m2"]
+    assert table.columns.tolist() == ["time_s", "ratio", *fluxes, "surface_margin_K", "bondline_margin_K"]
+    limits = result.scenario.vehicle.control_point("V09T9527").limits
+    with xr.open_dataset(out / "flight.nc", decode_timedelta=False) as data:
+        point = data.sel(control_point="V09T9527")
+        for name in (*fluxes, "surface_margin_K", "bondline_margin_K"):
+            np.testing.assert_allclose(table[name], point[name], rtol=1e-6)
+        assert point["surface_limit_K"] == limits.surface_K
+        np.testing.assert_allclose(point["bondline_margin_K"], limits.bondline_K - point["bondline_K"])
+        assert (data["convected_W_m2"].units, data["heat_load_J_m2"].units) == ("W m-2", "J m-2")
+    summary = json.loads((out / "summary.json").read_text())["control_points"]["V09T9527"]
+    assert summary["heat_load_J_m2"] == pytest.approx(table["heat_load_J_m2"].iloc[-1], rel=1e-6)
+    assert summary["peak_convected_W_m2"] == pytest.approx(table["convected_W_m2"].max(), rel=1e-6)
+
+
+def test_a_reader_chooses_the_points_of_a_picture(result: RunResult) -> None:
+    labels = [[line.get_text() for line in a.get_legend().get_texts()] for a in result.plot(["LEE_UPPER"]).axes]
+    assert all(any("limit" in text for text in panel) for panel in labels)
+    assert all("LEE_UPPER" in text for panel in labels for text in panel)
+    heating = [a.get_legend().get_texts()[0].get_text() for a in result.plot_heating(["V09T9527"]).axes]
+    assert [text.split()[-1] for text in heating] == ["kW/m2"] * 3 + ["MJ/m2"]
+    with pytest.raises(InputError, match="`V09T9528` is not a control point of this flight; did you mean `V09T9527`"):
+        result.plot(["V09T9528"])
+
+
 def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
     head = SCENARIO[: SCENARIO.index("[trajectory]")]
     (tmp_path / "again.toml").write_text(f'{head}[trajectory]\nsource = "recorded"\nfile = "{out}/conditions.csv"\n')
@@ -82,7 +110,7 @@ def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out
 
 def test_each_manoeuvre_gets_its_picture(out: Path) -> None:
     pictures = sorted(p.name for p in out.glob("*.png"))
-    assert pictures == ["manoeuvre_1_elevon-pulse.png", "temperatures.png", "trajectory.png"]
+    assert pictures == ["heating.png", "manoeuvre_1_elevon-pulse.png", "temperatures.png", "trajectory.png"]
     assert all((out / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
 
 
