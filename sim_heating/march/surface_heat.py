@@ -37,7 +37,7 @@ class SurfaceHeat:
     heat_load_J_m2: FloatArray
 
     def columns(self) -> dict[str, FloatArray]:
-        """Fluxes [W/m2] and heat load [J/m2] by the name of their column."""
+        """Fluxes [W/m2] of docs/equations.md, equation 1, and heat load [J/m2], by the name of their column."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
