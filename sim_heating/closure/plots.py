@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.report.figure import ANGLES, add_grid_and_title, new_figure
+from sim_heating.base.report.figure import ANGLES, add_grid_and_title, mark_beyond, new_figure
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
@@ -46,6 +46,9 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
         figure, axes = new_figure(9.5, 6.0, 2, sharex=True, height_ratios=[2.0, 1.0])
     else:
         figure, axes = new_figure(9.5, 4.0, 1)
+    shown = [before] if after is None else [before, after]
+    limits = np.array([_limits(residual) for residual in shown])
+    axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
     _band(axes[0], before, BEFORE, "derivatives fitted")
     if after is not None:
         _band(axes[0], after, AFTER, "with the effect")
@@ -53,7 +56,6 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
     for span in evidence.active:
         axes[0].axvspan(span.start_s, span.end_s, ymax=0.03, color="tab:red", linewidth=0)
     axes[0].set_ylabel(f"missing {before.quantity}")
-    axes[0].set_ylim(*_limits(before))
     axes[0].legend(fontsize=8, loc="best")
     for name in changed:
         label, color = ANGLES[name]
@@ -70,10 +72,12 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
 
 
 def _band(a: Axes, residual: ResidualHeating, color: str, label: str) -> None:
-    """A history with its band of SIGMAS."""
+    """A history with its band of SIGMAS; knots beyond the limits of the axes are marked at their edge."""
     t, d, s = residual.time_s, residual.delta_ratio, residual.sigma
+    low, high = a.get_ylim()
     a.fill_between(t, d - SIGMAS * s, d + SIGMAS * s, color=color, alpha=0.25, linewidth=0)
-    a.plot(t, d, color=color, linewidth=1.2, label=label)
+    a.plot(t, np.where((d >= low) & (d <= high), d, np.nan), color=color, linewidth=1.2, label=label)
+    mark_beyond(a, t, d, color)
 
 
 def _limits(residual: ResidualHeating) -> tuple[float, float]:

@@ -137,7 +137,7 @@ def _plot_sensor(a: Axes, s: FilteredSensor) -> None:
     a.plot(t, s.posterior_K - base, color=POSTERIOR, linewidth=1.0, label="a posteriori")
     _band(a, t, s.smoothed_K - base, s.smoothed_sigma_K, SMOOTHED, label="smoothed")
     a.axhline(0.0, color="0.3", linewidth=0.8)
-    shown = np.concatenate([s.read_K - base, s.prior_K - base, s.smoothed_K - base])
+    shown = np.concatenate([s.read_K - base, s.prior_K - base, s.posterior_K - base, s.smoothed_K - base])
     margin = 0.08 * float(np.ptp(shown))
     a.set_ylim(float(shown.min()) - margin, float(shown.max()) + margin)
     a.set_ylabel(f"{s.channel.sensor.name}, K")

@@ -17,6 +17,7 @@ from sim_heating.base.report.figure import (
     MEASURED,
     legend_above,
     legend_label,
+    mark_beyond,
     new_figure,
     replaced_if_undrawable,
     save_figure,
@@ -72,6 +73,8 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
         # scaled by the fitted samples: a held-out span that the model misses would flatten all others
         spread = np.nanpercentile(np.abs(scale), 99.0) if np.any(np.isfinite(scale)) else 1.0
         lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
+        for prediction, color, _ in curves:
+            mark_beyond(lower, t, prediction.residual_K[i][shown], color)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
         lower.set_ylabel("residual, K")
         legend_above(upper)

@@ -1,0 +1,158 @@
+"""The founding paper's figures over a short flight: what is drawn can be read, is in the CSVs, and is the flight's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.report.figure import mark_beyond, new_figure
+from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
+from sim_heating.campaign.flights import CampaignFlight, read_flights
+from sim_heating.cli import main
+from sim_heating.estimation.report.plots import fit_figure
+from sim_heating.simulation.predict import predict
+from tests.support.figures import named_lines, named_lines_out_of_sight, unmarked_points
+from tests.support.gliding import gliding
+from tests.support.paths import PRACTICE, TILE
+
+ONSET_DEG = 37.0
+GLIDE = f"""{gliding(130.0, "V09T9527", "V07T9730", "V07T9975", altitude_m=72000.0, velocity_m_s=6420.0)}
+[[trajectory.manoeuvre]]
+kind = "bodyflap-sweep"
+at_time_s = 30.0
+from_deg = 5.0
+to_deg = -12.0
+rate_deg_s = 3.0
+hold_s = 3.0
+[[trajectory.manoeuvre]]
+kind = "popu"
+at_time_s = 80.0
+down_deg = 5.0
+up_deg = 5.0
+rate_deg_s = 1.5
+hold_s = 2.0
+[truth]
+[[truth.effect]]
+name = "impingement-onset"
+control_points = ["V07T9975"]
+parameters = {{ alpha_onset_deg = {ONSET_DEG}, slope = 0.002 }}
+"""
+GIVEN = [1, 2, 3, 4, 5, 8, 10, 12, 13, 14, 15, 16]
+"""Figures that a flap manoeuvre and a POPU near 20,000 ft/s give."""
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> CampaignFlight:
+    """A glide through a flap manoeuvre and a POPU, measured."""
+    path = tmp_path_factory.mktemp("glide") / "glide.toml"
+    path.write_text(GLIDE)
+    return read_flights([path])[0]
+
+
+@pytest.fixture(scope="module")
+def figures(flight: CampaignFlight) -> PaperFigures:
+    """All that the glide gives."""
+    return draw_figures([flight])
+
+
+def test_a_flight_gives_its_figures_and_the_reason_for_each_other_one(figures: PaperFigures) -> None:
+    assert [f.number for f in figures.drawn] == GIVEN
+    assert set(figures.left_out) == set(DRAWINGS) - set(GIVEN)
+    assert figures.left_out[6].startswith("no pushover-pullup near Mach 12")
+    for figure in figures.drawn:
+        title = figure.figure.get_suptitle()
+        assert title.replace("\n", " ").startswith(f"Figure {figure.number}: ")
+
+
+def test_what_a_legend_names_is_seen_and_what_leaves_the_axes_is_marked(figures: PaperFigures) -> None:
+    for figure in figures.drawn:
+        assert named_lines_out_of_sight(figure.figure) == [], figure.title
+        assert unmarked_points(figure.figure) == [], figure.title
+
+
+def test_the_csvs_hold_what_is_drawn(figures: PaperFigures, tmp_path: Path) -> None:
+    names = write_figures(figures, tmp_path)
+    found = json.loads((tmp_path / "figures.json").read_text())
+    for figure in figures.drawn:
+        assert set(figure.files) == set(found["figures"][str(figure.number)]["files"]) <= set(names)
+        if figure.number in (1, 2, 3, 15):  # of words and places
+            continue
+        columns = [column for name in figure.files[1:] for column in read_columns(tmp_path / name)]
+        for _, line in named_lines(figure.figure):
+            y = np.asarray(line.get_ydata(), dtype=float)
+            assert any(_holds(column, y) for column in columns), (figure.title, line.get_label())
+
+
+def read_columns(path: Path) -> list[np.ndarray]:
+    """Columns of a CSV of numbers; an empty cell is a sample that is not there."""
+    return list(np.genfromtxt(path, delimiter=",", skip_header=2, names=True, unpack=True))
+
+
+def _holds(column: np.ndarray, y: np.ndarray) -> bool:
+    """Whether a column holds the values of a line, all of them or the first of them."""
+    return len(column) >= len(y) and np.allclose(column[: len(y)], y, rtol=1e-6, equal_nan=True)
+
+
+def test_the_onset_of_impingement_is_that_of_the_flight(figures: PaperFigures) -> None:
+    """The wind tunnel's table rises from 30 deg; the flight's own rise was put in above 37 deg."""
+    note = figures.drawn[GIVEN.index(14)].notes
+    assert note[0] == "declared table: rises from 30 deg"
+    text = note[1].partition("onset ")[2].split()
+    assert abs(float(text[0]) - ONSET_DEG) < 3.0 * float(text[2]) < 3.0
+
+
+def test_a_flight_without_manoeuvres_gives_reasons(flight: CampaignFlight) -> None:
+    still = replace(flight, manoeuvres=())
+    found = draw_figures([still], [4, 5, 8, 9, 10, 12, 14])
+    assert not found.drawn
+    assert all("no " in reason and reason.endswith("none at all") for reason in found.left_out.values())
+
+
+def test_what_the_command_refuses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = ["--out", str(tmp_path / "out")]
+    for arguments, expected in (
+        (["--only", "17"], "figure 17: the paper has figures 1 to 16"),
+        (["--only", "5,x"], "--only: `x` is not the number of a figure"),
+        (["--point", "lower"], "--point: `lower` is not PART=NAME"),
+        (["--point", "lower=NOSE"], "no flight has a record of it"),
+    ):
+        assert main(["figures", str(PRACTICE / "p06"), *arguments, *out]) == 2
+        error = capsys.readouterr().err.splitlines()
+        assert expected in error[-1]
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="is not a choice"):
+        draw_figures([PRACTICE / "p06"], [9], reference="both of them")
+
+
+def test_figures_of_a_record_that_states_no_manoeuvre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ["figures", str(PRACTICE / "p06"), "--only", "1-3,5", "--point", "lower=LS", "--out", str(out)]
+    assert main(arguments) == 0
+    assert "Figure 5 is left out: no pushover-pullup near Mach 20" in capsys.readouterr().out
+    assert sorted(p.name for p in out.glob("*.png")) == ["figure_01.png", "figure_02.png", "figure_03.png"]
+
+
+def test_points_beyond_the_axes_are_marked_at_their_edge() -> None:
+    figure, axes = new_figure(4.0, 3.0, 1)
+    x, y = np.arange(4.0), np.array([0.0, 9.0, -9.0, 0.5])
+    axes[0].plot(x, y, ".")
+    axes[0].set_ylim(-1.0, 1.0)
+    assert len(unmarked_points(figure)) == 2
+    mark_beyond(axes[0], x, y, "k")
+    assert unmarked_points(figure) == []
+    assert axes[0].get_ylim() == (-1.0, 1.0)
+
+
+def test_residuals_of_a_fit_beyond_their_panel_are_marked() -> None:
+    """The panel is scaled by one model; the residuals of another are ten times as large."""
+    small = predict(TILE)
+    large = replace(small, residual_K=10.0 * small.residual_K)
+    figure, _ = fit_figure(small.record, [(small, "tab:orange", "declared"), (large, "tab:blue", "fitted")])
+    assert unmarked_points(figure) == []
+    assert named_lines_out_of_sight(figure) == []
+    assert any(line.get_marker() in "^v" for a in figure.axes for line in a.get_lines())
