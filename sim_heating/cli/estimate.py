@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.base.parameters import AT
 from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
 
 if TYPE_CHECKING:
     from sim_heating.inputs.fit_settings import FitSettings
+    from sim_heating.inputs.record import Record
 
 ESTIMATED = "estimated"
 """Value of an option for a level of noise that the fit is to find."""
@@ -45,24 +47,36 @@ def _reference_condition(_: click.Context, __: click.Parameter, value: str | Non
     return found
 
 
-def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> list[list[float]]:
-    """Values of --fit, each `640,760`, as [start, end] times [s]."""
+def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
+    """Values of --fit, each `640,760` or `640,760@FLIGHT`: [start, end] times [s], by owner where there is one."""
     from sim_heating.base.files import plain_number
 
-    found = []
+    found: dict[str, list[list[float]]] = {}
     for item in value:
+        text, _at, owner = item.partition(AT)
         try:
-            start, end = (plain_number(part) for part in item.split(","))
+            start, end = (plain_number(part) for part in text.split(","))
         except ValueError:
             raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
         if not -math.inf < start < end < math.inf:
             raise InputError(f"--fit: {item}: give two finite times in s, the start before the end")
-        found.append([start, end])
-    return found
+        found.setdefault(owner, []).append([start, end])
+    return found.get("", []) if set(found) <= {""} else found
+
+
+def _starts(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
+    """Values of --start, each `circuit:650` or `circuit:650@FLIGHT`, by owner where there is one."""
+    found: dict[str, str] = {}
+    for item in value:
+        text, _at, owner = item.partition(AT)
+        if owner in found:
+            raise InputError(f"--start: is given twice{f' for {owner}' if owner else ''}; leave one out")
+        found[owner] = text
+    return found.get("") if set(found) <= {""} else found
 
 
 def _start(value: str | None) -> Any:
-    """Value of --start, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
+    """Where a march begins, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
     from sim_heating.base.files import plain_number, suggestion
     from sim_heating.estimation.starts import STARTS
 
@@ -134,15 +148,17 @@ def _level(text: str, hint: str) -> float:
 )
 @click.option(
     "--start",
+    multiple=True,
+    callback=_starts,
     help="initial temperatures: declared (default), or circuit, profile, filter, lost:TIME_S (lost: heating unknown "
-    "until then)",
+    "until then); behind @ the flight, record or point, where not for all",
 )
 @click.option(
     "--fit",
     "fit",
     multiple=True,
     callback=_fit_segments,
-    metavar="START,END",
+    metavar="START,END[@FLIGHT]",
     help="fit this segment of each record, times in s, in place of its own; may be repeated",
 )
 @click.option(
@@ -166,8 +182,8 @@ def estimate(
     out: Path,
     parameters: tuple[str, ...] | None,
     reference: dict[str, float],
-    start: str | None,
-    fit: list[list[float]],
+    start: Any,
+    fit: Any,
     settings_file: Path | None,
     fix: dict[str, float],
     prior: dict[str, Any],
@@ -198,11 +214,10 @@ def estimate(
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_records
 
-    loaded = [_with_fit(record, stated.fit) for record in load_records(records, root=root)]
+    loaded, starts = _with_segments(load_records(records, root=root), stated)
     files = output_files(loaded, filtered=noise is not None)
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
-        starts = [_start(stated.start)] * len(loaded)
         fitted = fit_records(
             loaded, stated.parameters, reference=stated.reference_condition, fixed=stated.fix, priors=stated.priors,
             bounds=stated.bounds, ties=stated.tie, starts=starts, process_noise=noise, progress=progress,
@@ -229,8 +244,15 @@ def estimate(
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
 
-def _with_fit(record: Any, fit: list[list[float]] | None) -> Any:
-    return record.with_fit(fit) if fit else record
+def _with_segments(records: list[Record], stated: FitSettings) -> tuple[list[Record], list[Any]]:
+    """The records with the segments that are stated for them, and where their marches start."""
+    from sim_heating.inputs.parameter_owners import Owners
+
+    owners = Owners(records)
+    segments = [owners.of_owner(stated.segments_s, record, "fit") for record in records]
+    starts = [_start(owners.of_owner(stated.starts, record, "start")) for record in records]
+    pairs = zip(records, segments, strict=True)
+    return [record.with_fit(own) if own else record for record, own in pairs], starts
 
 
 def _estimate_trend(
@@ -246,11 +268,11 @@ def _estimate_trend(
         raise InputError(f"--segments: {len(records)} records are given; segments are fitted to one record at a time")
     if stated.tie:
         raise InputError("--segments: each segment has its own parameters; leave out --tie")
-    record = _with_fit(load_record(records[0], root=root), stated.fit)
+    (record,), (start,) = _with_segments([load_record(records[0], root=root)], stated)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
         found = trend(
-            record, length_s, stated.parameters, start=_start(stated.start), reference=stated.reference_condition,
+            record, length_s, stated.parameters, start=start, reference=stated.reference_condition,
             fixed=stated.fix, priors=stated.priors, bounds=stated.bounds, progress=progress,
         )  # fmt: skip
         names = write_trend(found, out)

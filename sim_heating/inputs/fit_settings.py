@@ -3,7 +3,8 @@
 parameters = ["default", "clock.skew"]      # names of what is estimated; `default`: magnitude and derivatives
 reference = { alpha_deg = 40.0 }            # condition that derivatives are about
 start = "circuit:650"                       # where the march begins, as `--start` of `sim-heating estimate`
-fit = [[640.0, 760.0]]                      # segments in place of the record's own [s]
+fit = [[640.0, 760.0]]                      # segments in place of the record's own [s]; start and fit also by flight:
+                                            # fit = { "STS-2" = [[640.0, 760.0]], "STS-4" = [[700.0, 820.0]] }
 tie = [["stack.coating.thickness_factor"]]  # names of parameters that have one value, each a tie
 [fix]
 ratio.d_alpha = 0.0013                      # value of a parameter that is not estimated
@@ -86,12 +87,29 @@ class ParameterSettings(Declared):
 
 
 class FitSettings(ParameterSettings):
-    """What is estimated, from which readings, and what is known of the parameters before."""
+    """What is estimated, from which readings, and what is known of the parameters before.
 
-    start: str | None = Field(default=None, description='as `--start`, for example "circuit:650"')
-    fit: list[list[float]] | None = Field(default=None, min_length=1, description="[[start_s, end_s], ...]")
+    `start` and `fit` hold for all records, or by record, flight or control point; under "" for all others.
+    """
+
+    start: str | dict[str, str] | None = Field(default=None, description='as `--start`, for example "circuit:650"')
+    fit: list[list[float]] | dict[str, list[list[float]]] | None = Field(
+        default=None, min_length=1, description='[[start_s, end_s], ...], or { "FLIGHT" = [[start_s, end_s], ...] }'
+    )
 
     @field_validator("fit")
     @classmethod
-    def _check_segments(cls, segments: list[list[float]] | None) -> list[list[float]] | None:
-        return Segments(fit=segments).fit
+    def _check_segments(cls, segments: Any) -> Any:
+        for own in segments.values() if isinstance(segments, dict) else [segments]:
+            Segments(fit=own)
+        return segments
+
+    @property
+    def starts(self) -> dict[str, str]:
+        """Where marches begin, by record, flight or control point; under "" for all others."""
+        return self.start if isinstance(self.start, dict) else {} if self.start is None else {"": self.start}
+
+    @property
+    def segments_s(self) -> dict[str, list[list[float]]]:
+        """Segments [[start, end], ...] [s] by record, flight or control point; under "" for all others."""
+        return self.fit if isinstance(self.fit, dict) else {} if self.fit is None else {"": self.fit}

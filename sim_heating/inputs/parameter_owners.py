@@ -35,12 +35,6 @@ class Owners:
         self.points = tuple(dict.fromkeys(r.declared.control_point for r in records))
         self._found: dict[str, list[Record]] = {}
 
-    def known(self, stem: str) -> tuple[str, ...]:
-        """Owners that a parameter may have, those of the fewest records first."""
-        if not is_of_record(stem):
-            return self.points
-        return tuple(dict.fromkeys([*(r.name for r in self.records), *(r.flight for r in self.records), *self.points]))
-
     def covered(self, name: str) -> list[Record]:
         """The records whose parameter a name covers.
 
@@ -54,15 +48,34 @@ class Owners:
         stem, at, owner = name.partition(AT)
         if not at:
             return self._with_sensor(stem)
-        if owner not in self.known(stem):
-            what = "record, flight or control point" if is_of_record(stem) else "control point"
-            raise InputError(f"`{name}`: there is no {what} `{owner}`{suggestion(owner, self.known(stem))}")
+        if is_of_record(stem):
+            return self.owned(owner, name)
+        if owner not in self.points:
+            raise InputError(f"`{name}`: there is no control point `{owner}`{suggestion(owner, self.points)}")
+        return [r for r in self.records if r.declared.control_point == owner]
+
+    def owned(self, owner: str, name: str) -> list[Record]:
+        """The records of an owner: one, those of a flight, or those of a control point.
+
+        name   : what it is the owner of, for the message
+        raises : InputError where there is no such record, flight or control point
+        """
         # a record's own name comes first: it may be that of its control point, which others may share
-        kinds = [lambda r: r.name, lambda r: r.flight] if is_of_record(stem) else []
-        for kind in (*kinds, lambda r: r.declared.control_point):
+        for kind in (lambda r: r.name, lambda r: r.flight, lambda r: r.declared.control_point):
             if found := [r for r in self.records if kind(r) == owner]:
                 return found
-        return []
+        known = [*(r.name for r in self.records), *(r.flight for r in self.records), *self.points]
+        hint = suggestion(owner, dict.fromkeys(known))
+        raise InputError(f"`{name}`: there is no record, flight or control point `{owner}`{hint}")
+
+    def of_owner(self, values: Mapping[str, T], record: Record, name: str) -> T | None:
+        """The value that is stated for a record, by owners; that without one, under "", holds for all others.
+
+        values : owner -> value;  name : what is stated, for messages
+        """
+        owned = {owner: self.owned(owner, f"{name}{AT}{owner}") for owner in values if owner}
+        covering = [o for o, records in owned.items() if any(r is record for r in records)]
+        return values[min(covering, key=lambda o: len(owned[o]))] if covering else values.get("")
 
     def _with_sensor(self, stem: str) -> list[Record]:
         """All records; of a parameter of a thermocouple those that have it, all where none has."""

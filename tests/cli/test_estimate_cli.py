@@ -163,6 +163,13 @@ def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_p
     assert twice["fit"]["n"] == 40 * 5
 
 
+def test_each_flight_has_its_own_segment_and_start(workdir: Path, tmp_path: Path) -> None:
+    own = ["--fit", "80,130@first", "--fit", "60,120", "--start", "circuit:70@second"]
+    found = estimate("first", "second", "--parameters", "ratio.scale", *own, out=tmp_path / "fit")
+    assert found["segments"] == [[[80.0, 130.0]], [[60.0, 120.0]]]
+    assert found["fit"]["n"] == (51 + 51) * 5  # of the second flight from 70 s on
+
+
 @pytest.mark.parametrize(
     ("options", "hint"),
     [

@@ -86,6 +86,8 @@ def run_estimate(capsys, *arguments: object) -> tuple[int, str]:
         (["--tie", "ratio.scale"], "ratio.scale: ties one parameter only"),
         (["--tie", "ratio.scale=ratio.d_alpha"], "units differ: ratio.scale [1], ratio.d_alpha [1/deg]"),
         (["--tie", "ratio.scale="], "write --tie NAME=OTHER, two names or more"),
+        (["--fit", "600,700@p07"], "`fit@p07`: there is no record, flight or control point `p07`; did you mean `p06`"),
+        (["--start", "circuit:600", "--start", "circuit:610"], "--start: is given twice; leave one out"),
         (["--settings", "no.toml"], "no.toml: there is no such file"),
     ],
 )
