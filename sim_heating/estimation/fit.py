@@ -44,6 +44,7 @@ from sim_heating.estimation.inference.observability import (
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
 from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.parameter_owners import Owners
 from sim_heating.inputs.points import undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
@@ -516,12 +517,13 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
 
 
 def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
-    """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments, or has no slope in it.
+    """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments, or has no slope in it,
+    and for each control point whose records declare different tables.
 
     Outside, the table has its edge value, so that the estimate includes the difference (docs/equations.md, section 2).
     A derivative against a variable with one node is estimated, but no revision of this table can hold it.
     """
-    lines = []
+    lines = _different_tables([record_fit.record for record_fit in record_fits])
     for record_fit in record_fits:
         name, conditions = record_fit.record.name, record_fit.conditions
         fitted = conditions.at(conditions.time_s[record_fit.record.fit_mask(conditions.time_s)])
@@ -538,6 +540,28 @@ def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
             if len(axis) == 1 and f"ratio.d_{short}" in record_fit.march_names
         ]
     return lines
+
+
+def _different_tables(records: Sequence[Record]) -> list[str]:
+    """One line for each control point whose records declare different ratio tables."""
+    first: dict[str, Record] = {}
+    lines: dict[str, str] = {}
+    for record in records:
+        one = first.setdefault(record.declared.control_point, record)
+        a, b = one.ratio_table, record.ratio_table
+        same = a is b or (a is not None and b is not None and _same_nodes(a, b))
+        if not same:
+            lines.setdefault(
+                record.declared.control_point,
+                f"{one.name} and {record.name} declare different ratio tables; a common estimate is relative to each",
+            )
+    return list(lines.values())
+
+
+def _same_nodes(a: RatioTable, b: RatioTable) -> bool:
+    """Whether two tables have the same ratios at the same nodes."""
+    pairs = ((*a.axes, a.ratio), (*b.axes, b.ratio))
+    return all(np.array_equal(own, other) for own, other in zip(*pairs, strict=True))
 
 
 def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSamples]) -> list[str]:
