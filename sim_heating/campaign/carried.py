@@ -1,53 +1,64 @@
-"""What closing the loop on a whole record found, as the fits of its manoeuvres take it over.
+"""What closing the loop on whole records found, as the fits of their manoeuvres take it over.
 
 A manoeuvre is too short to find an effect in, and a fit without one that the flight has is wrong. What the whole record
-showed is therefore in the model of each of its manoeuvres: its parameters are estimated again where the manoeuvre
-tells them, and have the values of the whole record where it does not.
+showed is therefore in the model of each of its manoeuvres, with the values and bounds of the whole record as prior.
+
+Where the records of a control point each cannot tell the same names apart, all fits of the point take one of them: the
+name that most records put first among those that every one of them allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sim_heating.base.files import read_json
-from sim_heating.base.parameters import AT, EFFECT_PREFIX
+from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, SENSOR_PREFIX
 from sim_heating.closure.report import NAME
 from sim_heating.closure.statement import FOUND, NONE, ONE_OF
 from sim_heating.heating.effects import EffectUse, effects, use
 
-NOT_CARRIED = ("ratio.", "initial.")
-"""Parameters of a fit that are of its segment alone."""
+SKEW = "time-skew"
+"""Name of a clock error among the effects of a closure report."""
+OF_SENSORS = ("sensor-bias", "sensor-lag")
+"""Names of errors of thermocouples there."""
+
+Estimate = tuple[float, float]
+"""Value and standard deviation of a parameter, in its unit; 0 where it is on a bound."""
 
 
 @dataclass(frozen=True)
 class Carried:
     """What a closed loop adds to the model of a record's fits.
 
-    values   : dotted name -> value of parameters that are no part of the ratio [unit of the parameter]
+    sets     : for each thing found, the names that the record cannot tell apart, the likeliest first
+    found    : name -> dotted name of each of its parameters -> its estimate
     finding  : as closure.json states it, and what is named
     doubt    : why no table should be revised by fits of this record; empty where nothing speaks against it
     """
 
-    values: Mapping[str, float] = field(default_factory=dict)
+    sets: tuple[tuple[str, ...], ...] = ()
+    found: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
     finding: str = ""
     doubt: str = ""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Dotted names of the parameters."""
-        return tuple(self.values)
+    def estimates(self) -> dict[str, Estimate]:
+        """Dotted name -> estimate, of everything found."""
+        return {name: estimate for parameters in self.found.values() for name, estimate in parameters.items()}
 
-    def uses(self) -> tuple[EffectUse, ...]:
-        """The effects among them, at these values; parameters that are not named are nominal."""
-        found: dict[str, dict[str, float]] = {}
-        for name, value in self.values.items():
-            if name.startswith(EFFECT_PREFIX):
-                _, effect, parameter = name.split(".", 2)
-                found.setdefault(effect, {})[parameter] = value
-        return tuple(use(effect, parameters) for effect, parameters in found.items())
+
+def effect_uses(values: Mapping[str, float]) -> tuple[EffectUse, ...]:
+    """The effects among dotted names of parameters, at these values; parameters that are not named are nominal."""
+    found: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        if name.startswith(EFFECT_PREFIX):
+            _, effect, parameter = name.split(".", 2)
+            found.setdefault(effect, {})[parameter] = value
+    return tuple(use(effect, parameters) for effect, parameters in found.items())
 
 
 def read_carried(folder: Path) -> Carried:
@@ -56,28 +67,69 @@ def read_carried(folder: Path) -> Carried:
     raises : InputError where its closure.json cannot be read
     """
     report = read_json(folder / NAME)
-    finding = str(report["finding"])
-    named = " + ".join(" or ".join(names) for names in report["alternatives"])
+    finding, sets = str(report["finding"]), tuple(tuple(names) for names in report["alternatives"])
+    named = " + ".join(" or ".join(names) for names in sets)
     words = f"{finding}: {named}" if named else finding
     causes = "; ".join(f"{c['kind']}: {c['what']}" for c in report["not_effects"])
-    if causes and finding in (FOUND, ONE_OF):
-        return Carried({}, words, f"the record itself is in error ({causes}); correct it and run the campaign again")
-    if finding == NONE:
-        return Carried({}, words)
     if finding not in (FOUND, ONE_OF):
-        return Carried({}, words, "")
-    values = _carried_values(report)
-    own = {n.split(".")[1] for n in values if n.startswith(EFFECT_PREFIX)}
-    without = [name for name in own if name not in effects()]
-    if without:
-        return Carried({}, words, f"`{without[0]}` has a form of its own, which fits of manoeuvres do not take over")
-    return Carried(values, words)
+        doubt = "" if finding == NONE else f"closing the loop on the whole record ends with {words}"
+        return Carried(finding=words, doubt=doubt)
+    if causes:
+        return Carried(
+            finding=words, doubt=f"the record is in error ({causes}); correct it, and run the campaign again"
+        )
+    found = {name: _of_effect(name, report["estimated"]) for names in sets for name in names[:1]}
+    unknown = [name for name, parameters in found.items() if not parameters]
+    if unknown:
+        return Carried(finding=words, doubt=f"`{unknown[0]}` has a form of its own, which fits of manoeuvres lack")
+    return Carried(sets, found, words)
 
 
-def _carried_values(report: Mapping[str, Any]) -> dict[str, float]:
-    """Estimates of the last fit that are neither of the ratio nor of the start."""
-    return {
-        name: float(p["value"])
-        for name, p in report["estimated"].items()
-        if AT not in name and not name.startswith(NOT_CARRIED)
-    }
+def _of_effect(name: str, estimated: Mapping[str, Any]) -> dict[str, Estimate]:
+    """Estimates of a closure report that are of one effect, by dotted names; empty for an effect with another form."""
+    if name == SKEW:
+        chosen = [n for n in estimated if n == CLOCK_SKEW.name]
+    elif name in OF_SENSORS:
+        chosen = [n for n in estimated if n.startswith(SENSOR_PREFIX)]
+    else:
+        chosen = [n for n in estimated if n.startswith(f"{EFFECT_PREFIX}{name}.")] if name in effects() else []
+    return {n: (float(estimated[n]["value"]), float(estimated[n]["sigma"] or 0.0)) for n in chosen}
+
+
+def agreed(records: Sequence[Carried]) -> list[Carried]:
+    """What the records of one control point found, under one name where they allow one in common.
+
+    The values of a record that put another name first are those of the records that put this one first, on average.
+    """
+    chosen = [_with_names(c, _common_names(c, records)) for c in records]
+    of_name: dict[str, list[Mapping[str, Estimate]]] = {}
+    for c in records:
+        for name, parameters in c.found.items():
+            of_name.setdefault(name, []).append(parameters)
+    return [
+        replace(c, found={n: before.found.get(n, mean_estimates(of_name.get(n, []))) for n in c.found})
+        for c, before in zip(chosen, records, strict=True)
+    ]
+
+
+def _common_names(own: Carried, records: Iterable[Carried]) -> list[str]:
+    """For each thing that a record found, the name that most records put first among those that all allow."""
+    names = []
+    for alternatives in own.sets:
+        alike = [s for c in records for s in c.sets if set(s) & set(alternatives)]
+        common = set(alternatives).intersection(*alike)
+        firsts = Counter(s[0] for s in alike if s[0] in common)
+        names.append(max(firsts, key=lambda n: (firsts[n], n == alternatives[0])) if firsts else alternatives[0])
+    return names
+
+
+def _with_names(own: Carried, names: Sequence[str]) -> Carried:
+    return replace(own, found={name: own.found.get(name, {}) for name in names})
+
+
+def mean_estimates(several: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+    """Mean of the estimates of several records, of the parameters that all have; the largest of their bounds."""
+    if not several:
+        return {}
+    common = [n for n in several[0] if all(n in other for other in several)]
+    return {n: (sum(s[n][0] for s in several) / len(several), max(s[n][1] for s in several)) for n in common}

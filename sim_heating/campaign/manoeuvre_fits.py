@@ -15,7 +15,7 @@ from sim_heating.base.files import results_digest
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job
 from sim_heating.base.parameters import AT
-from sim_heating.campaign.carried import Carried
+from sim_heating.campaign.carried import Estimate, effect_uses
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.campaign.spec import ManoeuvreSettings
 from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
@@ -45,7 +45,7 @@ class FitTask:
     starts   : kind of start of each record, `declared` or one of estimation.starts.STARTS
     settings : what is estimated, and what is known before, as data of a ManoeuvreSettings
     reference: condition that derivatives are about, by variable ([deg], [-])
-    carried  : dotted name -> value of the parameters that closing the loop found
+    carried  : dotted name -> value and standard deviation of the parameters that closing the loop found
     """
 
     point: str
@@ -58,7 +58,7 @@ class FitTask:
     starts: tuple[str, ...]
     settings: Mapping[str, Any]
     reference: Mapping[str, float]
-    carried: Mapping[str, float] = field(default_factory=dict)
+    carried: Mapping[str, Estimate] = field(default_factory=dict)
     root: str | None = None
 
     @property
@@ -141,25 +141,28 @@ def run_fit(task: FitTask) -> bytes:
 def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     """The fit of one manoeuvre, with what closing the loop found.
 
-    Parameters found in the whole record that the manoeuvre does not tell have their values from the whole record.
+    The estimates of the whole record are priors here. A parameter on its bound there, and one that has no part in this
+    manoeuvre, has the value of the whole record.
     """
-    carried = Carried(task.carried)
+    values = {name: value for name, (value, _) in task.carried.items()}
+    priors = {name: (value, sigma) for name, (value, sigma) in task.carried.items() if sigma > 0.0}
     given = ManoeuvreSettings(**task.settings)
     starts = [
         None if kind == "declared" else partial(STARTS[kind], time_s=segment[0])
         for kind, segment in zip(task.starts, task.segments, strict=True)
     ]
-    fixed = dict(given.fix)
-    settings = NewtonSettings(first_values=dict(task.carried))
+    fixed = {**{name: value for name, value in values.items() if name not in priors}, **given.fix}
+    settings = NewtonSettings(first_values=values)
     while True:
-        free = [name for name in carried.names if name not in fixed]
+        free = [name for name in priors if name not in fixed]
+        known = {**{name: priors[name] for name in free}, **given.priors}
         fitted = estimate(
-            records, [*(given.parameters or [DEFAULT]), *free], effects=carried.uses(), fixed=fixed, starts=starts,
-            reference={**task.reference, **given.reference_condition}, priors=given.priors, bounds=given.bounds,
-            ties=given.tie, settings=settings,
+            records, [*(given.parameters or [DEFAULT]), *free], effects=effect_uses(values), fixed=fixed, priors=known,
+            bounds=given.bounds, ties=given.tie, starts=starts, settings=settings,
+            reference={**task.reference, **given.reference_condition},
         )  # fmt: skip
         omitted = {label.partition(AT)[0] for label in fitted.not_estimated}
-        added = {name: task.carried[name] for name in free if name in omitted}
+        added = {name: values[name] for name in free if name in omitted}
         if not added:
             return fitted
         fixed |= added

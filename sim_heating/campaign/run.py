@@ -28,7 +28,7 @@ from sim_heating.base.files import exclusive, output_directory, require_writable
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job, Outcome, run_batches
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.campaign.carried import Carried, read_carried
+from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import agreement, groups_of
 from sim_heating.campaign.manoeuvre_fits import (
@@ -236,6 +236,9 @@ def _carried(result: CampaignResult) -> dict[tuple[str, str], Carried]:
     for row in result.closed:
         key = (row["flight"], row["control_point"])
         found[key] = Carried() if "failed" in row else read_carried(result.out / CLOSED / row["flight"] / row["record"])
+    for point in result.points:
+        mine = [key for key in found if key[1] == point]
+        found.update(zip(mine, agreed([found[key] for key in mine]), strict=True))
     return found
 
 
@@ -272,7 +275,7 @@ def _fit_singles(
                 task = FitTask(
                     point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
                     ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
-                    dict(found.values),
+                    found.estimates,
                     None if result.campaign.root is None else str(result.campaign.root),
                 )  # fmt: skip
                 tasks.append((task, [f.records[point]]))
@@ -301,8 +304,7 @@ def _fit_jointly(
             if len(good) < 2:
                 continue
             names = tuple(r["flights"][0] for r in good)
-            found = [carried.get((name, point), Carried()).values for name in names]
-            common = {n: sum(v[n] for v in found) / len(found) for n in found[0] if all(n in v for v in found)}
+            common = mean_estimates([carried.get((name, point), Carried()).estimates for name in names])
             records = [flights[name].records[point] for name in names]
             first = next(m for name, m in group.members if name == names[0])
             settings = result.campaign.settings(names[0], point, first)

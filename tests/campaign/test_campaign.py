@@ -15,6 +15,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_json
+from sim_heating.campaign.carried import Carried, agreed
 from sim_heating.campaign.flights import read_flights
 from sim_heating.campaign.joint import agreement
 from sim_heating.cli import main
@@ -166,3 +167,20 @@ def test_the_page_names_every_flight_and_the_csv_holds_every_estimate(home: Path
     rows = (home / "out" / "fits.csv").read_text().splitlines()
     shown = [n for r in (*report["fits"], *report["joint"]) for n in r["parameters"] if not n.startswith("initial.")]
     assert len([row for row in rows if not row.startswith("#")]) == 1 + len(shown)
+
+
+def test_fits_of_one_point_take_the_name_that_all_its_records_allow() -> None:
+    coating, heat = "coating-thickness", "heat-capacity"
+    of_coating = {coating: {"effect.coating-thickness.coating_factor": (1.2, 0.01)}}
+    of_heat = {heat: {"effect.heat-capacity.coating_heat_capacity_factor": (1.18, 0.02)}}
+    undecided = Carried(((heat, coating),), of_heat, "one of")
+    records = [
+        undecided,
+        Carried(((coating, heat),), of_coating, "one of"),
+        Carried(((coating,),), of_coating, "found"),
+    ]
+    assert [tuple(c.found) for c in agreed(records)] == [(coating,)] * 3
+    assert agreed(records)[0].estimates == pytest.approx({"effect.coating-thickness.coating_factor": (1.2, 0.01)})
+    # without a name in common every record keeps its own
+    apart = [Carried(((heat,),), of_heat, "found"), Carried(((coating,),), of_coating, "found")]
+    assert [tuple(c.found) for c in agreed(apart)] == [(heat,), (coating,)]
