@@ -198,14 +198,22 @@ def draw_heating(path: Path | None, title: str, points: Sequence[PointHistory], 
 
 @replaced_if_undrawable
 def draw_manoeuvre(
-    path: Path | None, title: str, flown: Conditions, points: Sequence[PointHistory], window: Window, variable: str
+    path: Path | None,
+    title: str,
+    flown: Conditions,
+    points: Sequence[PointHistory],
+    window: Window,
+    variable: str,
+    moved: Conditions | None = None,
 ) -> Figure:
     """Thermocouple and surface temperatures about one manoeuvre; below, the angles that change.
+
+    moved : angles and jets at the rate of the simulation, where that is finer than the samples
 
     As figures 5, 10 and 13 of the founding paper.
     """
     figure, axes = new_figure(8.0, 2.1 * len(points) + 3.2, len(points) + 1, sharex=True)
-    shown = (flown.time_s >= window.start_s - BEFORE_S) & (flown.time_s <= window.end_s + AFTER_S)
+    shown = _about(flown, window)
     t = flown.time_s[shown]
     for a, point in zip(axes[:-1], points, strict=True):
         a.plot(t, point.surface_K[shown], **SURFACE)
@@ -213,7 +221,7 @@ def draw_manoeuvre(
             a.plot(t, point.sensors_K[0][shown], **THERMOCOUPLE)
         a.set_ylabel(f"{point.name}\ntemperature, K")
     axes[0].legend(loc="best", fontsize=8)
-    _plot_moving(axes[-1], flown, shown, variable)
+    _plot_moving(axes[-1], flown if moved is None else moved, window, variable)
     axes[-1].set_xlabel("time, s")
     for a in axes:
         _shade(a, [window])
@@ -221,8 +229,14 @@ def draw_manoeuvre(
     return save_figure(figure, path, f"{_manoeuvre_title(flown, window)}\n{title}", axes)
 
 
-def _plot_moving(axes: Axes, flown: Conditions, shown: np.ndarray, variable: str) -> None:
+def _about(flown: Conditions, window: Window) -> np.ndarray:
+    """(time,) which of the times are drawn about a manoeuvre."""
+    return (flown.time_s >= window.start_s - BEFORE_S) & (flown.time_s <= window.end_s + AFTER_S)
+
+
+def _plot_moving(axes: Axes, flown: Conditions, window: Window, variable: str) -> None:
     """Plot the manoeuvred variable, and dashed, on the right, the other angles that change."""
+    shown = _about(flown, window)
     t = flown.time_s[shown]
     label, color = ANGLES.get(variable, ("reaction jets, 0 to 1", "tab:red"))
     lines = axes.plot(t, flown[variable][shown], color=color, linewidth=2.2, label=label)

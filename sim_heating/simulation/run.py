@@ -394,11 +394,12 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
     plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
     plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows, result.limits)
     plots.draw_heating(folder / HEAT, title, histories, windows)
+    moved = result.flight.at_frame_rate()
     for i, window in enumerate(windows, start=1):
         chosen = _largest_responses(histories, window)
         path = folder / _picture_of(i, window.kind)
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
-        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRE_VARIABLE[window.kind])
+        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRE_VARIABLE[window.kind], moved)
     compared = compare(result)
     if compared:
         panels = [

@@ -20,7 +20,7 @@ from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData
+from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, frames_within
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, low_speed_rows
@@ -99,6 +99,7 @@ def fly(
     entry = Entry(spec, vehicle.directory)
     sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
     events: list[tuple[float, str]] = []
+    every: list[FloatArray] = []
     # A call of the kernel flies one second, so that events are known to the second without a check at every frame.
     first_speed, frames, ended = float(entry.state[pm.LAST_SPEED]), max(round(spec.rate_hz), 1), False
     while not ended:
@@ -108,6 +109,8 @@ def fly(
         _check_rows(rows)
         for row in rows:
             sampler.add(row)
+            if spec.manoeuvre:
+                every.append(row[:FRAME_LENGTH].copy())
             if on_frame is not None:
                 on_frame(row[:FRAME_LENGTH])
         now = entry.state[pm.MEMORY : pm.STARTED]
@@ -118,7 +121,7 @@ def fly(
     end_s = float(rows[-1, 0])
     windows = mv.manoeuvre_windows(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
     events += mv.manoeuvre_events(spec.manoeuvre, entry.state[pm.STARTED :], end_s)
-    return Flight(sampler.conditions(), sorted(events, key=lambda e: e[0]), windows)
+    return Flight(sampler.conditions(), sorted(events, key=lambda e: e[0]), windows, frames_within(every, windows))
 
 
 def _check_rows(rows: FloatArray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -57,13 +57,46 @@ class Window:
     end_s: float
 
 
+AFTER_MANOEUVRE_S = 5.0
+"""Time after a manoeuvre [s] in which its frames are kept: control surfaces settle."""
+
+
 @dataclass(frozen=True)
 class Flight:
-    """Sampled flight conditions, events as (time [s], text), and windows of the manoeuvres."""
+    """Sampled flight conditions, events as (time [s], text), and windows of the manoeuvres.
+
+    frames : (frame, len(FRAME)) every frame of the simulation within its manoeuvres, in the order of conditions.FRAME,
+             for pictures; none where the source has no other frames than its samples
+    """
 
     conditions: Conditions
     events: list[tuple[float, str]] = field(default_factory=list)
     windows: list[Window] = field(default_factory=list)
+    frames: FloatArray = field(default_factory=lambda: np.zeros((0, len(FRAME))))
+
+    def at_frame_rate(self) -> Conditions:
+        """The columns of conditions.FRAME at the samples, and within manoeuvres at every frame of the simulation.
+
+        Angles in [deg], jets [-]: the heating takes the samples, which are linear between them to LINE_TOLERANCE.
+        """
+        sampled = np.column_stack([self.conditions[n] for n in FRAME if n in self.conditions])
+        names = [n for n in FRAME if n in self.conditions]
+        every = np.concatenate([sampled, self.frames[:, [FRAME.index(n) for n in names]]])
+        # a frame at the time of a sample, but for a rounding, is that sample
+        _, first = np.unique(np.round(every[:, 0], 6), return_index=True)
+        return Conditions({n: np.ascontiguousarray(every[first, i]) for i, n in enumerate(names)})
+
+
+def frames_within(rows: Sequence[FloatArray], windows: Sequence[Window]) -> FloatArray:
+    """(frame, len(FRAME)) those of a flight's frames that lie within its manoeuvres or shortly after one.
+
+    rows : frames in the order of conditions.FRAME, or of ROW
+    """
+    if not rows or not windows:
+        return np.zeros((0, len(FRAME)))
+    frames = np.array(rows)[:, : len(FRAME)]
+    inside = [(frames[:, 0] >= w.start_s) & (frames[:, 0] <= w.end_s + AFTER_MANOEUVRE_S) for w in windows]
+    return frames[np.any(inside, axis=0)]
 
 
 def check_samples(flight: Flight, sample_s: float) -> None:

@@ -208,6 +208,7 @@ class ManoeuvreScript:
     def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
         self.manoeuvres = tuple(manoeuvres)
         self.script = compile_script(self.manoeuvres)
+        self._lengths_s = np.array([polygon(m)[-1][0] for m in self.manoeuvres])
         self._state = np.concatenate([np.full(len(self.manoeuvres), -1.0), np.full(3, np.nan)])
         self._now = np.empty(3)
         self._out = np.zeros(6)
@@ -221,6 +222,11 @@ class ManoeuvreScript:
         trigger_kernel(self.script, self._state, 0, len(self.manoeuvres), self._now, 0)
         offsets_kernel(self.script, self._state, 0, time_s, self._out, 0)
         return Offsets(*self._out.tolist())
+
+    def active(self, time_s: float, after_s: float = 0.0) -> bool:
+        """Whether a manoeuvre is flown at a time [s] for which `offsets` was called, or ended up to after_s [s] ago."""
+        started = self.started_s
+        return bool(np.any((started >= 0.0) & (time_s <= started + self._lengths_s + after_s)))
 
     @property
     def started_s(self) -> FloatArray:

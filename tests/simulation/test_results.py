@@ -100,6 +100,16 @@ def test_a_reader_chooses_the_points_of_a_picture(result: RunResult) -> None:
         result.plot(["V09T9528"])
 
 
+def test_a_manoeuvre_is_drawn_at_the_rate_of_the_simulation(result: RunResult) -> None:
+    (window,), moved, sampled = result.flight.windows, result.flight.at_frame_rate(), result.flight.conditions
+    within = (moved.time_s >= window.start_s) & (moved.time_s <= window.end_s)
+    rate_hz = result.scenario.declared.trajectory.rate_hz
+    np.testing.assert_allclose(np.diff(moved.time_s[within]), 1.0 / rate_hz, rtol=1e-6)
+    for name in ("alpha_deg", "elevon_deg"):
+        np.testing.assert_allclose(moved.at(sampled.time_s)[name], sampled[name], atol=1e-9)
+    assert np.ptp(moved["elevon_deg"][within]) == pytest.approx(3.0)
+
+
 def test_the_conditions_of_a_run_can_be_flown_again_as_a_recorded_trajectory(out: Path, tmp_path: Path) -> None:
     head = SCENARIO[: SCENARIO.index("[trajectory]")]
     (tmp_path / "again.toml").write_text(f'{head}[trajectory]\nsource = "recorded"\nfile = "{out}/conditions.csv"\n')

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from fmpy.simulation import settable_in_instantiated
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import suggestion
@@ -26,7 +27,16 @@ from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, standard_sound_kernel
 from sim_heating.trajectory import guidance as gd
-from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, Window
+from sim_heating.trajectory.flight import (
+    REPORT_S,
+    ROW,
+    Flight,
+    OnFrame,
+    Sampler,
+    VehicleData,
+    Window,
+    frames_within,
+)
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
 from sim_heating.trajectory.fmu.model import FmuModel, Value, accepted_value, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
@@ -51,6 +61,7 @@ class FmuFlight:
         self.start = self.model.start_values(spec.fmu)
         self.inputs = InputsOfFmu(self.model, spec, vehicle.directory, self.columns.available)
         self.sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
+        self.frames: list[FloatArray] = []
 
     def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
         """Step the FMU until the flight ends."""
@@ -84,7 +95,9 @@ class FmuFlight:
                     progress(done, f"{frame['altitude_m'] / 1e3:.1f} km, {frame['velocity_m_s']:.0f} m/s")
         end_s = frame["time_s"]
         events += self.inputs.events(end_s)
-        return Flight(self._conditions(), sorted(events, key=lambda e: e[0]), self.inputs.windows(end_s))
+        windows = self.inputs.windows(end_s)
+        flown = frames_within(self.frames, windows)
+        return Flight(self._conditions(), sorted(events, key=lambda e: e[0]), windows, flown)
 
     def _start_by_mode(self) -> dict[str, list[tuple[str, int, Value]]]:
         """Start values by the mode of the FMU in which they are set, and in the second the scheduled inputs at 0 s."""
@@ -131,6 +144,8 @@ class FmuFlight:
         # The sampler takes whole rows; columns that cannot be determined are removed again in `_conditions`.
         row = np.array([frame.get(name, 0.0) for name in ROW])
         self.sampler.add(row)
+        if self.spec.manoeuvre:
+            self.frames.append(row)
         if on_frame is not None:
             on_frame(row[: len(FRAME)])
 

@@ -7,12 +7,24 @@ them.
 
 from __future__ import annotations
 
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import standard_sound_kernel
 from sim_heating.trajectory.aero import Aero, flown_aero
-from sim_heating.trajectory.flight import REPORT_S, Flight, OnFrame, Sampler, VehicleData
+from sim_heating.trajectory.flight import (
+    AFTER_MANOEUVRE_S,
+    REPORT_S,
+    Flight,
+    OnFrame,
+    Sampler,
+    VehicleData,
+    frames_within,
+)
 from sim_heating.trajectory.guidance import ALPHA_COMMAND, EntryGuidance, Observation, first_memory, resolve_guidance
 from sim_heating.trajectory.jsbsim.host import InitialState, open_vehicle
 from sim_heating.trajectory.jsbsim.model import control_path
@@ -77,6 +89,8 @@ class JSBSimEntry:
             self._commands = Commands(self.host, aero, guidance, spec.vehicle)
             self._observer = Observer(self.host)
         self._sampler = Sampler(spec.sample_s, vehicle.reference_length_m)
+        self._frames: list[FloatArray] = []
+        self._in_manoeuvre = False
         self._frames_a_sample = whole_frames(spec.sample_s * spec.rate_hz)
         self._start(aero)
 
@@ -121,6 +135,7 @@ class JSBSimEntry:
         alpha_deg, bank_deg = self._guidance.command(observed)
         offsets = self._script.offsets(observed.time_s, observed.velocity_m_s, observed.mach)
         self._commands.write(alpha_deg, bank_deg, offsets, observed.mach, observed.velocity_m_s)
+        self._in_manoeuvre = self._script.active(observed.time_s, AFTER_MANOEUVRE_S)
 
     def step(self, on_frame: OnFrame | None = None) -> None:
         """Advance one frame and store a sample when it is due."""
@@ -128,6 +143,8 @@ class JSBSimEntry:
         host.step()
         if on_frame is not None:
             on_frame(host.read_frame())
+        if self._in_manoeuvre:
+            self._frames.append(host.read_frame(np.empty(len(FRAME))))
         # Commands change the flight at their own rate, and the sampler sees what they do between samples.
         if host.frames % self._frames_a_sample == 0 or host.frames % self.frames_a_command == 0:
             self._sampler.add(self._observer.row())
@@ -141,7 +158,9 @@ class JSBSimEntry:
         """Samples, events and manoeuvres so far."""
         end_s = self.host.time_s
         events = [*self._guidance.events, *self._script.events(end_s)]
-        return Flight(self._sampler.conditions(), sorted(events, key=lambda e: e[0]), self._script.windows(end_s))
+        windows = self._script.windows(end_s)
+        frames = frames_within(self._frames, windows)
+        return Flight(self._sampler.conditions(), sorted(events, key=lambda e: e[0]), windows, frames)
 
 
 def whole_frames(frames: float) -> int:
