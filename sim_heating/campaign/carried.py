@@ -113,13 +113,17 @@ def agreed(records: Sequence[Carried]) -> list[Carried]:
 
 
 def _common_names(own: Carried, records: Iterable[Carried]) -> list[str]:
-    """For each thing that a record found, the name that most records put first among those that all allow."""
+    """For each thing that a record found, the name that most records put first among those that all allow.
+
+    Its own first name where they have none in common; of several equally frequent names the first by the alphabet.
+    """
     names = []
     for alternatives in own.sets:
         alike = [s for c in records for s in c.sets if set(s) & set(alternatives)]
         common = set(alternatives).intersection(*alike)
         firsts = Counter(s[0] for s in alike if s[0] in common)
-        names.append(max(firsts, key=lambda n: (firsts[n], n == alternatives[0])) if firsts else alternatives[0])
+        # of names that equally many put first all records are to take the same one
+        names.append(max(sorted(firsts), key=lambda n: firsts[n]) if firsts else alternatives[0])
     return names
 
 
