@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import AT, SHORT_NAMES
+from sim_heating.base.parameters import AT, EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate
 
 MIN_SIGMA, MAX_VALUE = 1e-12, 1e3
@@ -36,18 +36,18 @@ def check_estimate(estimate: Estimate, name: str) -> None:
 
 
 def _check_whole(estimate: Estimate, name: str) -> None:
-    """No part of the ratio that is fixed, which has no bound, or that two points have in common."""
+    """No part of the ratio that is fixed, which has no bound, and no part of ratio or effects that is tied."""
     fixed = {n: p.value for n, p in estimate.fixed.items() if n.startswith("ratio.") and p.value != 0.0}
     for label, value in fixed.items():
         raise InputError(
             f"{name}, [fixed]: {label} was fixed at {value:g}, which no flight estimated, and the ratio of the fit has "
             "it; estimate again with it free, or fixed at 0"
         )
-    tied = next((n for n, other in estimate.ties.items() if n != other and n.startswith("ratio.")), None)
-    if tied is not None:
+    tied = [(n, other) for n, other in estimate.ties.items() if n != other and n.startswith(("ratio.", EFFECT_PREFIX))]
+    for label, other in tied:
         raise InputError(
-            f"{name}, [ties]: {tied} is that of several control points, and a table is of one; estimate again without "
-            "the tie"
+            f"{name}, [ties]: {label} was tied to {other}, so that its value is not that of this control point and "
+            "parameter alone; estimate again without the tie"
         )
 
 

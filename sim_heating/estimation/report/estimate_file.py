@@ -197,7 +197,7 @@ class Estimate(Extensible):
 
     def __repr__(self) -> str:
         values = ", ".join(f"{n}={p.value:.5g} +- {p.sigma:.2g} {p.unit}" for n, p in self.parameters.items())
-        names = ", ".join(Path(record).name for record in self.records)
+        names = ", ".join(self.record_names or [Path(record).name for record in self.records])
         return f"Estimate({names}: {values}; {'converged' if self.converged else 'not converged'})"
 
     @model_validator(mode="after")
