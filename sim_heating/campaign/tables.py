@@ -52,8 +52,8 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
                 "revision": made.revision,
                 "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
                 "not_written": update.not_written,
-                "chi_square": update.after.chi_square,
-                "degrees_of_freedom": len(update.after.innovation),
+                "chi_square": update.laminar.chi_square,
+                "degrees_of_freedom": update.laminar.freedom,
             })  # fmt: skip
         progress(0.7, "predicting")
         _predict_all(result, load_vehicle(place), lambda done, text: progress(0.7 + 0.3 * done, text))

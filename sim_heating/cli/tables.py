@@ -58,7 +58,7 @@ def update_tables(
             root=root,
             progress=progress,
         )
-    for part in report.update_report(updated.update, updated.errors_K):
+    for part in report.update_report(updated):
         if isinstance(part, str):
             CONSOLE.print(part)
         else:

@@ -42,7 +42,14 @@ from sim_heating.estimation.inference.observability import (
     without_stuck_sensors,
 )
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
-from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, Start, StartMaker, march_times, sensor_errors
+from sim_heating.estimation.record_fit import (
+    PredictedSamples,
+    RecordFit,
+    Start,
+    StartMaker,
+    marched_from,
+    sensor_errors,
+)
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.parameter_owners import Owners
@@ -481,15 +488,9 @@ def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
     begin = record_fit.begin_s
     # a shifted sample is read later than it was recorded
     end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
-    marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin, end)))
-    model, initial_K = record_fit.model_at(values), record_fit.initial_K(values)
-    if initial_K is not None:
-        profile = {
-            "initial": "profile",
-            "initial_profile": np.column_stack([record_fit.mesh.depth_m, initial_K]).tolist(),
-        }
-        stack = model.construction.stack.model_copy(update=profile)
-        model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
+    initial_K = record_fit.initial_K(values)
+    profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K])
+    marched, model = marched_from(record, record_fit.model_at(values), begin, end, profile)
     found = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
     return replace(found, record=record)
 

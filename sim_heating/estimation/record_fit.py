@@ -431,6 +431,22 @@ def set_parameters(
     return [record_fit.shift_s(v) for record_fit, v in pairs], [record_fit.initial_K(v) for record_fit, v in pairs]
 
 
+def marched_from(
+    record: Record, model: PointModel, begin_s: float, end_s: float, profile: FloatArray | None
+) -> tuple[Record, PointModel]:
+    """A record and a model whose march goes from one time to another.
+
+    begin_s, end_s : [s], within the conditions
+    profile        : (node, 2) depth [m] and temperature [K] at its beginning; None for what the stack declares
+    """
+    marched = replace(record, conditions=record.conditions.at(march_times(record.conditions, begin_s, end_s)))
+    if profile is not None:
+        initial = {"initial": "profile", "initial_profile": profile.tolist()}
+        stack = model.construction.stack.model_copy(update=initial)
+        model = replace(model, construction=model.construction.model_copy(update={"stack": stack}))
+    return marched, model
+
+
 def march_times(
     conditions: Conditions, begin_s: float, end_s: float, longest_step_s: float = LONGEST_STEP_S
 ) -> FloatArray:

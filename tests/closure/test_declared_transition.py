@@ -3,14 +3,17 @@ vehicle."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim_heating.cli import main
 from sim_heating.closure.close import close_loop
-from sim_heating.closure.revise.update import errors_before_and_after, prepare_update
+from sim_heating.closure.revise.effects import parameter_values
+from sim_heating.closure.revise.errors import held_fits
+from sim_heating.closure.revise.update import prepare_update
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.report.estimate_file import write_estimate
 from sim_heating.estimation.report.report import estimate_contents
@@ -64,23 +67,38 @@ def test_a_vehicle_takes_the_fitted_transition_at_this_point_and_keeps_its_own_e
     values = {u.effect.name: dict(zip((p.name for p in u.definitions), u.values, strict=True))
               for u in new.control_point(POINT).effects}  # fmt: skip
     assert values["transition"]["log10_re_onset"] == pytest.approx(2.42, abs=2e-3)
-    # The turbulent table is not revised: the factor has the 8 % that the laminar table now has.
-    assert values["transition"]["factor"] == pytest.approx(1.0 + SCALE, abs=0.01)
+    # Laminar and turbulent table both take the 8 %, so that the factor between the two stays.
+    assert values["transition"]["factor"] == 1.0
+    before, after = (v.control_point(POINT).flow.turbulent for v in (old, new))
+    assert before is not None
+    assert after is not None
+    assert np.max(after.ratio / before.ratio) == pytest.approx(1.0 + SCALE, abs=0.01)
     assert (new.directory / "vehicle.toml").read_bytes() == (old.directory / "vehicle.toml").read_bytes()
     assert new.control_point("STS96_597").effects == old.control_point("STS96_597").effects
     model, flow = point_with_vehicle_table(record, new)
     assert predict(record, model, flow=flow).segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
 
+    assert main(["update-tables", "--vehicle", "./revised/orbiter", "--revert", POINT]) == 0
+    for folder in ("ratio_tables", "control_points"):
+        for file in sorted((old.directory / folder).iterdir()):
+            assert (new.directory / folder / file.name).read_bytes() == file.read_bytes()
 
-def test_a_fit_without_the_transition_says_what_the_turbulent_table_lacks(
-    flights: Path, monkeypatch: pytest.MonkeyPatch
+
+def test_a_turbulent_table_that_points_share_stays_and_the_factor_takes_its_change(
+    flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(flights)
+    shutil.copytree(load_vehicle("orbiter").directory, tmp_path / "orbiter")
+    other = tmp_path / "orbiter" / "control_points" / "STS96_597.toml"
+    other.write_text(other.read_text().replace("STS96_597_turbulent.csv", f"{POINT}_turbulent.csv"))
     record = load_record("hot/record")
-    write_estimate("scale.json", estimate_contents(estimate(record, ["ratio.scale"])))
-    update = prepare_update("scale.json", "orbiter")
+    write_estimate("shared.json", estimate_contents(estimate(record, ["ratio.scale", ONSET])))
+    update = prepare_update("shared.json", tmp_path / "orbiter")
+    assert update.turbulent is None
+    (transition,) = (u for u in update.effects.after if u.effect.name == "transition")
+    assert parameter_values(transition)["factor"] == pytest.approx(1.0 + SCALE, abs=0.01)
+    assert held_fits(update)["record"].is_held
+
+    write_estimate("shared.json", estimate_contents(estimate(record, ["ratio.scale"])))
+    update = prepare_update("shared.json", tmp_path / "orbiter")
     assert "turbulent heating is" in update.not_written["effect.transition"]
-    errors = errors_before_and_after(update, [record])["record"]["fit"]
-    model, _ = point_with_vehicle_table(record, update.vehicle)
-    revised = predict(record, replace(model, ratio=update.table), flow=update.flow_after)
-    assert errors["after"] == revised.segment_errors()["fit"]

@@ -60,7 +60,7 @@ def test_a_table_without_sigma_has_the_slope_of_smooth_errors() -> None:
     """d2 rho/dx2 at 0 is -12 / l2: over a short excursion the slope has sigma sqrt(12) / l."""
     x = np.zeros((200, 5))
     x[:, 0] = np.linspace(39.9, 40.1, 200)
-    path = FlownPath(x, np.ones(200), np.full(200, 0.1), np.zeros(200))
+    path = FlownPath(x, np.ones(200), np.full(200, 0.1), np.zeros(200), np.ones(200))
     T = _of_default_sigma(path, projection(["ratio.scale", "ratio.d_alpha"], path, np.array([40.0, 0, 0, 0, 0])))
     expected = [DEFAULT_SIGMA, DEFAULT_SIGMA * 0.1 * np.sqrt(12.0) / CORRELATION_LENGTH["alpha_deg"]]
     assert np.sqrt(np.diag(T)) == pytest.approx(expected, rel=0.02)

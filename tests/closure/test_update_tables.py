@@ -222,7 +222,7 @@ def test_more_samples_of_the_same_path_add_no_information(workdir: Path) -> None
     with_values(inputs={"first": inputs_hash(load_record("first"))})()
     other = prepare_update("first.json", "./orbiter")
     assert len(other.flight.path.x) < 0.6 * len(one.flight.path.x)
-    np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=0.02)
+    np.testing.assert_allclose(other.laminar.after.sigma, one.laminar.after.sigma, rtol=0.02)
 
 
 def _every_second(lines: list[str]) -> list[str]:
@@ -240,8 +240,8 @@ def test_an_estimate_relative_to_another_declared_table_gives_the_same_ratio(wor
     C = smaller @ first.covariance(tuple(TRUTH)) @ smaller
     write_estimate("first.json", estimate_of(load_record("first"), values, C))
     other = prepare_update("first.json", "./orbiter")
-    np.testing.assert_allclose(other.after.ratio, one.after.ratio, rtol=1e-9)
-    np.testing.assert_allclose(other.after.sigma, one.after.sigma, rtol=1e-6)
+    np.testing.assert_allclose(other.laminar.after.ratio, one.laminar.after.ratio, rtol=1e-9)
+    np.testing.assert_allclose(other.laminar.after.sigma, one.laminar.after.sigma, rtol=1e-6)
 
 
 def test_parameters_that_the_table_cannot_represent_are_reported_and_change_nothing(workdir: Path) -> None:
@@ -312,7 +312,7 @@ def test_a_revision_states_its_origin(workdir: Path) -> None:
     made = read_json(workdir / "orbiter" / header["evidence"])
     assert made["parameters"]["ratio.scale"]["sigma"] == update.estimate.parameters["ratio.scale"].sigma
     assert made["records"][0]["inputs"].startswith("sha256:")
-    assert len(made["changed"]["ratio_after"]) == np.count_nonzero(update.changed)
+    assert len(made["changed"]["ratio_after"]) == np.count_nonzero(update.laminar.changed)
     assert main(["validate", "orbiter"]) == 0
 
 
@@ -322,7 +322,7 @@ def test_rows_of_nodes_that_did_not_change_keep_their_text(workdir: Path) -> Non
     rows = [line for line in table_of(workdir / "orbiter").read_text().splitlines() if line[0].isdigit()]
     kept = [line for line in before if line[0].isdigit()]
     same = np.array([a == b for a, b in zip(kept, rows, strict=True)])
-    np.testing.assert_array_equal(same, ~update.changed.ravel())
+    np.testing.assert_array_equal(same, ~update.laminar.changed.ravel())
     assert 0 < np.count_nonzero(same) < len(same)
 
 

@@ -6,7 +6,9 @@ another meaning. A fitted effect replaces a declared one of the same name; the o
 The table's own sigma draws the ratio parameters theta to other values than the fit's. The effects' e follow by the
 joint covariance of the fit, as the mean of a normal distribution given theta:
 
-    e = e_hat + C_e,theta C_theta^-1 (theta_table - theta_hat),    within their bounds
+    e = e_hat + C_e,theta (C_theta + F)^-1 (theta_table - theta_hat),    within their bounds
+
+with F the covariance with which a table has parameters at all, from the form that it may differ by (flown_ratio.py).
 
 Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eq. A.6.
 """
@@ -79,31 +81,43 @@ def effects_from_fit(
     estimate: Estimate,
     flight: FlightEvidence,
     table: Posterior,
+    turbulent: Posterior | None,
     path: Path,
     point: ControlPoint,
     flown: str,
     made: str,
 ) -> FittedEffects:
-    """The effects of one control point by an estimate.
+    """The effects of one control point by an estimate, but for those that its ratio table takes.
 
-    flight, table : the estimate as evidence, and the ratio table updated by it
+    flight, table   : the estimate as evidence, and the ratio table updated by it
+    turbulent       : the turbulent table updated by it, None where it stays
     path            : the control point's file
     flown, made     : records and times, and the revision's own file, for the `source` of an effect
     raises          : InputError where an effect is unknown, a value outside its bounds, or the file cannot be edited
     """
-    given_table = _values_given_table(estimate, flight, table)
+    in_table = {u.effect.name for u in flight.in_table}
+    given_table = {
+        n: v
+        for n, v in _values_given_table(estimate, flight, table, turbulent).items()
+        if n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] not in in_table
+    }
+    stays = (flight.path, point, table) if turbulent is None else None
     estimated = _parameters_by_effect(given_table)
     in_force = {e.name: e.parameters for e in estimate.effects}
     fitted, not_written = [], _record_parameters(estimate)
     for name in dict.fromkeys((*in_force, *estimated)):
+        if name in in_table:
+            continue
         used = use(name, in_force.get(name, {}) | estimated.get(name, {}))
         if used.effect.acts_on_readings:
             not_written[f"{EFFECT_PREFIX}{name}"] = OF_RECORD
         elif name not in estimated:
-            not_written[f"{EFFECT_PREFIX}{name}"] = NOT_ESTIMATED + _turbulent_left(used, flight.path, point, table)
+            not_written[f"{EFFECT_PREFIX}{name}"] = NOT_ESTIMATED + (
+                "" if stays is None else _turbulent_left(used, *stays)
+            )
         else:
             # Rounded before it is used, so that the errors reported for the revision are those of the file as written.
-            values = _on_revised_table(used, flight.path, point, table)
+            values = parameter_values(used) if stays is None else _on_revised_table(used, *stays)
             fitted.append(use(name, {n: float(f"{v:.{DIGITS}g}") for n, v in values.items()}))
     after = _merged(point.effects, fitted)
     check_count(after, point.name)
@@ -130,7 +144,7 @@ def _on_revised_table(used: EffectUse, path: FlownPath, point: ControlPoint, tab
     """Parameters of an effect for the updated table.
 
     The factor of a transition by table is on turbulent over laminar, and in the fit on both with the fitted laminar
-    ratio. The turbulent table of the vehicle is not revised, so that the factor takes the change of the laminar one.
+    ratio. Where the turbulent table cannot be revised, the factor takes the change of the laminar one.
     """
     values = parameter_values(used)
     change = _laminar_change(used, path, point, table)
@@ -148,7 +162,7 @@ def _laminar_change(used: EffectUse, path: FlownPath, point: ControlPoint, table
     weight = path.weight * path.turbulent * (path.declared > 0.0)
     if used.effect.name != TRANSITION or parameter_values(used)["by_table"] == 0.0 or not np.any(weight > 0.0):
         return 1.0
-    updated = node_weights(point.ratio.axes, path.x) @ table.ratio.ravel()
+    updated = node_weights(table.prior.axes, path.x) @ table.ratio.ravel()
     return float(np.average(updated / np.where(weight > 0.0, path.declared, 1.0), weights=weight))
 
 
@@ -165,15 +179,19 @@ def _turbulent_left(used: EffectUse, path: FlownPath, point: ControlPoint, table
     )
 
 
-def _values_given_table(estimate: Estimate, flight: FlightEvidence, table: Posterior) -> dict[str, float]:
-    """Values of the effects' parameters given the ratio of the updated table, by label."""
+def _values_given_table(
+    estimate: Estimate, flight: FlightEvidence, table: Posterior, turbulent: Posterior | None
+) -> dict[str, float]:
+    """Values of the effects' parameters given the ratio of the updated tables, by label."""
     ratio, effects = flight.evidence.names, tuple(n for n in estimate.parameters if is_effect(n))
     rho = estimate.correlation_matrix((*ratio, *effects))
     k = len(ratio)
-    shift = flight.rows @ table.ratio.ravel() - flight.at_zero - estimate.values(ratio)
+    shift = flight.parameters_of(table, turbulent, with_effects=True)[0] - estimate.values(ratio)
     scale = np.array([estimate.parameters[n].sigma for n in ratio])
-    scaled = np.divide(shift, scale, out=np.zeros(k), where=scale > 0.0)
-    follow = rho[k:, :k] @ np.linalg.lstsq(rho[:k, :k], scaled, rcond=None)[0] if k else np.zeros(len(effects))
+    per_scale = np.divide(1.0, scale, out=np.zeros(k), where=scale > 0.0)
+    # What a table leaves of the form of the fit is no shift that effects would have to follow.
+    seen = rho[:k, :k] + flight.form_covariance * np.outer(per_scale, per_scale)
+    follow = rho[k:, :k] @ np.linalg.lstsq(seen, shift * per_scale, rcond=None)[0] if k else np.zeros(len(effects))
     sigma = np.array([estimate.parameters[n].sigma for n in effects])
     values = estimate.values(effects)
     return {

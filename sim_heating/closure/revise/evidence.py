@@ -1,13 +1,16 @@
-"""Evidence of a flight on the nodes of a control point's ratio table, from an estimate and the records behind it.
+"""Evidence of a flight on a control point's ratio tables, from an estimate and the records behind it.
 
-By the estimate, the parameters of the linear model along the flown path are theta_hat +- C; by the table, with nodes n,
-they are P (W n - r_declared), the projection of closure/table_prior/flown_path.py. So H = P W,
-y = theta_hat + P r_declared, and the rank of the evidence is the number of parameters, however many samples the path
-has: nothing is counted twice.
+Along the flown path the fit gives the ratio as a function of the conditions: the declared table with magnitude and
+derivatives of the linear model, and what effects add that a table can hold (table_effects.py). This function with the
+covariance of its parameters is the evidence (flown_ratio.py). In turbulent flow the fit has the turbulent ratio
+multiplied by the same relative change; where the transition of the fit is by a turbulent table, the samples inform the
+laminar table by the laminar part 1 - G of the heating and the turbulent one by the turbulent part G.
 
-A parameter that the table cannot represent (the derivative against a variable with one node, the curvature within one
-cell) and one that is not of the ratio are marginalised: their rows and columns of C are left out. An estimate of
-effects alone is evidence of rank 0: the table stays.
+The parameters of the linear model by a table with nodes n are P (W n - r_declared), the projection of
+closure/table_prior/flown_path.py: so an estimate and a table are compared parameter by parameter.
+
+A parameter that the table cannot represent (the derivative against a variable with one node) and one that is not of the
+ratio are marginalised: their rows and columns of C are left out.
 """
 
 from __future__ import annotations
@@ -16,43 +19,105 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.sparse import csr_array, diags_array
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
-from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
+from sim_heating.closure.revise.flown_ratio import FlownRatio, shape_sigma
+from sim_heating.closure.revise.table_effects import added_ratio, derivatives, is_of_table, label
+from sim_heating.closure.table_prior.flown_path import (
+    FlownPath,
+    marched_path,
+    projection,
+    record_path,
+    turbulent_over_laminar,
+)
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
+from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, basis, declared_ratio, node_weights
 from sim_heating.inputs.points import check_reference
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 
 OUTSIDE_SHARE = 0.1
 """Share of the fitted samples outside a table's axes above which it is not updated."""
+MOST_SAMPLES = 240
+"""Samples of the path that are kept as evidence, evenly chosen."""
+LEAST_PART = 0.002
+"""Laminar, or turbulent, part of the heating of a sample that informs the table of it [-]."""
+OF_START = "initial."
+"""Begin of the names of unknown temperatures at the start of a fit."""
+LEAST_WEIGHT = 1e-5
+"""Weight of all samples together, of 1, below which a table is not informed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FlightEvidence:
-    """An estimate as evidence on a table.
+    """An estimate as evidence on a control point's tables.
 
-    evidence    : on the nodes of the table
-    rows        : (k, node) the evidence's parameters as linear combinations of the nodes, less `at_zero`
+    evidence    : on the nodes of the laminar table, one row a parameter of the linear model
+    rows        : (k, node) the parameters as linear combinations of the nodes, less `at_zero`
     at_zero     : (k,) their values for a ratio of 0
+    P           : (k, sample) projection of a ratio along the path on the parameters
     path        : the samples behind it, those inside the table
     outside     : number of samples outside the table
+    laminar     : the ratio of the fit where the flow was laminar; None where it never was, or nothing of the ratio was
+                  estimated
+    turbulent   : the ratio of the fit where it was turbulent; None where no turbulent table is revised
+    in_table    : the effects of the fit that the ratio includes
     not_written : parameter -> why it is not in the table
     """
 
     evidence: Evidence
     rows: FloatArray
     at_zero: FloatArray
+    P: FloatArray
     path: FlownPath
     outside: int
+    laminar: FlownRatio | None
+    turbulent: FlownRatio | None
+    in_table: tuple[EffectUse, ...]
     not_written: dict[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters of the linear model."""
+        return self.evidence.names
+
+    def parameters_of(
+        self, laminar: Posterior, turbulent: Posterior | None, *, with_effects: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """(k,) values and (k,) sigmas of the parameters by tables, each in its unit.
+
+        turbulent    : where a turbulent table is revised, else None
+        with_effects : whether the tables include the effects that the estimate adds to them
+        The errors of the two tables are taken to be one: their sigmas are added.
+        """
+        parts = [(laminar, self._laminar_part)]
+        if turbulent is not None:
+            parts.append((turbulent, self.path.turbulent / self.path.by_table))
+        at_zero = self.at_zero if with_effects else self.P @ self.path.declared
+        value, sigma = -at_zero, np.zeros(len(at_zero))
+        for table, part in parts:
+            rows = csr_array(self.P @ (diags_array(part) @ node_weights(table.prior.axes, self.path.x)).toarray())
+            value = value + rows @ table.ratio.ravel()
+            sigma = sigma + table.sigma_along(rows)
+        return value, sigma
+
+    @property
+    def form_covariance(self) -> FloatArray:
+        """(k, k) covariance of the parameters as tables with the form of the fit have them."""
+        flown = self.laminar or self.turbulent
+        k = len(self.names)
+        return np.zeros((k, k)) if flown is None else flown.form_covariance(self.names)
+
+    @property
+    def _laminar_part(self) -> FloatArray:
+        return np.ones(len(self.path.x)) if self.turbulent is None else 1.0 - self.path.turbulent
 
 
 def is_effect(label: str) -> bool:
@@ -66,13 +131,20 @@ def ratio_names(estimate: Estimate) -> tuple[str, ...]:
 
 
 def flight_evidence(
-    estimate: Estimate, records: Sequence[Record], vehicle: Vehicle, point: ControlPoint
+    estimate: Estimate,
+    records: Sequence[Record],
+    vehicle: Vehicle,
+    point: ControlPoint,
+    laminar: RatioTable | None = None,
+    turbulent: RatioTable | None = None,
 ) -> FlightEvidence:
-    """The evidence of an estimate on the nodes of a control point's table.
+    """The evidence of an estimate on the nodes of a control point's tables.
 
-    records : those behind the estimate, in its order
-    raises  : InputError where the ratio is over another reference heating, the path leaves the table, or the records
-              are not those of the estimate
+    records   : those behind the estimate, in its order
+    laminar   : the point's table before any revision; by default the one in force
+    turbulent : its turbulent table before any revision, where that is to be revised too
+    raises    : InputError where the ratio is over another reference heating, the path leaves the table, or the records
+                are not those of the estimate
     """
     if not estimate.converged:
         raise InputError(
@@ -96,24 +168,158 @@ def flight_evidence(
     for record in records:
         check_reference(record, vehicle, point)
     path, outside = _path(estimate, records), 0
-    H, at_zero, representable = np.zeros((0, point.ratio.ratio.size)), np.zeros(0), np.zeros(0, dtype=bool)
-    if names:
+    in_table = _in_table(estimate, point, path)
+    if names or in_table:
         path, outside = _inside(path, point)
-        P = projection(names, path, estimate.reference_condition.values())
-        # H = P W, with the multilinear weights W
-        H = np.asarray((node_weights(point.ratio.axes, path.x).T @ P.T).T)
-        at_zero = P @ path.declared
-        representable = _representable(names, path, point.ratio)
-    written = tuple(n for n, h in zip(names, representable, strict=True) if h)
+    has_slope = [len(axis) > 1 for axis in point.ratio.axes]
+    second = [has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
+    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
+    written = tuple(n for n in names if possible[n])
     if not written and not effects:
         raise InputError(f"the table of {point.name} has too few nodes for {', '.join(names)}; add nodes there")
-    rows = H[representable]
+    fit = _FittedRatio(estimate, written, in_table, records[0])
+    by_table = turbulent is not None and _by_table(fitted_use(estimate, TRANSITION))
+    part = np.where(by_table, 1.0 - path.turbulent, 1.0)
+    P, rows = np.zeros((0, len(path.x))), np.zeros((0, point.ratio.ratio.size))
+    if names:
+        kept = [names.index(n) for n in written]
+        P = projection(names, path, fit.about)[kept]
+        # H = P W, with the multilinear weights W
+        rows = np.asarray((node_weights(point.ratio.axes, path.x).T @ (P * part).T).T)
+    at_zero = P @ (path.declared + fit.added(path.x))
+    value = P @ (part * fit.ratio(path.x, path.declared))
     nodes = np.flatnonzero(np.any(rows != 0.0, axis=0))
-    value = estimate.values(written) + at_zero[representable]
     evidence = Evidence(written, nodes, rows[:, nodes], value, estimate.covariance(written))
+    flown: list[FlownRatio | None] = [None, None]
+    if written or in_table:
+        marched = _marched(estimate, records)
+        flown[0] = _flown(fit, marched, laminar or point.ratio, by_table, is_turbulent=False)
+        if by_table and turbulent is not None:
+            flown[1] = _flown(fit, marched, turbulent, by_table, is_turbulent=True)
     not_written = dict.fromkeys(set(names) - set(written), "the table has too few nodes for it")
     not_written |= dict.fromkeys((n for n in others if not is_effect(n)), "is neither of the ratio table nor an effect")
-    return FlightEvidence(evidence, rows, at_zero[representable], path, outside, dict(sorted(not_written.items())))
+    return FlightEvidence(
+        evidence, rows, at_zero, P, path, outside, flown[0], flown[1], in_table, dict(sorted(not_written.items()))
+    )
+
+
+def _evenly(count: int) -> BoolArray:
+    """(count,) mask of at most MOST_SAMPLES samples."""
+    chosen = np.zeros(count, dtype=bool)
+    chosen[:: -(-count // MOST_SAMPLES)] = True
+    return chosen
+
+
+def _by_table(transition: EffectUse | None) -> bool:
+    """Whether a transition takes its turbulent ratio from a table."""
+    if transition is None:
+        return False
+    names = [p.name for p in transition.effect.parameters]
+    return transition.values[names.index("by_table")] > 0.0
+
+
+def _in_table(estimate: Estimate, point: ControlPoint, path: FlownPath) -> tuple[EffectUse, ...]:
+    """The estimated effects that a ratio table can hold, and that the vehicle does not declare as effects."""
+    declared = {u.effect.name for u in point.effects}
+    labels = [n.removeprefix(EFFECT_PREFIX).rpartition(".")[0] for n in estimate.parameters if is_effect(n)]
+    found = [fitted_use(estimate, name) for name in dict.fromkeys(labels) if name not in declared]
+    return tuple(used for used in found if used is not None and is_of_table(used, path.x[_evenly(len(path.x))]))
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedRatio:
+    """The ratio of a fit as a function of the conditions.
+
+    names    : parameters of the linear model that a table can represent
+    in_table : effects that it takes
+    record   : whose declared tables are multiplied; of several records the first, as they are of one point
+    """
+
+    estimate: Estimate
+    names: tuple[str, ...]
+    in_table: tuple[EffectUse, ...]
+    record: Record
+
+    @property
+    def about(self) -> FloatArray:
+        return self.estimate.reference_condition.values()
+
+    def added(self, x: FloatArray) -> FloatArray:
+        """(sample,) ratio that the effects add [-] at (sample, 5) conditions."""
+        return sum((added_ratio(used, x, self.about) for used in self.in_table), start=np.zeros(len(x)))
+
+    def ratio(self, x: FloatArray, declared: FloatArray) -> FloatArray:
+        """(sample,) laminar ratio [-], with the (sample,) ratio of the declared table."""
+        ratio = declared + self.added(x)
+        if not self.names:
+            return ratio
+        return ratio + basis(self.names, x, self.about, declared) @ self.estimate.values(self.names)
+
+    def laminar_at(self, x: FloatArray) -> FloatArray:
+        """(sample,) laminar ratio [-] at any conditions."""
+        return self.ratio(x, declared_ratio(self.record.ratio_table, x))
+
+    def turbulent_at(self, x: FloatArray) -> FloatArray:
+        """(sample,) turbulent ratio [-] at any conditions."""
+        declared = declared_ratio(self.record.ratio_table, x)
+        return self.ratio(x, declared) * turbulent_over_laminar(self.record, x, declared)
+
+    def derivatives(self, x: FloatArray, declared: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+        """Labels of the parameters, and (sample, k) the derivatives of the laminar ratio with respect to them.
+
+        A parameter without a sigma, as one on its bound, is fixed.
+        """
+        known = self.estimate.parameters
+        labels, columns = self.names, [basis(self.names, x, self.about, declared)] if self.names else []
+        for used in self.in_table:
+            own = {label(used, p.name): p.name for p in used.effect.parameters}
+            free = {k: n for k, n in own.items() if k in known and known[k].sigma > 0.0}
+            labels = (*labels, *free)
+            columns.append(derivatives(used, tuple(free.values()), x, self.about))
+        return labels, np.concatenate(columns, axis=1)
+
+
+def _marched(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
+    """The samples on which the fitted temperatures of all records depend, at most MOST_SAMPLES."""
+    transition, parts = fitted_use(estimate, TRANSITION), []
+    for i, record in enumerate(records):
+        whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
+        segments = record.declared.segments.fit or whole if estimate.segments is None else estimate.segments[i]
+        start = estimate.starts[i] if estimate.starts is not None else None
+        begin = float(record.conditions.time_s[0]) if start is None else start.time_s
+        if start is None and any(n.startswith(OF_START) for n in estimate.parameters):
+            begin = segments[0][0]
+        parts.append(marched_path(record, segments, begin, transition))
+    path = FlownPath(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FlownPath)))
+    return path.subset(_evenly(len(path.x)))
+
+
+def _flown(
+    fit: _FittedRatio, path: FlownPath, table: RatioTable, by_table: bool, *, is_turbulent: bool
+) -> FlownRatio | None:
+    """The ratio of a fit where the flow was laminar, or turbulent; None where it was so for too short a time.
+
+    table    : before any revision;  by_table : whether a turbulent table takes what was turbulent
+    """
+    # (dT/dr)^2 of a wall near radiation equilibrium at equal ratio; path.weight is the square of the heat flux.
+    weight = path.weight**0.25
+    weight = weight / np.sum(weight)
+    part = np.ones(len(path.x))
+    if by_table:
+        part = path.turbulent if is_turbulent else 1.0 - path.turbulent
+    weight, used = weight * part**2, part >= LEAST_PART
+    for axis, x in zip(table.axes, path.x.T, strict=True):
+        used &= (len(axis) == 1) | ((x >= axis[0]) & (x <= axis[-1]))
+    if np.sum(weight[used]) < LEAST_WEIGHT:
+        return None
+    path, weight = path.subset(used), weight[used]
+    factor = path.by_table if is_turbulent else np.ones(len(path.x))
+    labels, B = fit.derivatives(path.x, path.declared)
+    return FlownRatio(
+        labels, path.x, weight, factor * fit.ratio(path.x, path.declared), factor[:, None] * B,
+        fit.estimate.covariance(labels), shape_sigma(table, path.x, weight),
+        fit.turbulent_at if is_turbulent else fit.laminar_at,
+    )  # fmt: skip
 
 
 def _path(estimate: Estimate, records: Sequence[Record]) -> FlownPath:
@@ -143,12 +349,3 @@ def _inside(path: FlownPath, point: ControlPoint) -> tuple[FlownPath, int]:
             )
         out |= beyond
     return path.subset(~out), int(np.count_nonzero(out))
-
-
-def _representable(names: Sequence[str], path: FlownPath, table: RatioTable) -> BoolArray:
-    """(k,) whether the nodes can represent each parameter: a slope needs two, a curvature one within the excursion."""
-    has_slope = [len(axis) > 1 for axis in table.axes]
-    has_curvature = [np.any((a > x.min()) & (a < x.max())) for a, x in zip(table.axes, path.x.T, strict=True)]
-    second = [has_curvature[i] if i == j else has_slope[i] and has_slope[j] for i, j in SECOND_ORDER]
-    possible = dict(zip((p.name for p in RATIO), (True, True, *has_slope, *second), strict=True))
-    return np.array([possible[name] for name in names], dtype=bool)

@@ -7,9 +7,9 @@ founding paper: the table before, the flight's estimate where it flew, the table
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,15 @@ from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
+from sim_heating.closure.revise.errors import HeldFit, errors_before_and_after, held_fits
 from sim_heating.closure.revise.evidence import ratio_names
-from sim_heating.closure.revise.revisions import RevisionFile, revising
+from sim_heating.closure.revise.revision_file import RevisionFile
+from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.update import (
     MIN_P_VALUE,
+    TableChange,
     TableUpdate,
-    changed_nodes,
     check_target,
-    errors_before_and_after,
     prepare_update,
     write_update,
 )
@@ -62,17 +63,19 @@ class UpdatedTables:
 
     update   : the estimate as evidence, the table before and after
     errors_K : by record, RMSE and largest error [K] of plain predictions before and after
+    held     : record of the estimate -> how well the new tables hold the fit of it
     vehicle  : directory of the revised vehicle; None where nothing was written
     revision : what was written; None where nothing was
     """
 
     update: TableUpdate
     errors_K: dict[str, dict[str, Any]]
+    held: dict[str, HeldFit]
     vehicle: Path | None = None
     revision: RevisionFile | None = None
 
     def __repr__(self) -> str:
-        nodes = int(np.count_nonzero(self.update.changed))
+        nodes = int(np.count_nonzero(self.update.laminar.changed))
         number = "not written" if self.revision is None else f"revision {self.revision.revision}"
         return f"<UpdatedTables of {self.update.point.name}: {nodes} nodes changed, {number}>"
 
@@ -124,34 +127,42 @@ def update_tables(
         update = prepare_update(fit, vehicle, records, point, root)
         progress(0.1, "predicting with the table before and after")
         errors = errors_before_and_after(update, load_records([*update.records, *checks], root=root))
+        held = held_fits(update)
         if dry_run:
-            return UpdatedTables(update, errors)
-        return UpdatedTables(update, errors, *write_update(update, target, errors, draw_update))
+            return UpdatedTables(update, errors, held)
+        content = {name: asdict(h) for name, h in held.items()}
+        return UpdatedTables(update, errors, held, *write_update(update, target, errors, draw_update, content))
 
 
-def update_report(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> Iterator[Table | str]:
-    """The tables and lines of an update, in the order in which they are printed.
-
-    errors : as `errors_before_and_after` gives them
-    """
-    if np.any(update.changed):
-        yield _difference_table(update)
-    else:
-        yield f"{update.point.name}: no node of the ratio table changes"
+def update_report(updated: UpdatedTables) -> Iterator[Table | str]:
+    """The tables and lines of an update, in the order in which they are printed."""
+    update = updated.update
+    for change, what in zip(update.changes, ("ratio table", "turbulent ratio table"), strict=False):
+        if change.is_change:
+            yield _difference_table(update, change, what)
+        else:
+            yield f"{update.point.name}: no node of the {what} changes"
+        for variable, places in change.nodes_added.items():
+            added = ", ".join(f"{p:g}" for p in places)
+            yield f"{what}: {'nodes' if len(places) > 1 else 'a node'} added in {variable} at {added}"
+    for used in update.flight.in_table:
+        yield f"{EFFECT_PREFIX}{used.effect.name}: is in the ratio table, which has nodes where it bends"
     if update.flight.evidence.names:
         yield _parameters_table(update)
     if update.effects.written:
         yield _effects_table(update)
-    yield _errors_table(errors)
+    yield _errors_table(updated.errors_K)
+    yield _held_table(updated.held)
+    yield from _not_held(updated.held)
     yield from _cautions(update)
 
 
-def _difference_table(update: TableUpdate) -> Table:
+def _difference_table(update: TableUpdate, changed: TableChange, what: str) -> Table:
     """The nodes that change most, by their sigma before."""
-    nodes = {name: np.array(values) for name, values in changed_nodes(update).items()}
+    nodes = {name: np.array(values) for name, values in changed.changed_nodes().items()}
     change = np.abs(nodes["ratio_after"] - nodes["ratio_before"]) / np.maximum(nodes["sigma_before"], 1e-300)
     shown = np.sort(np.argsort(-change, kind="stable")[:MAX_ROWS])
-    count = f"{len(change)} of {update.table.ratio.size} nodes change"
+    count = f"{len(change)} of {changed.table.ratio.size} nodes of the {what} change"
     some = f", the {len(shown)} that change most by their sigma" if len(shown) < len(change) else ""
     old = update.history.revision
     columns = [
@@ -210,6 +221,25 @@ def _errors_table(errors: dict[str, dict[str, Any]]) -> Table:
     return Table("RMSE of plain predictions with the vehicle before and after", columns, rows)
 
 
+def _held_table(held: Mapping[str, HeldFit]) -> Table:
+    columns: list[Column | str] = [
+        "record", Column("noise floor", "noise_floor_K", ".2f", "K"), Column("fit", "fit_K", ".2f", "K"),
+        Column("table before", "before_K", ".2f", "K"), Column("after", "after_K", ".2f", "K"),
+        Column("after, from entry", "from_entry_K", ".2f", "K"),
+    ]  # fmt: skip
+    rows = [[n, h.noise_floor_K, h.fit_K, h.before_K, h.after_K, h.from_entry_K] for n, h in held.items()]
+    return Table("RMSE on the fitted samples, from where the fit began", columns, rows)
+
+
+def _not_held(held: Mapping[str, HeldFit]) -> Iterator[str]:
+    """What of the fit the tables do not hold, with what it costs."""
+    for name, h in held.items():
+        if not h.is_held:
+            yield f"{name}: {h.after_K:.2f} K with the tables, {h.fit_K:.2f} K with the fit; not all of it is in them:"
+        for what, loss in sorted(h.not_held.items(), key=lambda item: -item[1]):
+            yield f"{name}: not in the tables: {what}, {loss:.2f} K"
+
+
 def _cautions(update: TableUpdate) -> Iterator[str]:
     """Lines that a person should read before trusting the revision."""
     for name, reason in update.not_written.items():
@@ -224,16 +254,16 @@ def _cautions(update: TableUpdate) -> Iterator[str]:
         )
     if update.flight.outside:
         yield f"{update.flight.outside} fitted samples lay outside the table and were omitted"
-    if update.after.p_value < MIN_P_VALUE:
-        n = len(update.after.innovation)
-        yield (
-            "The flight is farther from the table than its sigma allows (chi-square "
-            f"{update.after.chi_square:.1f} on {n}, p-value {update.after.p_value:.1g}): the sigma column or the "
-            "estimate's bounds are too small"
-        )
-    negative = int(np.count_nonzero((update.table.ratio < 0.0) & (update.history.table.ratio >= 0.0)))
-    if negative:
-        yield f"{negative} nodes become negative, by little more than correlation with distant ones; see the picture"
+    for change in update.changes:
+        if change.p_value < MIN_P_VALUE:
+            yield (
+                "The flight is farther from the table than its sigma allows (chi-square "
+                f"{change.chi_square:.1f} on {change.freedom}, p-value {change.p_value:.1g}): the sigma column or the "
+                "estimate's bounds are too small"
+            )
+        negative = int(np.count_nonzero((change.table.ratio < 0.0) & (change.old.ratio >= 0.0)))
+        if negative:
+            yield f"{negative} nodes become negative, by little more than correlation with others; see the picture"
 
 
 @replaced_if_undrawable
@@ -251,12 +281,12 @@ def draw_update(path: Path, update: TableUpdate) -> None:
 
 def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     """Ratio against one variable: table before and after, and the estimate where it was flown."""
-    axis, flown = update.history.table.axes[i], update.flight.path.x[:, i]
+    axis, flown = update.table.axes[i], update.flight.path.x[:, i]
     reference = update.estimate.reference_condition.values()
     x = panel_conditions(i, reference, flown, axis)
     nodes = along_variable(reference, i, axis[(axis >= x[0, i]) & (axis <= x[-1, i])])
-    _plot_table(a, i, update.before, x, nodes, "table before", BEFORE)
-    _plot_table(a, i, update.after, x, nodes, "table after", AFTER)
+    _plot_table(a, i, update.laminar.before, x, nodes, "table before", BEFORE)
+    _plot_table(a, i, update.laminar.after, x, nodes, "table after", AFTER)
     inside = x[(x[:, i] >= flown.min()) & (x[:, i] <= flown.max())]
     names = ratio_names(update.estimate)
     values, covariance = update.estimate.values(names), update.estimate.covariance(names)

@@ -5,6 +5,7 @@
     ratio_revisions/P/revision_2.json      how revision 2 was made from revision 1: provenance, evidence, changed nodes
     ratio_revisions/P/revision_2.png       and its picture, where nodes changed
     ratio_revisions/P/revision_1.toml      control_points/P.toml before revision 2, where that wrote effects
+    ratio_revisions/P/revision_1.turbulent.csv    the turbulent table before revision 2, where that revised it
 
 All files of a revision appear together, or go together when it is reverted, also where the program is killed; one
 process at a time revises a vehicle. Evidence is kept as a whole: a later update starts from the table before the first
@@ -17,22 +18,16 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import chain, pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     DIGEST,
-    Declared,
-    LocatedError,
-    Location,
     check,
     digest_matches,
     display_path,
@@ -40,159 +35,28 @@ from sim_heating.base.files import (
     json_text,
     raw_text,
     read_json,
-    repeated_name,
     replace_files,
-    suggestion,
     text_digest,
     with_digest,
 )
 from sim_heating.base.files.text import abbreviated
-from sim_heating.base.parameters import RATIO
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.closure.revise.checks import MIN_SIGMA
-from sim_heating.estimation.report.estimate_file import EstimatedParameter, is_correlation
+from sim_heating.closure.revise.flown_ratio import FlightMeasurement
+from sim_heating.closure.revise.revision_file import RevisedTurbulent, RevisionFile, StoredEvidence
 from sim_heating.heating.ratio.table import RatioTable, ratio_table_text, read_ratio_table
-from sim_heating.heating.ratio.uncertainty import Evidence, Posterior, posterior
+from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, on_axes, posterior
 from sim_heating.inputs.vehicle import Vehicle
 
 FOLDER = "ratio_revisions"
+TURBULENT = "turbulent.csv"
+"""Kind of file of a turbulent table before a revision."""
 WAIT_S = 3600.0
 """Longest wait for another process that revises the same vehicle [s]; its predictions may take minutes."""
 RATIO_TOLERANCE, SIGMA_TOLERANCE = 1e-5, 2e-3
 """Relative differences of ratio and sigma by which a table may be away from what its evidence makes it: it is rounded
 to 6 and 4 digits."""
-LARGEST = 1e9
-"""Largest weight, value or covariance that evidence is taken to have."""
 ROUNDING = 1e-6
 """Difference that counts as rounding, relative to the largest value of a table."""
-
-
-class UsedRecord(Declared):
-    """A record behind a revision: hash of its files, and the times that were used."""
-
-    record: str
-    inputs: str
-    segments: list[list[float]]
-
-    @model_validator(mode="after")
-    def _check(self) -> UsedRecord:
-        wrong = [i for i, s in enumerate(self.segments) if len(s) != 2 or s[0] > s[1]]
-        if wrong:
-            raise LocatedError(*((("segments", i), f"{self.segments[i]} is not [start_s, end_s]") for i in wrong))
-        return self
-
-
-class StoredEvidence(Declared):
-    """`heating.ratio.uncertainty.Evidence` as a file contains it."""
-
-    names: list[str]
-    nodes: list[int]
-    H: list[list[float]]
-    value: list[float]
-    covariance: list[list[float]]
-
-    @model_validator(mode="after")
-    def _check(self) -> StoredEvidence:
-        known, k, m = [p.name for p in RATIO], len(self.names), len(self.nodes)
-        problems: list[tuple[Location, str]] = [
-            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, known)}")
-            for i, n in enumerate(self.names)
-            if n not in known
-        ]
-        if repeated_name(self.names) is not None:
-            problems.append((("names",), f"`{repeated_name(self.names)}` occurs twice"))
-        if any(a >= b for a, b in pairwise([-1, *self.nodes])):
-            problems.append((("nodes",), "must be the numbers of nodes, 0 or above, each larger than the one before"))
-        problems += _shape_problems("H", self.H, k, m) + _shape_problems("covariance", self.covariance, k, k)
-        if len(self.value) != k:
-            problems.append((("value",), f"has {len(self.value)} values for {k} names"))
-        numbers = {"H": chain(*self.H), "value": self.value, "covariance": chain(*self.covariance)}
-        for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
-            if largest > LARGEST:
-                problems.append(((key,), f"contains {largest:g}, beyond {LARGEST:g}, which no flight gives"))
-        if not problems and (rule := _covariance_rule(np.array(self.covariance).reshape(k, k))):
-            problems.append((("covariance",), rule))
-        if problems:
-            raise LocatedError(*problems)
-        return self
-
-    def arrays(self) -> Evidence:
-        """The evidence as arrays, for the update."""
-        nodes = np.array(self.nodes, dtype=np.int64)
-        return Evidence(tuple(self.names), nodes, np.array(self.H), np.array(self.value), np.array(self.covariance))
-
-
-def _shape_problems(key: str, rows: list[list[float]], height: int, width: int) -> list[tuple[Location, str]]:
-    """Why a list of rows is not a matrix of this shape."""
-    if len(rows) != height:
-        return [((key,), f"has {len(rows)} rows for {height} names")]
-    ragged = [(i, row) for i, row in enumerate(rows) if len(row) != width]
-    return [((key, i), f"has {len(row)} values where there must be {width}") for i, row in ragged]
-
-
-def _covariance_rule(covariance: FloatArray) -> str | None:
-    """Why a square matrix is not a covariance; None where it is one."""
-    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
-        return "is not symmetric"
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if np.any(sigma < MIN_SIGMA) or not is_correlation(covariance / np.outer(sigma, sigma)):
-        return "is not positive definite"
-    return None
-
-
-class WrittenEffect(Declared):
-    """A written effect: its values, and those declared before, None where it was not declared."""
-
-    name: str
-    parameters: dict[str, float]
-    before: dict[str, float] | None
-
-
-class RevisionFile(Declared):
-    """Contents of ratio_revisions/P/revision_N.json.
-
-    table        : path of the table below the vehicle
-    parent       : number of the revision that it was made from
-    parent_hash, table_hash : of the two files' bytes
-    estimate     : hash of the estimate's file
-    parameters   : estimates of the ratio and of written effects
-    effects      : those written into the control point's file
-    point_parent_hash, point_hash : of that file's bytes before and after; None where no effect was written
-    not_written  : estimated parameters that are not in the vehicle, with the reason
-    reach        : distances from which on the errors of two nodes are taken to be independent
-    chi_square   : of all evidence against the table before any of it
-    changed      : nodes with another value: the five variables, ratio and sigma before and after
-    """
-
-    format: Literal["ratio-revision/1"] = "ratio-revision/1"
-    control_point: str
-    table: str
-    revision: int
-    parent: int
-    parent_hash: str
-    table_hash: str
-    program: str
-    estimate: str
-    records: list[UsedRecord]
-    reference_condition: dict[str, float]
-    parameters: dict[str, EstimatedParameter]
-    effects: list[WrittenEffect] = Field(default=[])
-    point_parent_hash: str | None = None
-    point_hash: str | None = None
-    not_written: dict[str, str]
-    reach: dict[str, float]
-    chi_square: float
-    degrees_of_freedom: int
-    evidence: StoredEvidence
-    errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
-    changed: dict[str, list[float]]
-
-    @model_validator(mode="after")
-    def _check(self) -> RevisionFile:
-        if self.parent != self.revision - 1:
-            rule = f"{self.parent} is not the revision before {self.revision}, which is {self.revision - 1}"
-            raise LocatedError((("parent",), rule))
-        return self
 
 
 @dataclass(frozen=True)
@@ -205,6 +69,7 @@ class TableHistory:
     revision  : its number
     base      : the table before the first update; the one in force where there was none
     revisions : those added to `base` since, the oldest first
+    measured  : what each of them took from a flight
     """
 
     path: Path
@@ -213,6 +78,17 @@ class TableHistory:
     revision: int
     base: RatioTable
     revisions: tuple[RevisionFile, ...]
+    measured: tuple[FlightMeasurement, ...] = ()
+
+    @property
+    def reach(self) -> Mapping[str, float]:
+        """Variable -> distance from which on the errors of two nodes are independent, by the newest revision."""
+        return self.revisions[-1].reach if self.revisions else CORRELATION_LENGTH
+
+    def posterior(self) -> Posterior:
+        """The table in force by its sigma column and the evidence of its revisions."""
+        axes = self.table.axes
+        return posterior(on_axes(self.base, axes), [m.on(axes) for m in self.measured], self.reach)
 
 
 def table_path(vehicle: Vehicle, point: str) -> Path:
@@ -223,10 +99,19 @@ def table_path(vehicle: Vehicle, point: str) -> Path:
     name = vehicle.control_point(point).declared.ratio_table
     if Path(name).parts[0] == FOLDER:
         raise InputError(f"{point}: its `ratio_table` is {name}, an earlier revision; name the one in force first")
-    sharing = [p.name for p in vehicle.control_points.values() if p.declared.ratio_table == name and p.name != point]
+    sharing = _sharing(vehicle, point, name)
     if sharing:
         raise InputError(f"{name}: is the table of {', '.join(sharing)} too; give {point} its own copy first")
     return vehicle.directory / name
+
+
+def _sharing(vehicle: Vehicle, point: str, name: str) -> list[str]:
+    """Other points with the same table, laminar or turbulent."""
+    return [
+        p.name
+        for p in vehicle.control_points.values()
+        if name in (p.declared.ratio_table, p.declared.ratio_table_turbulent) and p.name != point
+    ]
 
 
 def read_history(vehicle: Vehicle, point: str) -> TableHistory:
@@ -248,23 +133,62 @@ def read_history(vehicle: Vehicle, point: str) -> TableHistory:
     text, at = raw, int(number)
     while (made := revision_path(vehicle.directory, point, at, "json")).is_file():
         revision = _read_revision(made, point, at)
-        # A table that was edited no longer is what its evidence made it, and further updates would build on both.
-        if revision.table_hash != text_digest(text):
-            raise InputError(
-                f"{display_path(tables[0])}: was changed after {display_path(made)} was written; revert the change, or "
-                "give the table a new `revision`"
-            )
-        tables.insert(0, revision_path(vehicle.directory, point, revision.parent, "csv"))
-        text, at = raw_text(tables[0]), revision.parent
-        if revision.parent_hash != text_digest(text):
-            raise InputError(
-                f"{display_path(tables[0])}: is not the table that {display_path(made)} was made from; restore it"
-            )
+        parent = revision_path(vehicle.directory, point, revision.parent, "csv")
+        text, at = _parent_text(tables[0], text, parent, made, revision), revision.parent
+        tables.insert(0, parent)
         revisions.insert(0, revision)
     _refuse_half_written(vehicle.directory, point, int(number))
     history = TableHistory(path, raw, table, int(number), read_ratio_table(tables[0]), tuple(revisions))
-    _check_evidence(vehicle.directory, history, tables[1:])
-    return history
+    return _with_measurements(vehicle.directory, history, tables[1:], [r.evidence for r in revisions])
+
+
+def read_turbulent_history(vehicle: Vehicle, history: TableHistory, point: str) -> TableHistory | str | None:
+    """The turbulent table of a control point and the revisions of it.
+
+    history : of the laminar table, whose revisions they are
+    returns : None where the point has none; one line where it has one that cannot be revised
+    raises  : InputError where it is not the one that its revisions make
+    """
+    name = vehicle.control_point(point).declared.ratio_table_turbulent
+    if name is None:
+        return None
+    if sharing := _sharing(vehicle, point, name):
+        return f"{name} is the table of {', '.join(sharing)} too; give {point} its own copy"
+    path = vehicle.directory / name
+    raw, table = raw_text(path), read_ratio_table(path)
+    if table.sigma is None:
+        return f"{name} has no sigma column to weigh the flight against; add one"
+    revisions = [r for r in history.revisions if r.turbulent is not None]
+    tables, text = [path], raw
+    for revision in reversed(revisions):
+        made = revision_path(vehicle.directory, point, revision.revision, "json")
+        parent = revision_path(vehicle.directory, point, revision.parent, TURBULENT)
+        assert revision.turbulent is not None
+        text = _parent_text(tables[0], text, parent, made, revision.turbulent)
+        tables.insert(0, parent)
+    found = TableHistory(path, raw, table, history.revision, read_ratio_table(tables[0]), tuple(revisions))
+    stored = [r.turbulent.evidence for r in revisions if r.turbulent is not None]
+    return _with_measurements(vehicle.directory, found, tables[1:], stored)
+
+
+def _parent_text(path: Path, text: str, parent: Path, made: Path, hashes: RevisionFile | RevisedTurbulent) -> str:
+    """The text of the table that a revision was made from.
+
+    path, text : the table that it made
+    raises     : InputError where one of the two is another one
+    """
+    # A table that was edited no longer is what its evidence made it, and further updates would build on both.
+    if hashes.table_hash != text_digest(text):
+        raise InputError(
+            f"{display_path(path)}: was changed after {display_path(made)} was written; revert the change, or "
+            "give the table a new `revision`"
+        )
+    before = raw_text(parent)
+    if hashes.parent_hash != text_digest(before):
+        raise InputError(
+            f"{display_path(parent)}: is not the table that {display_path(made)} was made from; restore it"
+        )
+    return before
 
 
 def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
@@ -287,35 +211,49 @@ def _read_revision(file: Path, point: str, number: int) -> RevisionFile:
     return revision
 
 
-def _check_evidence(directory: Path, history: TableHistory, tables: Sequence[Path]) -> None:
-    """Check that the evidence of the revisions is on nodes of the table, and makes the tables that are there.
+def _with_measurements(
+    directory: Path, history: TableHistory, tables: Sequence[Path], stored: Sequence[StoredEvidence]
+) -> TableHistory:
+    """A history with what its revisions took from flights, which makes the tables that are there.
 
-    tables : of the revisions, in their order
-    raises : InputError naming the revision
+    tables, stored : of the revisions, in their order
+    raises         : InputError naming the revision
     """
-    base = history.base
-    for k, (revision, path) in enumerate(zip(history.revisions, tables, strict=True)):
+    measured: list[FlightMeasurement] = []
+    before = history.base
+    for revision, path, evidence in zip(history.revisions, tables, stored, strict=True):
         name = display_path(revision_path(directory, revision.control_point, revision.revision, "json"))
-        if max(revision.evidence.nodes, default=-1) >= base.ratio.size:
-            raise InputError(
-                f"{name}, [evidence]: `nodes`: {max(revision.evidence.nodes)} is not a node of the table, which has "
-                f"{base.ratio.size}; restore the file"
-            )
-        made = posterior(base, [r.evidence.arrays() for r in history.revisions[: k + 1]])
+        try:
+            measured.append(evidence.measurement(history.base))
+        except InputError as error:
+            raise InputError(f"{name}, [evidence]: {error}") from None
         table = read_ratio_table(path)
-        agrees = (
-            table.sigma is not None
-            and table.ratio.shape == made.ratio.shape
-            and (
-                np.allclose(table.ratio, made.ratio, rtol=RATIO_TOLERANCE, atol=ROUNDING * np.abs(made.ratio).max())
-                and np.allclose(table.sigma, made.sigma, rtol=SIGMA_TOLERANCE, atol=ROUNDING * made.sigma.max())
-            )
-        )
-        if not agrees:
+        if not _makes(history.base, measured, revision.reach, before, table):
             raise InputError(
                 f"{name}: its evidence does not make the table {display_path(path)}; restore both files, or give the "
                 "table a new `revision`"
             )
+        before = table
+    return replace(history, measured=tuple(measured))
+
+
+def _makes(
+    base: RatioTable, measured: Sequence[FlightMeasurement], reach: Mapping[str, float], before: RatioTable,
+    table: RatioTable,
+) -> bool:  # fmt: skip
+    """Whether evidence makes a table, to rounding.
+
+    base : the table before any of it;  before : the table before the last of it
+    """
+    if any(not np.all(np.isin(a, b)) for a, b in zip(before.axes, table.axes, strict=True)) or table.sigma is None:
+        return False
+    made = posterior(on_axes(base, table.axes), [m.on(table.axes) for m in measured], reach)
+    old = on_axes(before, table.axes)
+    assert old.sigma is not None  # of a table that was revised
+    sigma = np.minimum(made.sigma, old.sigma)
+    return np.allclose(
+        table.ratio, made.ratio, rtol=RATIO_TOLERANCE, atol=ROUNDING * np.abs(made.ratio).max()
+    ) and np.allclose(table.sigma, sigma, rtol=SIGMA_TOLERANCE, atol=ROUNDING * sigma.max())
 
 
 def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
@@ -323,11 +261,11 @@ def table_posterior(vehicle: Vehicle, point: str) -> Posterior | None:
 
     raises : InputError where the table was changed after its revision was written
     """
-    base, evidence = vehicle.control_point(point).ratio, list[Evidence]()
     if (vehicle.directory / FOLDER / point).is_dir():
         history = read_history(vehicle, point)
-        base, evidence = history.base, [r.evidence.arrays() for r in history.revisions]
-    return None if base.sigma is None else posterior(base, evidence)
+        return None if history.base.sigma is None else history.posterior()
+    table = vehicle.control_point(point).ratio
+    return None if table.sigma is None else posterior(table, [])
 
 
 def _refuse_half_written(directory: Path, point: str, number: int) -> None:
@@ -365,36 +303,39 @@ def write_revision(
     made: Mapping[str, Any],
     point_texts: tuple[str, str],
     picture: bytes | None = None,
+    turbulent: tuple[TableHistory, RatioTable] | None = None,
 ) -> RevisionFile:
-    """Write the next revision, all files of it together: the old ones kept, its origin, the effects, and the table.
+    """Write the next revision, all files of it together: the old ones kept, its origin, the effects, and the tables.
 
     history     : as the table is now
     made        : the fields of a RevisionFile that do not follow from the files
     point_texts : the control point's file as it is now and as it is to be
     picture     : of the update; None where there is none
-    raises      : InputError where table or control point are no longer the given ones; nothing is written then
+    turbulent   : the turbulent table as it is now and as it is to be; None where it stays
+    raises      : InputError where tables or control point are no longer the given ones; nothing is written then
     """
     point, number = str(made["control_point"]), history.revision + 1
     before, after = point_texts
     with revising(vehicle.directory):
-        _check_unchanged(vehicle, history, point, before)
+        _check_unchanged(vehicle, history, point, before, turbulent)
         text, effects = ratio_table_text(table, _short_axes(table)), after != before
-        data = {
-            **made,
-            "table": history.path.relative_to(vehicle.directory).as_posix(),
+        new: dict[Path, str | bytes] = {revision_path(Path(), point, history.revision, "csv"): history.raw}
+        data = {**made, **_of_files(vehicle, history, text)}
+        new[Path(data["table"])] = text
+        data |= {
             "revision": number,
             "parent": history.revision,
-            "parent_hash": text_digest(history.raw),
-            "table_hash": text_digest(text),
             "point_parent_hash": text_digest(before) if effects else None,
             "point_hash": text_digest(after) if effects else None,
         }
+        if turbulent is not None:
+            old, revised = turbulent
+            turbulent_text = ratio_table_text(revised, _short_axes(revised))
+            data["turbulent"] = {**made["turbulent"], **_of_files(vehicle, old, turbulent_text)}
+            new[revision_path(Path(), point, history.revision, TURBULENT)] = old.raw
+            new[Path(data["turbulent"]["table"])] = turbulent_text
         revision = check(data, RevisionFile, f"revision {number}")
-        new: dict[Path, str | bytes] = {
-            revision_path(Path(), point, history.revision, "csv"): history.raw,
-            revision_path(Path(), point, number, "json"): json_text(with_digest(revision.model_dump())),
-            Path(revision.table): text,
-        }
+        new[revision_path(Path(), point, number, "json")] = json_text(with_digest(revision.model_dump()))
         if picture is not None:
             new[revision_path(Path(), point, number, "png")] = picture
         if effects:
@@ -408,13 +349,31 @@ def write_revision(
     return revision
 
 
-def _check_unchanged(vehicle: Vehicle, history: TableHistory, point: str, point_text: str) -> None:
-    """Check that table, revisions and control point are still those that an update was worked out from."""
+def _of_files(vehicle: Vehicle, history: TableHistory, text: str) -> dict[str, str]:
+    """Path and hashes of a table that is replaced by another text."""
+    return {
+        "table": history.path.relative_to(vehicle.directory).as_posix(),
+        "parent_hash": text_digest(history.raw),
+        "table_hash": text_digest(text),
+    }
+
+
+def _check_unchanged(
+    vehicle: Vehicle,
+    history: TableHistory,
+    point: str,
+    point_text: str,
+    turbulent: tuple[TableHistory, RatioTable] | None,
+) -> None:
+    """Check that tables, revisions and control point are still those that an update was worked out from."""
     now = read_history(vehicle, point)
     file = point_path(vehicle.directory, point)
     same = (now.raw, now.revisions, raw_text(file)) == (history.raw, history.revisions, point_text)
-    if not same:
+    turned = turbulent is not None and raw_text(turbulent[0].path) != turbulent[0].raw
+    if not same or turned:
         changed = history.path if now.raw != history.raw else file
+        if turbulent is not None and turned:
+            changed = turbulent[0].path
         raise InputError(
             f"{display_path(changed)}: was changed while the update was worked out from revision {history.revision}; "
             "nothing was written, update again"
@@ -441,8 +400,14 @@ def revert(vehicle: Vehicle, point: str) -> tuple[int, int]:
             )
         undone = history.revisions[-1]
         kept, point_kept = (revision_path(Path(), point, undone.parent, kind) for kind in ("csv", "toml"))
-        made = (revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png"))
+        made = [revision_path(Path(), point, undone.revision, kind) for kind in ("json", "png")]
         restored = {history.path.relative_to(vehicle.directory).as_posix(): raw_text(vehicle.directory / kept)}
+        if undone.turbulent is not None:
+            # Read as a history, so that a table changed since is refused as the laminar one is.
+            turbulent = read_turbulent_history(vehicle, history, point)
+            assert isinstance(turbulent, TableHistory)
+            made.append(revision_path(Path(), point, undone.parent, TURBULENT))
+            restored[turbulent.path.relative_to(vehicle.directory).as_posix()] = raw_text(vehicle.directory / made[-1])
         if undone.point_hash is not None:
             file = point_path(vehicle.directory, point)
             restored[point_path(Path(), point).as_posix()] = _point_before(file, vehicle.directory / point_kept, undone)
@@ -475,5 +440,5 @@ def point_path(directory: Path, point: str) -> Path:
 
 
 def revision_path(directory: Path, point: str, revision: int, kind: str) -> Path:
-    """Path of a revision's table (csv), control point (toml), evidence (json) or picture (png) in a vehicle."""
+    """Path of a revision's tables (csv, TURBULENT), control point (toml), evidence (json) or picture (png)."""
     return directory / FOLDER / point / f"revision_{revision}.{kind}"

@@ -1,13 +1,11 @@
-"""The next revision of a control point's ratio table and effects from an estimate: the changes, the errors before and
-after, and writing it.
-"""
+"""The next revision of a control point's ratio tables and effects from an estimate: the changes, and writing them."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.stats import chi2
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -33,15 +31,17 @@ from sim_heating.base.files.paths import make_durable, os_error_reason, real_pat
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.closure.revise.checks import check_estimate
-from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit
+from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit, parameter_values
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
+from sim_heating.closure.revise.flown_ratio import FlownRatio
+from sim_heating.closure.revise.nodes import added_nodes, axes_for
+from sim_heating.closure.revise.revision_file import RevisionFile, UsedRecord, stored_evidence
 from sim_heating.closure.revise.revisions import (
     FOLDER,
-    RevisionFile,
     TableHistory,
-    UsedRecord,
     point_path,
     read_history,
+    read_turbulent_history,
     revision_path,
     write_revision,
 )
@@ -55,12 +55,10 @@ from sim_heating.estimation.report.estimate_file import (
 )
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, Posterior, posterior
-from sim_heating.inputs.points import point_with_vehicle_table
-from sim_heating.inputs.record import Record, load_record, load_records, named_apart, pooled_rmse_K
+from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_axes, posterior
+from sim_heating.inputs.record import Record, load_record, load_records, named_apart
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
-from sim_heating.simulation.predict import predict
 
 RATIO_DIGITS, SIGMA_DIGITS = 6, 4
 """Significant digits of a changed node, far below any sigma."""
@@ -68,16 +66,73 @@ MIN_P_VALUE = 1e-3
 """p-value of the evidence under the table's own sigma below which the report warns."""
 
 
+@dataclass(frozen=True, eq=False)
+class TableChange:
+    """What an update makes of one table.
+
+    history       : the table in force with its revisions
+    before, after : posterior of the table without and with the estimate, on the axes of the new revision
+    table         : the new revision, rounded
+    chi_square    : of all estimates against the table before any of them, by its sigma and CORRELATION_LENGTH [-]
+    freedom       : number of combinations of nodes behind it
+    """
+
+    history: TableHistory
+    before: Posterior
+    after: Posterior
+    table: RatioTable
+    chi_square: float
+    freedom: int
+
+    @property
+    def old(self) -> RatioTable:
+        """The table in force, on the axes of the new revision."""
+        return on_axes(self.history.table, self.table.axes)
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Mask of the nodes of the new grid with another ratio or sigma."""
+        old = self.old
+        assert old.sigma is not None
+        assert self.table.sigma is not None
+        return (old.ratio != self.table.ratio) | (old.sigma != self.table.sigma)
+
+    @property
+    def nodes_added(self) -> dict[str, list[float]]:
+        """Variable -> places of the nodes that the table in force has not, [deg] and [-]."""
+        return added_nodes(self.history.table.axes, self.table.axes)
+
+    @property
+    def is_change(self) -> bool:
+        """Whether the new revision differs."""
+        return bool(np.any(self.changed)) or bool(self.nodes_added)
+
+    @property
+    def p_value(self) -> float:
+        """Probability [-] of a chi-square at least as large, if sigma and bounds are right (docs/equations.md, 17)."""
+        return float(chi2.sf(self.chi_square, self.freedom))
+
+    def changed_nodes(self) -> dict[str, list[float]]:
+        """The nodes with another ratio or sigma: the five variables, ratio and sigma before and after, one entry a
+        node."""
+        old, new, which = self.old, self.table, self.changed
+        assert old.sigma is not None
+        assert new.sigma is not None
+        grid = np.meshgrid(*new.axes, indexing="ij")
+        columns = dict(zip(RATIO_VARIABLES, grid, strict=True))
+        columns |= {"ratio_before": old.ratio, "ratio_after": new.ratio}
+        columns |= {"sigma_before": old.sigma, "sigma_after": new.sigma}
+        return {name: values[which].tolist() for name, values in columns.items()}
+
+
 @dataclass(frozen=True, repr=False)
 class TableUpdate:
-    """An update of a table and its effects that is not written yet.
+    """An update of the tables and effects of a control point that is not written yet.
 
     estimate_hash : of the estimate's file
-    records, used : the records behind the estimate; their hashes and times
-    history       : the table in force with its revisions
+    records, used : the records behind the estimate, with the segments that were fitted; their hashes and times
     flight        : the estimate as evidence
-    before, after : posterior of the table without and with the estimate
-    table         : the new revision, rounded
+    laminar       : the ratio table;  turbulent : the turbulent one, None where it stays
     effects       : the effects by the estimate
     """
 
@@ -87,34 +142,40 @@ class TableUpdate:
     estimate_hash: str
     records: tuple[Record, ...]
     used: tuple[UsedRecord, ...]
-    history: TableHistory
     flight: FlightEvidence
-    before: Posterior
-    after: Posterior
-    table: RatioTable
+    laminar: TableChange
+    turbulent: TableChange | None
     effects: FittedEffects
 
     @property
-    def changed(self) -> NDArray[np.bool_]:
-        """Mask of the nodes of the grid with another ratio or sigma."""
-        old = self.history.table
-        assert old.sigma is not None
-        assert self.table.sigma is not None
-        return (old.ratio != self.table.ratio) | (old.sigma != self.table.sigma)
+    def history(self) -> TableHistory:
+        """The ratio table in force with its revisions."""
+        return self.laminar.history
+
+    @property
+    def table(self) -> RatioTable:
+        """The new revision of the ratio table."""
+        return self.laminar.table
+
+    @property
+    def changes(self) -> tuple[TableChange, ...]:
+        """Of the ratio table, and of the turbulent one where it is revised."""
+        return (self.laminar,) if self.turbulent is None else (self.laminar, self.turbulent)
 
     @property
     def parameters(self) -> dict[str, EstimatedParameter]:
-        """Estimates of the ratio and of the effects that are written."""
-        written = tuple(f"{EFFECT_PREFIX}{name}." for name in self.effects.written)
+        """Estimates of the ratio and of the effects that are written, into the table or as effects."""
+        in_table = (u.effect.name for u in self.flight.in_table)
+        written = tuple(f"{EFFECT_PREFIX}{name}." for name in (*self.effects.written, *in_table))
         return {n: p for n, p in self.estimate.parameters.items() if n.startswith(("ratio.", *written))}
 
     @property
     def flow_after(self) -> EdgeFlow:
-        """What the revised effects ask of the flow at the edge of the point, with the revised table."""
+        """What the revised effects ask of the flow at the edge of the point, with the revised tables."""
         # Without a declaration of its own an added recombination has the oxygen of the edge, as where a file adds it.
         old = self.point.flow
         atoms: Atoms = "edge-oxygen" if old.atoms == "none" else old.atoms
-        tables = (self.table, old.turbulent)
+        tables = (self.table, old.turbulent if self.turbulent is None else self.turbulent.table)
         return edge_flow(self.effects.after, self.point.recovery, self.point.running_length_m, atoms, tables)
 
     @property
@@ -123,18 +184,20 @@ class TableUpdate:
         return dict(sorted((self.flight.not_written | self.effects.not_written).items()))
 
     def parameter_comparison(self) -> list[tuple[str, float, float, float, float, float, float]]:
-        """Each written parameter, value and sigma: of the estimate, of the table before, of the table after."""
-        evidence, rows = self.flight.evidence, self.flight.rows
+        """Each parameter of the linear model, value and sigma: of the estimate, of the tables before, of them after."""
+        evidence = self.flight.evidence
         if not evidence.names:
             return []
-        value = evidence.value - self.flight.at_zero
-        columns = [value, np.sqrt(np.diag(evidence.covariance))]
-        for p in (self.before, self.after):
-            columns += [rows @ p.ratio.ravel() - self.flight.at_zero, p.sigma_along(csr_array(rows))]
+        columns = [self.estimate.values(evidence.names), np.sqrt(np.diag(evidence.covariance))]
+        turned = self.turbulent
+        before = (self.laminar.before, None if turned is None else turned.before)
+        after = (self.laminar.after, None if turned is None else turned.after)
+        columns += self.flight.parameters_of(*before, with_effects=False)
+        columns += self.flight.parameters_of(*after, with_effects=True)
         return [(n, *map(float, c)) for n, *c in zip(evidence.names, *columns, strict=True)]  # type: ignore[misc]
 
     def __repr__(self) -> str:
-        nodes = int(np.count_nonzero(self.changed))
+        nodes = sum(int(np.count_nonzero(c.changed)) for c in self.changes)
         return f"<TableUpdate of {self.point.name} from revision {self.history.revision}: {nodes} nodes change>"
 
 
@@ -163,18 +226,23 @@ def prepare_update(
     point = loaded_vehicle.control_point(loaded[0].declared.control_point)
     history = read_history(loaded_vehicle, point.name)
     used = tuple(_used_record(estimate, display_path(file), i, record) for i, record in enumerate(loaded))
+    loaded = [_as_fitted(record, u.segments) for record, u in zip(loaded, used, strict=True)]
     _check_not_repeated(used)
     _check_not_used(history, used)
-    flight = flight_evidence(estimate, loaded, loaded_vehicle, point)
-    earlier = [r.evidence.arrays() for r in history.revisions]
-    # From the first table and all evidence, so that the order of updates does not matter: the sigma column alone
-    # forgets how the errors of nodes are correlated (decision 0006).
-    before, after = posterior(history.base, earlier), posterior(history.base, [*earlier, flight.evidence])
+    turbulent = read_turbulent_history(loaded_vehicle, history, point.name)
+    # Of the tables before any revision, so that the evidence of a flight does not depend on other flights.
+    revisable = turbulent.base if isinstance(turbulent, TableHistory) else None
+    flight = flight_evidence(estimate, loaded, loaded_vehicle, point, history.base, revisable)
+    header = _header(history, estimate, used, point.name)
+    laminar = _change(history, flight.laminar, header)
+    turned = None
+    if isinstance(turbulent, TableHistory) and flight.turbulent is not None:
+        turned = _change(turbulent, flight.turbulent, header)
     effects = effects_from_fit(
-        estimate, flight, after, point_path(loaded_vehicle.directory, point.name), point,
+        estimate, flight, laminar.after, None if turned is None else turned.after,
+        point_path(loaded_vehicle.directory, point.name), point,
         _times(used), revision_path(Path(), point.name, history.revision + 1, "json").as_posix(),
     )  # fmt: skip
-    table = _round_table(history.table, after, _header(history, estimate, used, point.name))
     update = TableUpdate(
         loaded_vehicle,
         point,
@@ -182,18 +250,38 @@ def prepare_update(
         text_digest(read_text(file)),
         tuple(loaded),
         used,
-        history,
         flight,
-        before,
-        after,
-        table,
+        laminar,
+        turned,
         effects,
     )
-    if not np.any(update.changed) and effects.text == effects.raw:
+    if not any(c.is_change for c in update.changes) and effects.text == effects.raw:
         raise InputError(
             f"{display_path(file)}: changes no node of {point.declared.ratio_table}; its bounds are too wide"
         )
     return update
+
+
+def _change(history: TableHistory, measured: FlownRatio | None, header: dict[str, str]) -> TableChange:
+    """The next revision of a table.
+
+    measured : the ratio of the fit; None where the fit says nothing of this table
+    header   : provenance of the revision
+    """
+    axes = history.table.axes if measured is None else axes_for(measured, history.table.axes)
+    base, every = on_axes(history.base, axes), [*history.measured, *([] if measured is None else [measured])]
+    # From the first table and all evidence, so that the order of updates does not matter: the sigma column alone
+    # forgets how the errors of nodes are correlated (decision 0006).
+    before = posterior(base, [m.on(axes) for m in history.measured], UPDATE_REACH)
+    after = before if measured is None else posterior(base, [m.on(axes) for m in every], UPDATE_REACH)
+    # A test of the table, and so with the correlation of its errors rather than with the reach of an update.
+    tested = posterior(base, [m.combinations(axes) for m in every])
+    table = _round_table(
+        on_axes(history.table, axes),
+        after,
+        {k: v for k, v in history.table.header.items() if k != "made_from"} | header,
+    )
+    return TableChange(history, before, after, table, tested.chi_square, len(tested.innovation))
 
 
 def _records(
@@ -258,6 +346,7 @@ def _select_point(estimate: Estimate, records: Sequence[Record], name: str | Non
         update={
             "records": [estimate.records[i] for i in mine],
             "segments": None if estimate.segments is None else [estimate.segments[i] for i in mine],
+            "starts": None if estimate.starts is None else [estimate.starts[i] for i in mine],
             "parameters": {stem: estimate.parameters[label] for label, stem in labels.items()},
             "effects": [e for e in estimate.effects if e.control_point in (None, name)],
             "correlation": correlations(tuple(labels.values()), estimate.covariance(tuple(labels))),
@@ -297,6 +386,12 @@ def _used_record(estimate: Estimate, name: str, i: int, record: Record) -> UsedR
     segments = estimate.segments[i] if estimate.segments is not None else record.declared.segments.fit
     whole = [[float(record.time_s[0]), float(record.time_s[-1])]]
     return UsedRecord(record=record.name, inputs=found, segments=whole if segments is None else segments)
+
+
+def _as_fitted(record: Record, segments: list[list[float]]) -> Record:
+    """A record whose fit segments are those of the estimate."""
+    declared = record.declared.segments.model_copy(update={"fit": segments})
+    return replace(record, declared=record.declared.model_copy(update={"segments": declared}))
 
 
 def _shared(one: UsedRecord, other: UsedRecord) -> str | None:
@@ -356,11 +451,10 @@ def _times(used: Sequence[UsedRecord]) -> str:
 
 
 def _header(history: TableHistory, estimate: Estimate, used: Sequence[UsedRecord], point: str) -> dict[str, str]:
-    """Header of the new table: that of the old one with the provenance of the revision."""
+    """Provenance of a revision, for the header of a table."""
     number = history.revision + 1
     values = {n: p for n, p in estimate.parameters.items() if n.startswith("ratio.") or is_effect(n)}
     return {
-        **{key: value for key, value in history.table.header.items() if key != "made_from"},
         "revision": str(number),
         "parent_revision": str(history.revision),
         "revised_from": _times(used),
@@ -369,35 +463,6 @@ def _header(history: TableHistory, estimate: Estimate, used: Sequence[UsedRecord
         "revised_by": f"sim-heating {package_version()}",
         "evidence": f"{FOLDER}/{point}/revision_{number}.json",
     }
-
-
-def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
-    """RMSE of plain predictions with table and effects in force and with the new ones, over fit and holdout segments.
-
-    Everything else, notably the stack, is as the record declares.
-    returns : record -> segments -> before, after; None for segments that do not exist
-    raises  : InputError where a record is of another control point, over or over another reference heating
-    """
-    found: dict[str, dict[str, Any]] = {}
-    for record in records:
-        _check_comparable(update, record)
-        model, flow = point_with_vehicle_table(record, update.vehicle)
-        used = [i for i, s in enumerate(record.sensors) if s.used]
-        revised = replace(model, ratio=update.table, effects=update.effects.after)
-        pairs = (("before", model, flow), ("after", revised, update.flow_after))
-        residuals = {when: predict(record, m, flow=f).residual_K[used] for when, m, f in pairs}
-        masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
-        found[record.name] = {
-            part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
-        }
-    return found
-
-
-def _check_comparable(update: TableUpdate, record: Record) -> None:
-    """Check that a record is of the control point of the update."""
-    point = record.declared.control_point
-    if point != update.point.name:
-        raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
 
 
 Draw = Callable[[Path, TableUpdate], None]
@@ -426,22 +491,27 @@ def _exists(out: Path, name: str) -> InputError:
 
 
 def write_update(
-    update: TableUpdate, out: Path | None, errors: dict[str, dict[str, Any]], draw: Draw | None = None
+    update: TableUpdate,
+    out: Path | None,
+    errors: dict[str, dict[str, Any]],
+    draw: Draw | None = None,
+    held: Mapping[str, dict[str, Any]] | None = None,
 ) -> tuple[Path, RevisionFile]:
     """Write the revision into the vehicle, or into a copy of it in `out`.
 
     out     : folder for the copy; None for the vehicle itself
     errors  : as `errors_before_and_after` gives them
     draw    : draws the picture of the update into a file; without one there is no picture
+    held    : record of the estimate -> how well the tables hold the fit of it, the fields of `errors.HeldFit`
     returns : the vehicle's directory, and what was written
     raises  : InputError where the place cannot be written, or the vehicle was changed since the update was prepared;
               nothing is written then
     """
-    picture = _picture(update, draw)
+    picture, content = _picture(update, draw), _revision_content(update, errors, held or {})
     try:
         if out is None:
-            return update.vehicle.directory, _write(update, update.vehicle, errors, picture)
-        return _write_copy(update, out, errors, picture)
+            return update.vehicle.directory, _write(update, update.vehicle, content, picture)
+        return _write_copy(update, out, content, picture)
     except OSError as error:
         place = display_path(error.filename or out or update.vehicle.directory)
         raise InputError(f"{place}: cannot be written ({os_error_reason(error)}); choose another place") from None
@@ -449,7 +519,7 @@ def write_update(
 
 def _picture(update: TableUpdate, draw: Draw | None) -> bytes | None:
     """The picture of an update; None where no node changes."""
-    if draw is None or not np.any(update.changed):
+    if draw is None or not update.laminar.is_change:
         return None
     with tempfile.TemporaryDirectory() as folder:
         draw(Path(folder) / "picture.png", update)
@@ -457,14 +527,14 @@ def _picture(update: TableUpdate, draw: Draw | None) -> bytes | None:
 
 
 def _write_copy(
-    update: TableUpdate, out: Path, errors: dict[str, dict[str, Any]], picture: bytes | None
+    update: TableUpdate, out: Path, content: dict[str, Any], picture: bytes | None
 ) -> tuple[Path, RevisionFile]:
     """Revise a copy of the vehicle, made in a staging directory and renamed as a whole."""
     source = real_path(update.vehicle.directory)
     with exclusive(out) as folder, staged(folder) as staging:
         copy = staging / source.name
         shutil.copytree(source, copy, ignore=shutil.ignore_patterns(LOCK, STAGING))
-        made = _write(update, load_vehicle(copy), errors, picture)
+        made = _write(update, load_vehicle(copy), content, picture)
         for path in (*copy.rglob("*"), copy):
             make_durable(path)
         if os.path.lexists(folder / source.name):
@@ -474,18 +544,21 @@ def _write_copy(
     return out / source.name, made
 
 
-def _write(
-    update: TableUpdate, vehicle: Vehicle, errors: dict[str, dict[str, Any]], picture: bytes | None
-) -> RevisionFile:
+def _write(update: TableUpdate, vehicle: Vehicle, content: dict[str, Any], picture: bytes | None) -> RevisionFile:
     """Write the revision into a vehicle, which may be a copy of the one that the update is of."""
     history = replace(update.history, path=vehicle.directory / update.point.declared.ratio_table)
-    texts = (update.effects.raw, update.effects.text)
-    return write_revision(vehicle, history, update.table, _revision_content(update, errors), texts, picture)
+    texts, turbulent = (update.effects.raw, update.effects.text), None
+    if update.turbulent is not None:
+        path = vehicle.directory / str(update.point.declared.ratio_table_turbulent)
+        turbulent = (replace(update.turbulent.history, path=path), update.turbulent.table)
+    return write_revision(vehicle, history, update.table, content, texts, picture, turbulent)
 
 
-def _revision_content(update: TableUpdate, errors: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _revision_content(
+    update: TableUpdate, errors: dict[str, dict[str, Any]], held: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
     """The fields of a RevisionFile that do not follow from the files."""
-    evidence, estimate = update.flight.evidence, update.estimate
+    estimate, turbulent = update.estimate, update.turbulent
     return {
         "control_point": update.point.name,
         "program": f"sim-heating {package_version()}",
@@ -494,26 +567,24 @@ def _revision_content(update: TableUpdate, errors: dict[str, dict[str, Any]]) ->
         "reference_condition": dict(zip(RATIO_VARIABLES, estimate.reference_condition.values().tolist(), strict=True)),
         "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
         "effects": update.effects.changes(),
+        "in_table": [
+            {"name": u.effect.name, "parameters": parameter_values(u), "before": None} for u in update.flight.in_table
+        ],
         "not_written": update.not_written,
-        "reach": CORRELATION_LENGTH,
-        "chi_square": update.after.chi_square,
-        "degrees_of_freedom": len(update.after.innovation),
-        "evidence": {
-            "names": list(evidence.names),
-            **{key: getattr(evidence, key).tolist() for key in ("nodes", "H", "value", "covariance")},
-        },
+        "reach": UPDATE_REACH,
         "errors_K": errors,
-        "changed": changed_nodes(update),
+        "held": dict(held),
+        **_change_content(update.laminar, update.flight.laminar),
+        "turbulent": None if turbulent is None else _change_content(turbulent, update.flight.turbulent),
     }
 
 
-def changed_nodes(update: TableUpdate) -> dict[str, list[float]]:
-    """The nodes with another ratio or sigma: the five variables, ratio and sigma before and after, one entry a node."""
-    old, new, which = update.history.table, update.table, update.changed
-    assert old.sigma is not None
-    assert new.sigma is not None
-    grid = np.meshgrid(*old.axes, indexing="ij")
-    columns = dict(zip(RATIO_VARIABLES, grid, strict=True))
-    columns |= {"ratio_before": old.ratio, "ratio_after": new.ratio}
-    columns |= {"sigma_before": old.sigma, "sigma_after": new.sigma}
-    return {name: values[which].tolist() for name, values in columns.items()}
+def _change_content(change: TableChange, measured: FlownRatio | None) -> dict[str, Any]:
+    """The fields of one table."""
+    return {
+        "nodes_added": change.nodes_added,
+        "chi_square": change.chi_square,
+        "degrees_of_freedom": change.freedom,
+        "evidence": stored_evidence(measured),
+        "changed": change.changed_nodes(),
+    }

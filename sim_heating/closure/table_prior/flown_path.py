@@ -13,7 +13,7 @@ what a table says of a flight's parameters (prior.py) are both this projection.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.inputs.points import conditions_of_record, intermittency_along
 from sim_heating.inputs.record import Record, in_segments
 
+MEMORY_S, MEMORIES = 60.0, 4.0
+"""Time in which the temperature under a coating forgets its heating [s], about that of conduction 6 mm into a tile, and
+the number of such times that count."""
 MIN_SINGULAR_VALUE = 1e-6
 """Singular value of the scaled basis below which two parameters cannot be distinguished along the path."""
 
@@ -37,12 +40,14 @@ class FlownPath:
     weight    : (sample,) weight in the projection [(W/m2)^2]
     declared  : (sample,) ratio of the record's own table [-], 0 without one
     turbulent : (sample,) intermittency of the transition in the fit [-], 0 without one
+    by_table  : (sample,) turbulent over laminar ratio of the record's own tables [-], 1 without a turbulent one
     """
 
     x: FloatArray
     weight: FloatArray
     declared: FloatArray
     turbulent: FloatArray
+    by_table: FloatArray
 
     def subset(self, chosen: BoolArray) -> FlownPath:
         """The chosen samples."""
@@ -65,6 +70,37 @@ def record_path(
     t = t[fitted & (t >= span[0]) & (t <= span[1])]
     if len(t) == 0:
         raise InputError(f"{record.name}: no sample lies in the segments of the estimate; is it the record of the fit?")
+    return path_at(record, t, transition)
+
+
+def marched_path(
+    record: Record, segments: Sequence[Sequence[float]], begin_s: float, transition: EffectUse | None
+) -> FlownPath:
+    """The samples on which the fitted temperatures of a record depend: those read, and the heating before them.
+
+    A temperature follows from the heating before it, also where nothing was read. There, a sample of the conditions
+    counts as of a heat flux smaller by (exp(-t / MEMORY_S))^2, t the time to the next reading.
+
+    segments   : [start_s, end_s] of each
+    begin_s    : time at which the march of the fit began [s]
+    transition : the transition of the fit, None without one
+    """
+    fitted = in_segments(record.time_s, segments) & ~record.holdout_mask() & record.read_mask
+    read = record.time_s[fitted]
+    flown = record.conditions.time_s
+    t = flown[(flown >= begin_s) & (flown <= read[-1])]
+    until = read[np.minimum(np.searchsorted(read, t), len(read) - 1)] - t
+    near = until < MEMORIES * MEMORY_S
+    path = path_at(record, t[near], transition)
+    return replace(path, weight=path.weight * np.exp(-4.0 * until[near] / MEMORY_S))
+
+
+def path_at(record: Record, t: FloatArray, transition: EffectUse | None) -> FlownPath:
+    """The path of a record at times.
+
+    t          : (sample,) times within the conditions [s]
+    transition : the transition of the fit, None without one
+    """
     whole = conditions_of_record(record)
     flown = whole.at(t)
     x = np.stack([flown[v] for v in RATIO_VARIABLES], axis=1)
@@ -73,7 +109,21 @@ def record_path(
     turbulent = np.zeros(len(t))
     if transition is not None:
         turbulent = np.interp(t, whole.time_s, intermittency_along(transition, whole))
-    return FlownPath(x, weight, declared_ratio(record.ratio_table, x), turbulent)
+    declared = declared_ratio(record.ratio_table, x)
+    return FlownPath(x, weight, declared, turbulent, turbulent_over_laminar(record, x, declared))
+
+
+def turbulent_over_laminar(record: Record, x: FloatArray, declared: FloatArray) -> FloatArray:
+    """(sample,) turbulent over laminar ratio of a record's own tables [-], 1 without a turbulent one.
+
+    x : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg];  declared : (sample,) laminar ratio [-]
+    """
+    found = np.ones(len(x))
+    if record.turbulent is not None:
+        # A laminar ratio of 0 heats nothing, in either state of the boundary layer.
+        rises = declared != 0.0
+        found[rises] = declared_ratio(record.turbulent, x)[rises] / declared[rises]
+    return found
 
 
 def projection(names: Sequence[str], path: FlownPath, reference: FloatArray) -> FloatArray:

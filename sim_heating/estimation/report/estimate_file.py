@@ -148,6 +148,24 @@ class FittedEffect(Extensible):
     control_point: str | None = None
 
 
+class FittedStart(Extensible):
+    """Where the march of a fit began that did not begin with the record.
+
+    time_s  : time [s]
+    profile : [depth from the outer surface [m], temperature [K]] there, at the values found
+    """
+
+    time_s: float
+    profile: list[list[float]] = Field(min_length=2)
+
+    @model_validator(mode="after")
+    def _check(self) -> FittedStart:
+        wrong = [i for i, row in enumerate(self.profile) if len(row) != 2]
+        if wrong:
+            raise LocatedError(*((("profile", i), f"{self.profile[i]} is not [depth_m, T_K]") for i in wrong))
+        return self
+
+
 class Estimate(Extensible):
     """Contents of estimate.json.
 
@@ -165,6 +183,7 @@ class Estimate(Extensible):
     control_point       : to which the parameters belong; None in a fit of several points
     vehicle             : as the record names it
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
+    starts              : by record, None for one whose march began with it; None: of all
     excursions          : by variable, over the fitted samples
     inputs              : record -> hash of its files, `inputs_hash`
     effects             : those of the fitted model, in addition to what the records declare
@@ -189,6 +208,7 @@ class Estimate(Extensible):
     control_point: str | None = None
     vehicle: str | None = None
     segments: list[list[list[float]]] | None = None
+    starts: list[FittedStart | None] | None = None
     excursions: dict[str, Excursion] = Field(default={})
     inputs: dict[str, str] = Field(default={})
     effects: list[FittedEffect] = Field(default=[])
@@ -203,8 +223,9 @@ class Estimate(Extensible):
     @model_validator(mode="after")
     def _check(self) -> Estimate:
         problems = [*self._parameter_problems(), *self._correlation_problems()]
-        if self.segments is not None and len(self.segments) != len(self.records):
-            problems.append((("segments",), f"has {len(self.segments)} entries for {len(self.records)} records"))
+        for key, entries in (("segments", self.segments), ("starts", self.starts)):
+            if entries is not None and len(entries) != len(self.records):
+                problems.append(((key,), f"has {len(entries)} entries for {len(self.records)} records"))
         for i, record in enumerate(self.segments or []):
             problems += [
                 (("segments", i, j), f"{s} is not a segment; give [start_s, end_s] with start before end")

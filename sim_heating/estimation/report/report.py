@@ -86,6 +86,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "control_point": points.pop() if len(points) == 1 else None,
             "vehicle": records[0].declared.vehicle,
             "segments": [_segments(r) for r in records],
+            "starts": _starts(fitted),
             "excursions": excursions([condition_history(r.conditions)[fitted_rows(r), :5] for r in records]),
             "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
             "effects": _effects(fitted),
@@ -132,6 +133,16 @@ def _effects(fitted: FitResult) -> list[dict[str, Any]]:
 def _process_noise(fitted: FitResult) -> dict[str, Any] | None:
     """Levels of the process noise, and which of them were estimated; None in an output-error fit."""
     return None if fitted.innovations is None else asdict(fitted.innovations.levels.noise)
+
+
+def _starts(fitted: FitResult) -> list[dict[str, Any] | None] | None:
+    """Where the march of each record began, with the temperatures found; None where all began with the record."""
+    found: list[dict[str, Any] | None] = []
+    for record_fit in fitted.problem.record_fits:
+        initial_K = record_fit.initial_K(fitted.fit.values)
+        profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K]).tolist()
+        found.append(None if profile is None else {"time_s": record_fit.begin_s, "profile": profile})
+    return found if any(found) else None
 
 
 def _segments(record: Record) -> list[list[float]]:

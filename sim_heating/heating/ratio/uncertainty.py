@@ -11,6 +11,8 @@ Errors of a table are common to neighbouring nodes (one tunnel, one model, one s
 axes of Wendland's (1 - d/l)^3 (1 + 3 d/l), which is positive definite, smooth, and exactly 0 from the distance l on:
 nodes farther than l in any variable from every node that the data weigh keep their values. Several pieces of evidence
 are applied together to the table before all of them: their order does not matter, and no step is approximate.
+An update takes lengths that are shorter than those over which a table errs in common (UPDATE_REACH and
+CORRELATION_LENGTH): a local finding is to change the table where it was flown, and not elsewhere.
 
 An estimate predicts the ratio at any condition, with its standard deviation, as
 
@@ -24,8 +26,8 @@ functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -42,19 +44,22 @@ from sim_heating.heating.ratio.table import RatioTable
 
 CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
 """Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent; see docs/table_updates.md."""
+UPDATE_REACH = {"alpha_deg": 15.0, "beta_deg": 10.0, "log10_re": 1.2, "elevon_deg": 15.0, "bodyflap_deg": 15.0}
+"""Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is; see docs/table_updates.md."""
 
 SINGULAR = 1e-8
 """Diagonal [-] of the Cholesky root below which a correlation matrix counts as singular."""
 
 
-def correlation(variable: str, distance: FloatArray) -> FloatArray:
+def correlation(variable: str, distance: FloatArray, reach: Mapping[str, float] = CORRELATION_LENGTH) -> FloatArray:
     """Correlation (1 - d)^3 (1 + 3 d) [-] of the errors of two nodes along one variable, d = distance / l < 1; else 0.
 
-    variable : name of the axis; CORRELATION_LENGTH has its l
+    variable : name of the axis
     distance : difference of the two nodes, any shape, in the unit of the axis: [deg], or [-] for log10_re
+    reach    : variable -> l, in the unit of its axis
     Source: Wendland 1995, Adv. Comput. Math. 4, 389, phi_1,1; docs/equations.md, equation 15.
     """
-    d = np.abs(distance) / CORRELATION_LENGTH[variable]
+    d = np.abs(distance) / reach[variable]
     return np.where(d < 1.0, (1.0 - np.minimum(d, 1.0)) ** 3 * (1.0 + 3.0 * d), 0.0)
 
 
@@ -90,7 +95,7 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
 class Evidence:
     """One estimate as a measurement of table nodes, y = H n + e with e ~ N(0, C).
 
-    names      : (k,) the parameters that the rows stand for
+    names      : the parameters behind it; of none where it says nothing
     nodes      : (m,) ravelled indices of the nodes with a weight
     H          : (k, m) weights of these nodes in each parameter
     value      : (k,) y, in the units of the parameters
@@ -113,6 +118,7 @@ class Posterior:
     innovation   : (k,) y - H n_0, all evidence concatenated
     chi_square   : innovation' S^-1 innovation [-]; about k where the table's sigma and the estimates' bounds are right
     root         : (node, k) A with K - A A' the posterior covariance
+    reach        : variable -> distance from which on the errors of two nodes are independent, in K
     Source: docs/equations.md, equations 16 and 17.
     """
 
@@ -122,6 +128,7 @@ class Posterior:
     innovation: FloatArray
     chi_square: float
     root: FloatArray
+    reach: Mapping[str, float] = field(default_factory=lambda: CORRELATION_LENGTH)
 
     @property
     def p_value(self) -> float:
@@ -137,7 +144,7 @@ class Posterior:
         first, second : ravelled indices of nodes
         Source: docs/equations.md, equation 16.
         """
-        return prior_covariance(self.prior, first, second) - self.root[first] @ self.root[second].T
+        return prior_covariance(self.prior, first, second, self.reach) - self.root[first] @ self.root[second].T
 
     def sigma_along(self, weights: csr_array) -> FloatArray:
         """(row,) posterior standard deviation [-] of linear combinations of the nodes, such as the ratio between nodes.
@@ -147,15 +154,18 @@ class Posterior:
         """
         nodes = np.unique(weights.indices)
         W = weights[:, nodes].toarray()
-        prior = np.sum((W @ prior_covariance(self.prior, nodes, nodes)) * W, axis=1)
+        prior = np.sum((W @ prior_covariance(self.prior, nodes, nodes, self.reach)) * W, axis=1)
         return np.sqrt(np.maximum(prior - np.sum((W @ self.root[nodes]) ** 2, axis=1), 0.0))
 
 
-def prior_covariance(table: RatioTable, first: IntArray, second: IntArray) -> FloatArray:
+def prior_covariance(
+    table: RatioTable, first: IntArray, second: IntArray, reach: Mapping[str, float] = CORRELATION_LENGTH
+) -> FloatArray:
     """(first, second) prior covariance [-] of the ratios at two lists of nodes, from the sigma column of the table.
 
     table         : ratio table with a sigma
     first, second : ravelled indices of nodes
+    reach         : variable -> distance from which on the errors of two nodes are independent
     K_ij = sigma_i sigma_j times the product of `correlation` over the axes with more than one node.
     Source: docs/equations.md, equation 15.
     """
@@ -167,17 +177,20 @@ def prior_covariance(table: RatioTable, first: IntArray, second: IntArray) -> Fl
     for name, axis, (i, j) in zip(RATIO_VARIABLES, table.axes, places, strict=True):
         # An axis of one value has no distances, and its correlation is 1.
         if len(axis) > 1:
-            K *= correlation(name, axis[:, None] - axis[None, :])[np.ix_(i, j)]
+            K *= correlation(name, axis[:, None] - axis[None, :], reach)[np.ix_(i, j)]
     return K
 
 
-def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
+def posterior(
+    table: RatioTable, evidence: Sequence[Evidence], reach: Mapping[str, float] = CORRELATION_LENGTH
+) -> Posterior:
     """Ratio table updated by all evidence together; the table itself where there is no evidence.
 
         n = n_0 + K H' S^-1 (y - H n_0),   S = H K H' + C
 
     table    : ratio [-] with its sigma [-]
     evidence : estimates; those without a parameter are left out
+    reach    : variable -> distance from which on the errors of two nodes are independent
     returns  : updated ratio and sigma [-]; sigma is nowhere larger than before
     raises   : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
     Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/equations.md, equations 15 to 17.
@@ -187,17 +200,17 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     # An estimate of effects alone has no ratio parameter, and so no rows.
     evidence = [e for e in evidence if e.names]
     if not evidence:
-        return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)))
+        return Posterior(table, table.ratio, table.sigma, np.zeros(0), 0.0, np.zeros((table.ratio.size, 0)), reach)
     nodes = np.unique(np.concatenate([e.nodes for e in evidence]))
     H = np.vstack([_design_rows(e, nodes) for e in evidence])
     value = np.concatenate([e.value for e in evidence])
-    G = prior_covariance(table, np.arange(table.ratio.size), nodes) @ H.T
+    G = prior_covariance(table, np.arange(table.ratio.size), nodes, reach) @ H.T
     S = H @ G[nodes]
     first = 0
     for e in evidence:
-        rows = slice(first, first + len(e.names))
+        rows = slice(first, first + len(e.value))
         S[rows, rows] += e.covariance
-        first += len(e.names)
+        first += len(e.value)
     innovation = value - H @ table.ratio.ravel()[nodes]
     # Scaled to a correlation matrix: parameters have units from 1 to 1/deg^2, and SINGULAR needs one common measure.
     scale = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
@@ -208,7 +221,24 @@ def posterior(table: RatioTable, evidence: Sequence[Evidence]) -> Posterior:
     variance = table.sigma**2 - np.sum(root**2, axis=1).reshape(table.ratio.shape)
     # Rounding can leave a variance slightly outside; data never make a node less certain.
     sigma = np.sqrt(np.clip(variance, 0.0, table.sigma**2))
-    return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root)
+    return Posterior(table, ratio, sigma, innovation, float(whitened @ whitened), root, reach)
+
+
+def on_axes(table: RatioTable, axes: Sequence[FloatArray]) -> RatioTable:
+    """A table on other axes: ratio [-] and sigma [-] interpolated, equal to the table where the axes hold its nodes.
+
+    axes : increasing nodes of the five variables, [deg] and [-]
+    Nodes that are added to a table by this change no ratio and no sigma between its nodes (docs/equations.md, equation
+    7).
+    """
+    if all(np.array_equal(a, b) for a, b in zip(axes, table.axes, strict=True)):
+        return table
+    shape = tuple(len(a) for a in axes)
+    grid = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+    W = node_weights(table.axes, grid)
+    columns = [None if v is None else (W @ v.ravel()).reshape(shape) for v in (table.ratio, table.sigma)]
+    assert columns[0] is not None
+    return replace(table, axes=tuple(axes), ratio=columns[0], sigma=columns[1])
 
 
 def _cholesky_root(S: FloatArray) -> FloatArray:
@@ -222,7 +252,7 @@ def _cholesky_root(S: FloatArray) -> FloatArray:
 
 
 def _design_rows(evidence: Evidence, nodes: IntArray) -> FloatArray:
-    H = np.zeros((len(evidence.names), len(nodes)))
+    H = np.zeros((len(evidence.value), len(nodes)))
     H[:, np.searchsorted(nodes, evidence.nodes)] = evidence.H
     return H
 

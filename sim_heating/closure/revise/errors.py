@@ -1,0 +1,182 @@
+"""How well records are predicted with the tables before and after an update, by the fit itself, and what of the fit the
+tables do not hold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX
+from sim_heating.closure.revise.evidence import OF_START, fitted_use, is_effect
+from sim_heating.closure.revise.update import TableUpdate
+from sim_heating.estimation.record_fit import marched_from, sensor_errors
+from sim_heating.estimation.report.estimate_file import FittedStart
+from sim_heating.heating.edge_flow import EdgeFlow
+from sim_heating.heating.effects import EffectUse, combined_uses
+from sim_heating.inputs.points import flow_of_record, point_of_record, point_with_vehicle_table
+from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.march.point import PointModel
+from sim_heating.simulation.predict import predict
+
+HELD = 1.15
+"""Error with the new table over that of the fit [-] up to which the table counts as holding the fit."""
+LEAST_LOSS = 0.2
+"""Part of the error with the new table [-] from which on a cause of it is named."""
+NOT_MARCHED = (EFFECT_PREFIX, SENSOR_PREFIX, OF_START, *RECORD_PARAMETERS)
+"""Begin of the names of what a fit has in addition to heating and stack; effects are passed as such."""
+
+
+def errors_before_and_after(update: TableUpdate, records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+    """RMSE of plain predictions with tables and effects in force and with the new ones, over fit and holdout segments.
+
+    Everything else, notably the stack, is as the record declares.
+    returns : record -> segments -> before, after; None for segments that do not exist
+    raises  : InputError where a record is of another control point, or over another reference heating
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for record in records:
+        _check_comparable(update, record)
+        residuals = {}
+        for when, (model, flow) in _models(update, record).items():
+            residuals[when] = _residual_K(record, model, flow)
+        masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
+        found[record.name] = {
+            part: {when: pooled_rmse_K(r, mask) for when, r in residuals.items()} for part, mask in masks.items()
+        }
+    return found
+
+
+def _models(update: TableUpdate, record: Record) -> dict[str, tuple[PointModel, EdgeFlow]]:
+    """The model of a record with the vehicle before and after, with what its effects ask of the flow at the edge."""
+    model, flow = point_with_vehicle_table(record, update.vehicle)
+    revised = replace(model, ratio=update.table, effects=update.effects.after)
+    return {"before": (model, flow), "after": (revised, update.flow_after)}
+
+
+def _check_comparable(update: TableUpdate, record: Record) -> None:
+    """Check that a record is of the control point of the update."""
+    point = record.declared.control_point
+    if point != update.point.name:
+        raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
+
+
+# What the tables hold of the fit --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HeldFit:
+    """How well the new tables hold a fit, on the fitted samples of one of its records.
+
+    noise_floor_K  : of the record [K]
+    fit_K          : RMSE of the fit [K]
+    before_K, after_K : with the tables before and after [K], from the start of the fit
+    from_entry_K   : with the new tables from the first row of the conditions on [K]
+    not_held       : what else the fit has -> by how much it would reduce the error, as a root of squares [K]
+    """
+
+    noise_floor_K: float
+    fit_K: float
+    before_K: float
+    after_K: float
+    from_entry_K: float
+    not_held: dict[str, float]
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the error with the new tables is that of the fit, to HELD."""
+        return self.after_K <= HELD * self.fit_K
+
+
+def held_fits(update: TableUpdate) -> dict[str, HeldFit]:
+    """Record of the estimate -> how well the new tables hold the fit of it."""
+    starts = update.estimate.starts or [None] * len(update.records)
+    return {record.name: _held_fit(update, record, start) for record, start in zip(update.records, starts, strict=True)}
+
+
+def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) -> HeldFit:
+    mask, values = record.fit_mask(), _values(update, record)
+    parameters = {n: v for n, v in values.items() if not n.startswith(NOT_MARCHED)}
+    effects = [u for e in update.estimate.effects if (u := fitted_use(update.estimate, e.name)) is not None]
+    fit = point_of_record(record, parameters, effects)
+    fit = replace(fit, reference=tuple(update.estimate.reference_condition.values().tolist()))
+    models = _models(update, record)
+
+    def rmse_K(model: PointModel, flow: EdgeFlow, begin: FittedStart | None = start, **of_readings: Any) -> float:
+        residual = _residual_K(record, model, flow, begin, **of_readings)
+        found = pooled_rmse_K(residual, mask)
+        return math.nan if found is None else float(found["rmse_K"])
+
+    readings: dict[str, Any] = {
+        "skew_s": values.get(CLOCK_SKEW.name, 0.0),
+        "errors": {s.name: sensor_errors(s, values) for s in record.sensors},
+    }
+    fit_K = rmse_K(fit, flow_of_record(record, effects), **readings)
+    after_K = rmse_K(*models["after"])
+    from_entry_K = after_K if start is None else rmse_K(*models["after"], begin=None)
+    causes: dict[str, float] = {}
+    if not after_K <= HELD * fit_K:
+        model, flow = models["after"]
+        for what, more, uses, of_reading in _missing(update, parameters, readings):
+            richer = replace(
+                model, parameters={**model.parameters, **more}, effects=combined_uses(model.effects, uses),
+                reference=fit.reference,
+            )  # fmt: skip
+            causes[what] = _reduction(after_K, rmse_K(richer, flow, **of_reading))
+    if start is not None:
+        causes[f"heating before {start.time_s:g} s, where the fit begins"] = _reduction(from_entry_K, after_K)
+    return HeldFit(
+        record.noise_floor_K(), fit_K, rmse_K(*models["before"]), after_K, from_entry_K,
+        {what: loss for what, loss in causes.items() if loss > LEAST_LOSS * max(after_K, from_entry_K)},
+    )  # fmt: skip
+
+
+def _reduction(whole: float, without: float) -> float:
+    """sqrt(whole^2 - without^2), 0 where that is negative."""
+    return math.sqrt(max(whole**2 - without**2, 0.0))
+
+
+def _values(update: TableUpdate, record: Record) -> dict[str, float]:
+    """Values of the fit by name, those of another record of a joint fit left out."""
+    split = ((*n.partition(AT)[::2], p.value) for n, p in update.estimate.parameters.items())
+    return {name: value for name, owner, value in split if owner in ("", record.name, update.point.name)}
+
+
+def _missing(
+    update: TableUpdate, parameters: Mapping[str, float], readings: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, float], list[EffectUse], dict[str, Any]]]:
+    """What the fit has and the new vehicle has not: name, parameters, effects, and arguments of `predict`."""
+    for label in update.not_written:
+        name = label.partition(AT)[0]
+        if name in parameters:
+            yield label, {name: parameters[name]}, [], {}
+        elif name == CLOCK_SKEW.name:
+            yield label, {}, [], {"skew_s": readings["skew_s"]}
+        elif is_effect(name):
+            used = fitted_use(update.estimate, name.removeprefix(EFFECT_PREFIX))
+            if used is not None:
+                yield name, {}, [used], {}
+    if any(n.startswith(SENSOR_PREFIX) for n in update.not_written):
+        yield "errors of the sensors", {}, [], {"errors": readings["errors"]}
+
+
+def _residual_K(
+    record: Record,
+    model: PointModel,
+    flow: EdgeFlow,
+    start: FittedStart | None = None,
+    **of_readings: Any,
+) -> FloatArray:
+    """(sensor, sample) measured less predicted [K] at the used sensors, from a start or from the first conditions."""
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    if start is not None:
+        end = float(record.time_s[record.fit_mask()].max()) + abs(of_readings.get("skew_s", 0.0))
+        end = min(end, float(record.conditions.time_s[-1]))
+        record, model = marched_from(record, model, start.time_s, end, np.array(start.profile))
+    return predict(record, model, flow=flow, **of_readings).residual_K[used]

@@ -1,0 +1,155 @@
+"""The ratio of a fit along the flown path as a measurement of the nodes of a table.
+
+Along the path a fit with a linear model gives the ratio as an exact function of the conditions,
+
+    r(x_t) = r_hat(x_t) + sum_k b_k(x_t) (theta_k - theta_hat_k),    theta ~ N(theta_hat, C)
+
+and the table's own ratio there is W n. The table is to be this function over the flown region, so that
+
+    W n = r_hat + B e + s,    e ~ N(0, C),  s_t ~ N(0, tau^2 / w_t),  sum over w_t = 1
+
+B e is the error of the fit, of as many dimensions as it has parameters. s is by how much the function of the table may
+differ from the form of the fit: its weighted mean square is tau^2, whatever the number of samples, so that a longer or
+a denser record adds no information. tau is SHAPE of the table's own sigma: small against it, so that the table has the
+form of the fit where it flew, and above 0, so that nothing is taken to be known exactly.
+
+w_t is the square of dT/dr of a wall near radiation equilibrium, T ~ q^(1/4), at equal ratio: the square root of the
+heat flux. The samples of a turbulent boundary layer inform the turbulent table, those of a laminar one the laminar
+table, by the square of the part that each has in the heating.
+
+With Q an orthonormal basis of sqrt(w) W and of sqrt(w) B C^(1/2), the rows Q' sqrt(w) contain all of this, and are no
+more than nodes and parameters together. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006),
+eq. 2.42 (explicit basis functions) with the roles of prior and measurement exchanged; docs/equations.md, equation 17a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
+
+SHAPE = 0.003
+"""tau over the sigma of the table along the path [-]."""
+WORST = 0.02
+"""Part of the samples, those that lie farthest from what the nodes give, by which the nodes are judged."""
+NEGLIGIBLE = 1e-9
+"""Singular value, over the largest, below which a combination of the parameters changes nothing along the path."""
+
+
+def _unknown(x: FloatArray) -> FloatArray:
+    raise NotImplementedError("evidence from a file is not a function of the conditions")
+
+
+@dataclass(frozen=True, eq=False)
+class FlownRatio:
+    """The ratio of a fit along the flown path.
+
+    names       : (k,) parameters of the fit
+    x           : (m, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
+    weight      : (m,) w [-]
+    ratio       : (m,) r_hat [-]
+    basis       : (m, k) derivative of the ratio with respect to each parameter, B
+    covariance  : (k, k) C of the parameters
+    shape_sigma : tau [-]
+    ratio_at    : (n, 5) conditions -> (n,) ratio of the fit [-]; of evidence that was read from a file it is not known
+    """
+
+    names: tuple[str, ...]
+    x: FloatArray
+    weight: FloatArray
+    ratio: FloatArray
+    basis: FloatArray
+    covariance: FloatArray
+    shape_sigma: float
+    ratio_at: Callable[[FloatArray], FloatArray] = _unknown
+
+    def on(self, axes: Sequence[FloatArray]) -> Evidence:
+        """As evidence on the nodes of a table with these axes, [deg] and [-]."""
+        nodes, A, r, E = self._weighted(axes)
+        Q, _ = np.linalg.qr(np.concatenate([A, E], axis=1))
+        noise = Q.T @ E
+        covariance = noise @ noise.T + self.shape_sigma**2 * np.eye(Q.shape[1])
+        return Evidence(self.names, nodes, Q.T @ A, Q.T @ r, covariance)
+
+    def combinations(self, axes: Sequence[FloatArray]) -> Evidence:
+        """Only the combinations of nodes that the parameters are about, for a test of the fit against a table.
+
+        Their number is that of the parameters that can be told apart along the path.
+        """
+        nodes, A, r, E = self._weighted(axes)
+        U, s, _ = np.linalg.svd(E, full_matrices=False)
+        kept = s > NEGLIGIBLE * np.max(s, initial=0.0)
+        U, s = U[:, kept], s[kept]
+        return Evidence(self.names, nodes, U.T @ A, U.T @ r, np.diag(s**2))
+
+    def misfit(self, axes: Sequence[FloatArray]) -> float:
+        """How far the ratio lies from that between nodes of these axes that have it themselves, over the ratio [-].
+
+        Root mean square of the samples that lie farthest, the part WORST of all.
+        """
+        W = node_weights(axes, self.x)
+        nodes = np.unique(W.indices)
+        places = np.unravel_index(nodes, [len(a) for a in axes])
+        at_nodes = self.ratio_at(np.stack([a[i] for a, i in zip(axes, places, strict=True)], axis=1))
+        off = self.ratio - W[:, nodes] @ at_nodes
+        worst = np.sort(off**2)[-max(int(WORST * len(off)), 1) :]
+        return float(np.sqrt(np.mean(worst) / np.average(self.ratio**2, weights=self.weight)))
+
+    def form_covariance(self, names: Sequence[str]) -> FloatArray:
+        """(k, k) covariance of parameters as a table with the form of the fit has them, tau^2 (B' w B)^-1.
+
+        names : some of the own ones
+        """
+        B = self.basis[:, [self.names.index(n) for n in names]]
+        return np.asarray(self.shape_sigma**2 * np.linalg.pinv((B.T * self.weight) @ B, hermitian=True))
+
+    def _weighted(self, axes: Sequence[FloatArray]) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """Nodes with a weight, and sqrt(w) times W, r_hat and B C^(1/2)."""
+        root = np.sqrt(self.weight)
+        W = node_weights(axes, self.x)
+        nodes = np.unique(W.indices).astype(np.int64)
+        values, vectors = np.linalg.eigh(self.covariance)
+        half = vectors * np.sqrt(np.maximum(values, 0.0))
+        return nodes, root[:, None] * W[:, nodes].toarray(), root * self.ratio, root[:, None] * (self.basis @ half)
+
+
+@dataclass(frozen=True, eq=False)
+class NodeEvidence:
+    """Evidence that is stated for nodes, as revisions of earlier versions have it.
+
+    evidence : on the nodes of the axes;  axes : of the table before any revision
+    """
+
+    evidence: Evidence
+    axes: Sequence[FloatArray]
+
+    def on(self, axes: Sequence[FloatArray]) -> Evidence:
+        """As evidence on the nodes of a table with these axes, which contain the own ones."""
+        e = self.evidence
+        if not e.names:
+            return e
+        places = zip(axes, self.axes, np.unravel_index(e.nodes, [len(a) for a in self.axes]), strict=True)
+        index = [np.searchsorted(new, old[i]) for new, old, i in places]
+        nodes = np.ravel_multi_index(index, [len(a) for a in axes])
+        return Evidence(e.names, nodes, e.H, e.value, e.covariance)
+
+    combinations = on
+
+
+FlightMeasurement = FlownRatio | NodeEvidence
+"""What a revision took from a flight."""
+
+
+def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray) -> float:
+    """tau [-] of a table along a path: SHAPE times the root mean square of its sigma.
+
+    x : (m, 5) conditions, [deg] and [-];  weight : (m,) w [-]
+    """
+    assert table.sigma is not None  # checked by the caller
+    sigma = node_weights(table.axes, x) @ table.sigma.ravel()
+    return SHAPE * float(np.sqrt(np.average(sigma**2, weights=weight)))

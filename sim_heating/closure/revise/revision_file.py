@@ -1,0 +1,253 @@
+"""Contents of ratio_revisions/P/revision_N.json: how a revision was made, with the evidence behind it."""
+
+from __future__ import annotations
+
+from itertools import chain, pairwise
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import Declared, LocatedError, Location, repeated_name, suggestion
+from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
+from sim_heating.closure.revise.checks import MIN_SIGMA
+from sim_heating.closure.revise.flown_ratio import FlightMeasurement, FlownRatio, NodeEvidence
+from sim_heating.estimation.report.estimate_file import EstimatedParameter, is_correlation
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.ratio.uncertainty import Evidence
+
+LARGEST = 1e9
+"""Largest weight, value or covariance that evidence is taken to have."""
+NODES = ("nodes", "H", "value")
+PATH = ("x", "weight", "ratio", "basis", "shape_sigma")
+"""Keys of the two forms of evidence, in addition to names and covariance."""
+
+
+class UsedRecord(Declared):
+    """A record behind a revision: hash of its files, and the times that were used."""
+
+    record: str
+    inputs: str
+    segments: list[list[float]]
+
+    @model_validator(mode="after")
+    def _check(self) -> UsedRecord:
+        wrong = [i for i, s in enumerate(self.segments) if len(s) != 2 or s[0] > s[1]]
+        if wrong:
+            raise LocatedError(*((("segments", i), f"{self.segments[i]} is not [start_s, end_s]") for i in wrong))
+        return self
+
+
+class StoredEvidence(Declared):
+    """What a revision took from a flight, as a file contains it.
+
+    The ratio of the fit along the flown path, `FlownRatio`: names, covariance, x, weight, ratio, basis, shape_sigma.
+    Or, as earlier versions wrote, combinations of nodes, `uncertainty.Evidence`: names, nodes, H, value, covariance.
+    """
+
+    names: list[str]
+    covariance: list[list[float]]
+    x: list[list[float]] | None = None
+    weight: list[float] | None = None
+    ratio: list[float] | None = None
+    basis: list[list[float]] | None = None
+    shape_sigma: float | None = Field(default=None, gt=0.0)
+    nodes: list[int] | None = None
+    H: list[list[float]] | None = None
+    value: list[float] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> StoredEvidence:
+        known, k = [p.name for p in RATIO], len(self.names)
+        problems: list[tuple[Location, str]] = [
+            (("names", i), f"`{n}` is not a parameter of the ratio{suggestion(n, known)}")
+            for i, n in enumerate(self.names)
+            if n not in known and not n.startswith(EFFECT_PREFIX)
+        ]
+        if repeated_name(self.names) is not None:
+            problems.append((("names",), f"`{repeated_name(self.names)}` occurs twice"))
+        problems += _shape_problems("covariance", self.covariance, k, k)
+        form = NODES if self.nodes is not None else PATH
+        lacking = [key for key in form if getattr(self, key) is None]
+        too_many = [key for key in {*NODES, *PATH} - set(form) if getattr(self, key) is not None]
+        problems += [((), f"`{key}` is missing") for key in lacking]
+        problems += [((key,), f"does not go with `{form[0]}`") for key in too_many]
+        if not lacking and not too_many:
+            problems += self._node_problems() if form is NODES else self._path_problems()
+        numbers = {
+            "covariance": chain(*self.covariance), "H": chain(*(self.H or [])), "value": self.value or [],
+            "x": chain(*(self.x or [])), "weight": self.weight or [], "ratio": self.ratio or [],
+            "basis": chain(*(self.basis or [])),
+        }  # fmt: skip
+        for key, largest in ((key, max(map(abs, values), default=0.0)) for key, values in numbers.items()):
+            if largest > LARGEST:
+                problems.append(((key,), f"contains {largest:g}, beyond {LARGEST:g}, which no flight gives"))
+        if not problems and (rule := _covariance_rule(np.array(self.covariance).reshape(k, k))):
+            problems.append((("covariance",), rule))
+        if problems:
+            raise LocatedError(*problems)
+        return self
+
+    def _node_problems(self) -> list[tuple[Location, str]]:
+        nodes, H, value, k = self.nodes or [], self.H or [], self.value or [], len(self.names)
+        problems: list[tuple[Location, str]] = []
+        if any(a >= b for a, b in pairwise([-1, *nodes])):
+            problems.append((("nodes",), "must be the numbers of nodes, 0 or above, each larger than the one before"))
+        problems += _shape_problems("H", H, k, len(nodes))
+        if len(value) != k:
+            problems.append((("value",), f"has {len(value)} values for {k} names"))
+        return problems
+
+    def _path_problems(self) -> list[tuple[Location, str]]:
+        x, weight, ratio, basis = self.x or [], self.weight or [], self.ratio or [], self.basis or []
+        if not x:
+            return [(("x",), "holds no sample")]
+        problems = _shape_problems("x", x, len(x), len(RATIO_VARIABLES), "samples")
+        problems += _shape_problems("basis", basis, len(x), len(self.names), "samples")
+        problems += [
+            ((key,), f"has {len(values)} values for {len(x)} samples")
+            for key, values in (("weight", weight), ("ratio", ratio))
+            if len(values) != len(x)
+        ]
+        if any(w <= 0.0 for w in weight):
+            problems.append((("weight",), "must be above 0"))
+        return problems
+
+    def measurement(self, base: RatioTable) -> FlightMeasurement:
+        """As arrays, for an update of the table before any revision.
+
+        raises : InputError where a node is not one of the table
+        """
+        names, k = tuple(self.names), len(self.names)
+        covariance = np.array(self.covariance).reshape(k, k)
+        if self.nodes is None:
+            x, weight, ratio = (np.array(v, dtype=float) for v in (self.x, self.weight, self.ratio))
+            basis = np.array(self.basis, dtype=float).reshape(len(x), k)
+            assert self.shape_sigma is not None  # checked on reading
+            return FlownRatio(names, x, weight, ratio, basis, covariance, self.shape_sigma)
+        if max(self.nodes, default=-1) >= base.ratio.size:
+            raise InputError(
+                f"`nodes`: {max(self.nodes)} is not a node of the table, which has {base.ratio.size}; restore the file"
+            )
+        nodes, H = np.array(self.nodes, dtype=np.int64), np.array(self.H).reshape(k, len(self.nodes))
+        return NodeEvidence(Evidence(names, nodes, H, np.array(self.value), covariance), base.axes)
+
+
+def stored_evidence(measured: FlownRatio | None) -> dict[str, Any]:
+    """The content of a StoredEvidence; None for a flight that says nothing of the table."""
+    if measured is None:
+        return {"names": [], "covariance": [], "nodes": [], "H": [], "value": []}
+    arrays = {key: getattr(measured, key).tolist() for key in ("x", "weight", "ratio", "basis", "covariance")}
+    return {"names": list(measured.names), **arrays, "shape_sigma": measured.shape_sigma}
+
+
+def _shape_problems(
+    key: str, rows: list[list[float]], height: int, width: int, what: str = "names"
+) -> list[tuple[Location, str]]:
+    """Why a list of rows is not a matrix of this shape."""
+    if len(rows) != height:
+        return [((key,), f"has {len(rows)} rows for {height} {what}")]
+    ragged = [(i, row) for i, row in enumerate(rows) if len(row) != width]
+    return [((key, i), f"has {len(row)} values where there must be {width}") for i, row in ragged]
+
+
+def _covariance_rule(covariance: FloatArray) -> str | None:
+    """Why a square matrix is not a covariance; None where it is one."""
+    if not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+        return "is not symmetric"
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if np.any(sigma < MIN_SIGMA) or not is_correlation(covariance / np.outer(sigma, sigma)):
+        return "is not positive definite"
+    return None
+
+
+class WrittenEffect(Declared):
+    """A written effect: its values, and those declared before, None where it was not declared."""
+
+    name: str
+    parameters: dict[str, float]
+    before: dict[str, float] | None
+
+
+class HeldErrors(Declared):
+    """How well the tables hold the fit of one record; keys as in `errors.HeldFit`."""
+
+    noise_floor_K: float
+    fit_K: float
+    before_K: float
+    after_K: float
+    from_entry_K: float
+    not_held: dict[str, float]
+
+
+class RevisedTurbulent(Declared):
+    """What a revision made of the turbulent table; keys as in RevisionFile."""
+
+    table: str
+    parent_hash: str
+    table_hash: str
+    nodes_added: dict[str, list[float]] = Field(default={})
+    chi_square: float
+    degrees_of_freedom: int
+    evidence: StoredEvidence
+    changed: dict[str, list[float]]
+
+
+class RevisionFile(Declared):
+    """Contents of ratio_revisions/P/revision_N.json.
+
+    table        : path of the table below the vehicle
+    parent       : number of the revision that it was made from
+    parent_hash, table_hash : of the two files' bytes
+    estimate     : hash of the estimate's file
+    parameters   : estimates of the ratio and of written effects
+    effects      : those written into the control point's file
+    in_table     : effects that the ratio table now includes, with their values in the fit
+    held         : record of the estimate -> RMSE of the fit and with the tables [K], and what they do not hold
+    nodes_added  : variable -> places of nodes that the table had not before
+    turbulent    : the same of the turbulent table; None where it is as before
+    point_parent_hash, point_hash : of that file's bytes before and after; None where no effect was written
+    not_written  : estimated parameters that are not in the vehicle, with the reason
+    reach        : distances from which on the errors of two nodes are taken to be independent
+    chi_square   : of all evidence against the table before any of it
+    changed      : nodes with another value: the five variables, ratio and sigma before and after
+    """
+
+    format: Literal["ratio-revision/1"] = "ratio-revision/1"
+    control_point: str
+    table: str
+    revision: int
+    parent: int
+    parent_hash: str
+    table_hash: str
+    program: str
+    estimate: str
+    records: list[UsedRecord]
+    reference_condition: dict[str, float]
+    parameters: dict[str, EstimatedParameter]
+    effects: list[WrittenEffect] = Field(default=[])
+    in_table: list[WrittenEffect] = Field(default=[])
+    held: dict[str, HeldErrors] = Field(default={})
+    nodes_added: dict[str, list[float]] = Field(default={})
+    turbulent: RevisedTurbulent | None = None
+    point_parent_hash: str | None = None
+    point_hash: str | None = None
+    not_written: dict[str, str]
+    reach: dict[str, float]
+    chi_square: float
+    degrees_of_freedom: int
+    evidence: StoredEvidence
+    errors_K: dict[str, dict[str, Any]] = Field(description="record -> fit, holdout -> before, after")
+    changed: dict[str, list[float]]
+
+    @model_validator(mode="after")
+    def _check(self) -> RevisionFile:
+        if self.parent != self.revision - 1:
+            rule = f"{self.parent} is not the revision before {self.revision}, which is {self.revision - 1}"
+            raise LocatedError((("parent",), rule))
+        if set(self.reach) != set(RATIO_VARIABLES) or not all(0.0 < r <= LARGEST for r in self.reach.values()):
+            raise LocatedError((("reach",), f"must hold a distance above 0 for each of {', '.join(RATIO_VARIABLES)}"))
+        return self
