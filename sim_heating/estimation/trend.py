@@ -22,6 +22,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import RATIO, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.estimation.fit import FEWEST_SAMPLES, lag1_autocorrelation, rms_normalised_residual
+from sim_heating.estimation.inference.likelihood import quantile_residuals
 from sim_heating.estimation.inference.newton import Fit, maximise
 from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
@@ -255,13 +256,17 @@ def _misfit(problem: FitProblem, fit: Fit) -> tuple[float, float]:
     """
     samples = problem.samples(fit.values)
     count = sum(len(s.mean_K) for s in samples)
-    rms, means = rms_normalised_residual(samples), np.array([p.value for p in problem.parameters])
-    square = count * rms**2 + float(np.sum(fit.prior_information * (fit.values - means) ** 2))
+    means, rng = np.array([p.value for p in problem.parameters]), np.random.default_rng(0)
+    # drawn within their words, residuals are normal: scores of coarse words have longer tails than chi-square allows
+    residuals = [quantile_residuals(s.channel.intervals, s.mean_K, s.spread_K, rng) for s in samples]
+    square = float(sum(np.sum(e**2) for e in residuals))
+    square += float(np.sum(fit.prior_information * (fit.values - means) ** 2))
     free = count - int(np.count_nonzero(fit.prior_information == 0.0))
     if free < 1 or chi2.sf(square, free) > MISFIT_PROBABILITY:
         return 1.0, 1.0
     misfit = float(np.sqrt(square / free))
-    colour = min(max(lag1_autocorrelation(samples) / rms**2, 0.0), MOST_COLOUR)
+    colour = lag1_autocorrelation(samples) / rms_normalised_residual(samples) ** 2
+    colour = min(max(colour, 0.0), MOST_COLOUR)
     return misfit, misfit * float(np.sqrt((1.0 + colour) / (1.0 - colour)))
 
 
