@@ -11,10 +11,12 @@ import matplotlib.image as mpl_image
 import numpy as np
 import pytest
 
+import sim_heating as sh
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.estimation.report.estimate_file import read_estimate
+from sim_heating.estimation.report.report import estimate_contents
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT
 
@@ -225,23 +227,23 @@ def test_what_is_fixed_and_known_before_comes_from_a_file_and_the_line_and_is_st
     assert "[fixed]: ratio.d_alpha was fixed at 0.0006" in capsys.readouterr().err
 
 
-def test_a_clock_that_is_known_is_fixed(workdir: Path, tmp_path: Path) -> None:
-    names = ["--parameters", ",".join(TRUTH)]
-    found = estimate("second", *names, "--fix", f"clock.skew={SKEW_S}", out=tmp_path / "fit")
-    assert found["fit"]["rmse_K"] == pytest.approx(found["noise_floor_K"], rel=0.1)
-    assert all(error_in_sigma(found["parameters"][name], true) < 3.0 for name, true in TRUTH.items())
+def test_a_clock_that_is_known_is_fixed(workdir: Path) -> None:
+    found = sh.estimate("second", list(TRUTH), fixed={"clock.skew": SKEW_S})
+    assert found.after[0].segment_errors()["fit"]["rmse_K"] == pytest.approx(1.36, rel=0.1)  # the noise floor
+    assert all(abs(found.parameters[n][0] - true) < 3.0 * found.parameters[n][1] for n, true in TRUTH.items())
 
 
-def test_one_coating_of_two_points_is_tied(workdir: Path, tmp_path: Path) -> None:
+def test_one_coating_of_two_points_is_tied(workdir: Path) -> None:
     coating, records = "stack.coating.thickness_factor", [f"both/{PLUG}", f"both/{POD}"]
-    names = ["--parameters", f"ratio.scale,ratio.d_alpha,{coating}", "--prior", f"{coating}=flat"]
-    own = estimate(*records, *names, out=tmp_path / "own")["parameters"]
-    tied = estimate(*records, *names, "--tie", f"{coating}@{PLUG}={coating}@{POD}", out=tmp_path / "tied")
-    assert tied["ties"] == {f"{coating}@{p}": f"{coating}@{PLUG}" for p in (PLUG, POD)}
-    assert f"{coating}@{POD}" not in tied["parameters"]
-    common = tied["parameters"][f"{coating}@{PLUG}"]
-    assert common["white_sigma"] < min(own[f"{coating}@{p}"]["white_sigma"] for p in (PLUG, POD))
-    assert error_in_sigma(common, 1.0) < 3.0
+    names, flat = ["ratio.scale", "ratio.d_alpha", coating], {coating: (1.0, math.inf)}
+    tie = (f"{coating}@{PLUG}", f"{coating}@{POD}")
+    own = sh.estimate(records, names, priors=flat)
+    tied = estimate_contents(sh.estimate(records, names, priors=flat, ties=[tie]))
+    assert tied.ties == dict.fromkeys(tie, tie[0])
+    assert tie[1] not in tied.parameters
+    common = tied.parameters[tie[0]]
+    assert common.white_sigma < min(own.fit.sigma[own.labels.index(name)] for name in tie)
+    assert abs(common.value - 1.0) < 3.0 * common.sigma
 
 
 def test_a_record_without_a_vehicle_is_fitted(tmp_path: Path) -> None:
