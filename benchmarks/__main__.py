@@ -14,7 +14,7 @@ NAMES = (
     "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "switched_off",
-    "kaowool", "dispersion", "practice", "closure", "campaign", "mutants", "kills", "concurrency",
+    "kaowool", "paper_figures", "dispersion", "practice", "closure", "campaign", "mutants", "kills", "concurrency",
 )  # fmt: skip
 
 

@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import ArrayLike
 
 from sim_heating.base.files import write_csv
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.report.figure import DPI, picture_file, save_figure
+
+PAD_INCH = 0.1
+"""Empty rim about the axes: at another resolution texts are a little wider."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,5 +69,8 @@ def finished(
     drawn : figure and axes
     """
     figure, axes = drawn
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(w_pad=PAD_INCH, h_pad=PAD_INCH)
     save_figure(figure, None, f"Figure {number}: {title}", axes)
     return PaperFigure(number, title, figure, tables, notes)

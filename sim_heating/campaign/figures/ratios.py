@@ -31,6 +31,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio, declared_sigma, estimated_ratio
+from sim_heating.inputs.record import Record
 from sim_heating.march.ensemble import condition_history
 
 COLORS = ("tab:blue", "tab:orange", "tab:red")
@@ -47,7 +48,6 @@ STEP = 0.01
 RISING = 0.5
 """A table rises from its first node on whose slope is this part of the steepest."""
 ONSET = "effect.impingement-onset.alpha_onset_deg"
-FULLY_CATALYTIC = "heating ratio, fully catalytic wall"
 
 
 def angle_of_attack(data: FlownData) -> PaperFigure:
@@ -113,6 +113,7 @@ def _overlaid(
     Where some are far above others, these have a second panel.
     """
     i = SHORT_NAMES.index(terms[0])
+    data.records_of(part)
     found, notes = [], []
     for mach, color in zip(machs, COLORS, strict=True):
         try:
@@ -134,7 +135,7 @@ def _overlaid(
             _plot_estimate(a, e, i, wide, tables, data.turbulent_part(e.flown), band=shown is found and e is found[0])
         a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
         a.set_xlim(wide[0], wide[-1])
-    drawn[1][0, 0].set_ylabel(f"{FULLY_CATALYTIC} (bands: 2 sigma)")
+    drawn[1][0, 0].set_ylabel(_ratio_label(found[0].flown.record))
     if panels == 2:
         shown_low = min(float(np.min(e.ratio - SIGMAS * e.sigma)) for e in lower)
         shown_high = max(float(np.max(e.ratio + SIGMAS * e.sigma)) for e in lower)
@@ -189,6 +190,12 @@ def _excursion(flown: PointManoeuvre, variable: str) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
+def _ratio_label(record: Record) -> str:
+    """Label of a heating ratio: declared recombination is not part of it."""
+    catalytic = "" if record.declared.heating.catalysis is None else ", fully catalytic wall"
+    return f"heating ratio{catalytic} (bands: 2 sigma)"
+
+
 def _legend_below(drawn: tuple[Figure, np.ndarray]) -> None:
     """A legend of the first axes below all of them."""
     figure, axes = drawn
@@ -232,7 +239,7 @@ def pod(data: FlownData) -> PaperFigure:
         tables[other.replace(" ", "_")] = {"alpha_deg": x[:, 0], "ratio": value, "sigma": bound}
         notes.append(f"{flown.label}, {other} estimated: {what}; {fit_quality(fit)}")
     a.set_xlabel(LABELS["alpha_deg"])
-    a.set_ylabel(f"{FULLY_CATALYTIC} (bands: 2 sigma)")
+    a.set_ylabel(_ratio_label(record))
     a.set_xlim(wide[0, 0], wide[-1, 0])
     top = max(float(np.max(t["ratio"])) for t in tables.values())
     a.set_ylim(-0.05 * top, 1.25 * top)  # the band of the table is far wider
@@ -260,7 +267,7 @@ def tunnel_onset(table: RatioTable, reference: FloatArray) -> float:
     return float(alpha[int(np.argmax(slopes > RISING * np.max(slopes)))])
 
 
-def impinged_ratio(fit: FitResult, record: Any, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def impinged_ratio(fit: FitResult, record: Record, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Ratio of a fit of table and impingement along conditions, and its standard deviation by difference quotients.
 
     x : (sample, 5) conditions
@@ -290,7 +297,7 @@ def impinged_ratio(fit: FitResult, record: Any, x: FloatArray) -> tuple[FloatArr
     return ratio(values), np.sqrt(np.maximum(np.sum((B @ covariance) * B, axis=1), 0.0))
 
 
-def _added(used: EffectUse, values: dict[str, float], record: Any, x: FloatArray) -> FloatArray:
+def _added(used: EffectUse, values: dict[str, float], record: Record, x: FloatArray) -> FloatArray:
     """(sample,) what an effect adds to the ratio, by its kernel, at the values of a fit."""
     given = zip(used.effect.parameters, used.values, strict=True)
     own = [values.get(f"effect.{used.effect.name}.{p.name}", v) for p, v in given]
