@@ -1,7 +1,7 @@
 """The founding paper's figures from the shipped scenarios: time of the whole command, and the pictures of the gallery.
 
-The command runs twice, and the second time counts: the kernels are compiled then. The pictures are drawn again, reduced,
-for docs/figures.md; what was found is saved with the times.
+The command runs twice, and the second time counts: the kernels are compiled then. The pictures are drawn again,
+reduced, for docs/figures.md; what was found is saved with the times.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def run() -> list[Figure]:
         write_bytes_atomic(IMAGES / f"paper_{figure.stem}.png", picture)
     figures = [
         Figure("sim-heating figures, both scenarios, whole command, warm", seconds, "s", target=LONGEST_S),
-        Figure("its processor time", processor_s, "s", note="more than the above on idle cores, less on loaded ones"),
+        Figure("its processor time", processor_s, "s"),
         Figure("figures drawn", len(found.drawn), "", target=len(DRAWINGS), at_least=True),
     ]
     save("paper_figures", figures, found.summary())
