@@ -119,7 +119,7 @@ def _tables(report: Mapping[str, Any]) -> Iterator[Figure]:
         yield Figure(
             f"{what}: RMSE after", float(np.median(floors)), "floors", NEAR_FLOOR, note=f"worst {max(floors):.2f}"
         )
-        fitted = [e["after_K"] / e["fit_K"] for e in mine if e["fit_K"] is not None]
+        fitted = [e["after_from_start_K"] / e["fit_K"] for e in mine if e["after_from_start_K"] is not None]
         if fitted:
             yield Figure(
                 f"{what}: RMSE after over the fit",

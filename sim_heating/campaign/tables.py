@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,17 @@ from sim_heating.base.files.transaction import LOCK, STAGING
 from sim_heating.base.progress import Progress
 from sim_heating.campaign.manoeuvre_fits import usable
 from sim_heating.campaign.result import CampaignResult
-from sim_heating.closure.revise.report import update_tables
-from sim_heating.inputs.points import point_with_vehicle_table
-from sim_heating.inputs.record import in_segments, pooled_rmse_K
+from sim_heating.closure.revise.errors import rmse_with_tables_K
+from sim_heating.closure.revise.report import UpdatedTables, update_tables
+from sim_heating.closure.revise.revisions import revert
+from sim_heating.estimation.report.estimate_file import FittedStart, read_estimate
+from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.predict import predict
 
 COMMAND = "campaign-tables"
+WORSE, NOTICED = 1.05, 2.0
+"""A revision contradicts another flight where that is predicted by more than WORSE times the error before, and by more
+than NOTICED noise floors."""
 
 
 def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str], out: Path, progress: Progress) -> None:
@@ -27,8 +32,8 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
 
     doubts : (flight, control point) -> why its fits should revise no table
 
-    Where a fit of several flights is good it is taken in place of theirs. Rows of the revisions, of the fits that were
-    refused and of the errors are added to the result.
+    Where a fit of several flights is good it is taken in place of theirs. A revision that contradicts another flight is
+    undone. Rows of the revisions, of the fits that were refused and of the errors are added to the result.
     """
     vehicle = result.campaign.vehicle
     chosen = _chosen(result, doubts)
@@ -36,27 +41,77 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
         place = folder / vehicle.directory.resolve().name
         shutil.copytree(vehicle.directory, place, ignore=shutil.ignore_patterns(LOCK, STAGING))
         for k, row in enumerate(chosen):
-            title = f"{row['control_point']}, {row['group']}, {', '.join(row['flights'])}"
+            title = _title(row)
             progress(0.7 * k / len(chosen), title)
             try:
-                updated = update_tables(result.out / row["folder"], place, root=result.campaign.root)
+                updated = update_tables(
+                    result.out / row["folder"], place, checks=_other_flights(result, row), root=result.campaign.root
+                )
             except (InputError, RunError) as error:
                 result.refused.append(f"{title}: {error}")
                 continue
-            made, update = updated.revision, updated.update
-            assert made is not None
-            result.updates.append({
-                "control_point": row["control_point"],
-                "manoeuvre": row["group"],
-                "flights": row["flights"],
-                "revision": made.revision,
-                "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
-                "not_written": update.not_written,
-                "chi_square": update.laminar.chi_square,
-                "degrees_of_freedom": update.laminar.freedom,
-            })  # fmt: skip
+            against = _contradicted(updated, result, row)
+            if against:
+                revert(load_vehicle(place), row["control_point"])
+                result.refused.append(f"{title}: {against}")
+            else:
+                result.updates.append(_update_row(row, updated))
         progress(0.7, "predicting")
         _predict_all(result, load_vehicle(place), lambda done, text: progress(0.7 + 0.3 * done, text))
+
+
+def _title(row: Mapping[str, Any]) -> str:
+    return f"{row['control_point']}, {row['group']}, {', '.join(row['flights'])}"
+
+
+def _update_row(row: Mapping[str, Any], updated: UpdatedTables) -> dict[str, Any]:
+    """A revision as a row of the campaign."""
+    made, update = updated.revision, updated.update
+    assert made is not None
+    return {
+        "control_point": row["control_point"],
+        "manoeuvre": row["group"],
+        "flights": row["flights"],
+        "revision": made.revision,
+        "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
+        "not_written": update.not_written,
+        "held": {name: asdict(held) for name, held in updated.held.items()},
+        "chi_square": made.chi_square,
+        "degrees_of_freedom": made.degrees_of_freedom,
+    }
+
+
+def _other_flights(result: CampaignResult, row: Mapping[str, Any]) -> list[Record]:
+    """Records of the flights that a fit does not have, at its control point, each manoeuvre by itself."""
+    point = row["control_point"]
+    found = []
+    for fit in result.fits:
+        flight = fit["flights"][0]
+        if fit["control_point"] == point and flight not in row["flights"] and not usable(fit):
+            record = next(f for f in result.flights if f.name == flight).records[point].with_fit(fit["segments"])
+            found.append(replace(record, label=_label(fit)))
+    return found
+
+
+def _label(fit: Mapping[str, Any]) -> str:
+    return f"{fit['flights'][0]}/{fit['manoeuvre']}"
+
+
+def _contradicted(updated: UpdatedTables, result: CampaignResult, row: Mapping[str, Any]) -> str:
+    """Which manoeuvre of another flight a revision predicts worse than the tables before, in words; empty for none."""
+    worst, words = 1.0, ""
+    for record in _other_flights(result, row):
+        errors = updated.errors_K[record.name]["fit"]
+        if errors["before"] is None or errors["after"] is None:
+            continue
+        before, after = errors["before"]["rmse_K"], errors["after"]["rmse_K"]
+        if after > max(WORSE * before, NOTICED * record.noise_floor_K()) and after / before > worst:
+            worst = after / before
+            words = (
+                f"not written, as {record.name} would be predicted to {after:.1f} K in place of {before:.1f} K: the "
+                "flights contradict each other"
+            )
+    return words
 
 
 def _chosen(result: CampaignResult, doubts: Mapping[tuple[str, str], str]) -> list[dict[str, Any]]:
@@ -83,33 +138,40 @@ def _chosen(result: CampaignResult, doubts: Mapping[tuple[str, str], str]) -> li
 
 
 def _predict_all(result: CampaignResult, revised: Vehicle, progress: Progress) -> None:
-    """RMSE of each manoeuvre by the vehicle's tables before and after, of plain marches from entry interface."""
+    """RMSE of each manoeuvre by the vehicle's tables before and after.
+
+    Of plain marches from entry interface, and for fitted ones from the temperatures at the start of the fit.
+    """
     points = {u["control_point"] for u in result.updates}
-    marched = [(f, p, r) for f in result.flights for p, r in f.records.items() if p in points]
-    for k, (flight, point, record) in enumerate(marched):
+    marched = [(f, p, r, m) for f in result.flights for p, r in f.records.items() if p in points for m in f.manoeuvres]
+    for k, (flight, point, record, manoeuvre) in enumerate(marched):
         progress(k / len(marched), f"{flight.name}, {point}")
-        used = [i for i, s in enumerate(record.sensors) if s.used]
-        residual = {}
-        for when, vehicle in (("before", result.campaign.vehicle), ("after", revised)):
-            model, flow = point_with_vehicle_table(record, vehicle)
-            residual[when] = predict(record, model, flow=flow).residual_K[used]
-        for manoeuvre in flight.manoeuvres:
-            row = _row_of(result, flight.name, point, manoeuvre.name)
-            segment = (manoeuvre.start_s, manoeuvre.end_s) if row is None else tuple(row["segments"][0])
-            mask = in_segments(record.time_s, [segment])
-            errors = {when: pooled_rmse_K(r, mask) for when, r in residual.items()}
-            if errors["before"] is None or errors["after"] is None:
-                continue
-            result.errors.append({
-                "flight": flight.name,
-                "control_point": point,
-                "manoeuvre": manoeuvre.name,
-                "check": flight.name in result.checks,
-                "before_K": errors["before"]["rmse_K"],
-                "after_K": errors["after"]["rmse_K"],
-                "fit_K": None if row is None or "failed" in row else row["rmse_K"],
-                "noise_floor_K": record.noise_floor_K(mask),
-            })  # fmt: skip
+        row = _row_of(result, flight.name, point, manoeuvre.name)
+        segment = [manoeuvre.start_s, manoeuvre.end_s] if row is None else row["segments"][0]
+        if not record.read_mask[(record.time_s >= segment[0]) & (record.time_s <= segment[1])].any():
+            continue
+        chosen = record.with_fit([segment])
+        start = None if row is None or "failed" in row else _start(result, row)
+        vehicles = {"before": result.campaign.vehicle, "after": revised}
+        result.errors.append({
+            "flight": flight.name,
+            "control_point": point,
+            "manoeuvre": manoeuvre.name,
+            "check": flight.name in result.checks,
+            **{f"{when}_K": rmse_with_tables_K(chosen, v) for when, v in vehicles.items()},
+            **{
+                f"{when}_from_start_K": None if start is None else rmse_with_tables_K(chosen, v, start)
+                for when, v in vehicles.items()
+            },
+            "fit_K": None if row is None or "failed" in row else row["rmse_K"],
+            "noise_floor_K": chosen.noise_floor_K(),
+        })  # fmt: skip
+
+
+def _start(result: CampaignResult, row: Mapping[str, Any]) -> FittedStart | None:
+    """Where the march of a fit began; None at the first conditions."""
+    starts = read_estimate(result.out / row["folder"]).starts
+    return None if not starts else starts[0]
 
 
 def _row_of(result: CampaignResult, flight: str, point: str, manoeuvre: str) -> dict[str, Any] | None:

@@ -22,6 +22,7 @@ from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.inputs.points import flow_of_record, point_of_record, point_with_vehicle_table
 from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.predict import predict
 
@@ -65,6 +66,16 @@ def _check_comparable(update: TableUpdate, record: Record) -> None:
     point = record.declared.control_point
     if point != update.point.name:
         raise InputError(f"{record.name}: is of {point}, the table is that of {update.point.name}")
+
+
+def rmse_with_tables_K(record: Record, vehicle: Vehicle, start: FittedStart | None = None) -> float:
+    """RMSE over the fit segments of a record [K], predicted with the tables and effects of a vehicle.
+
+    start  : where the march begins, as the fit of the record states it; by default at the first conditions
+    raises : InputError where the vehicle has no such control point, or its table is over another reference heating
+    """
+    found = pooled_rmse_K(_residual_K(record, *point_with_vehicle_table(record, vehicle), start), record.fit_mask())
+    return math.nan if found is None else float(found["rmse_K"])
 
 
 # What the tables hold of the fit --------------------------------------------------------------------------------------
