@@ -18,8 +18,8 @@ heat flux. The samples of a turbulent boundary layer inform the turbulent table,
 table, by the square of the part that each has in the heating.
 
 With Q an orthonormal basis of sqrt(w) W and of sqrt(w) B C^(1/2), the rows Q' sqrt(w) contain all of this, and are no
-more than nodes and parameters together. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006),
-eq. 2.42 (explicit basis functions) with the roles of prior and measurement exchanged; docs/equations.md, equation 17a.
+more than nodes and parameters together. Equations: docs/equations.md, 17a and 17b; the update by them is that of
+heating/ratio/uncertainty.py.
 """
 
 from __future__ import annotations
