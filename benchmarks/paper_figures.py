@@ -43,7 +43,7 @@ def run() -> list[Figure]:
         Figure("its processor time", processor_s, "s"),
         Figure("figures drawn", len(found.drawn), "", target=len(DRAWINGS), at_least=True),
     ]
-    save("paper_figures", figures, found.summary())
+    save("paper_figures", figures, {"found": found.summary()})
     return figures
 
 

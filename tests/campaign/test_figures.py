@@ -11,7 +11,9 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.report.figure import mark_beyond, new_figure
+from sim_heating.campaign.figures.flown import FlownData
 from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
+from sim_heating.campaign.figures.segments import reynolds_trend
 from sim_heating.campaign.flights import CampaignFlight, read_flights
 from sim_heating.cli import main
 from sim_heating.estimation.report.plots import fit_figure
@@ -104,6 +106,25 @@ def test_the_onset_of_impingement_is_that_of_the_flight(figures: PaperFigures) -
     assert note[0] == "declared table: rises from 30 deg"
     text = note[1].partition("onset ")[2].split()
     assert abs(float(text[0]) - ONSET_DEG) < 3.0 * float(text[2]) < 3.0
+
+
+def test_the_trend_in_segments_is_that_of_the_table_over_either_reference(flight: CampaignFlight) -> None:
+    """The truth is the declared table; over Eckert's plate table and estimate change alike."""
+    both = reynolds_trend(FlownData([flight]), mach=20.0)
+    assert named_lines_out_of_sight(both.figure) == []
+    found = {name: np.asarray(values) for name, values in both.tables[""].items()}
+    for name in ("stagnation", "eckert_turbulent"):
+        error = (found[f"{name}_ratio"] - found[f"{name}_table"]) / found[f"{name}_sigma"]
+        assert np.mean(np.abs(error) < 2.5) > 0.8
+    assert np.all(found["eckert_turbulent_ratio"] > found["stagnation_ratio"])
+    alone = reynolds_trend(FlownData([flight], reference="eckert-turbulent"), mach=20.0)
+    assert len(alone.figure.axes) == 1
+    assert not any(name.startswith("stagnation") for name in alone.tables[""])
+
+
+def test_a_point_that_does_not_respond_to_the_elevon_is_said_not_to(flight: CampaignFlight) -> None:
+    found = draw_figures([flight], [12], points={"elevon": "V09T9527"}).drawn[0]
+    assert any("no significant response" in note or "no response" in note for note in found.notes)
 
 
 def test_a_flight_without_manoeuvres_gives_reasons(flight: CampaignFlight) -> None:

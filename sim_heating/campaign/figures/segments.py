@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import ALPHA, LOG10_RE
-from sim_heating.base.report.figure import mark_beyond, new_figure
+from sim_heating.base.report.figure import legend_above, mark_beyond, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, finished
 from sim_heating.campaign.figures.flown import (
     ECKERT,
@@ -40,9 +40,9 @@ DETERMINED = 0.5
 SIGMAS = 2.0
 
 
-def reynolds_trend(data: FlownData) -> PaperFigure:
-    """Figure 9: trend with Reynolds number about the Mach 8 POPU."""
-    flown = data.manoeuvre("lower", POPU, 8.0)
+def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
+    """Figure 9: trend with Reynolds number about the POPU of a speed in units of 1000 ft/s."""
+    flown = data.manoeuvre("lower", POPU, mach)
     fit = data.linear_fit(flown, "alpha")
     if "ratio.d_alpha" not in fit.parameters:
         raise LeftOut(f"{flown.label}: its fit gives no alpha derivative to fix; {fit.not_estimated['ratio.d_alpha']}")
@@ -52,7 +52,7 @@ def reynolds_trend(data: FlownData) -> PaperFigure:
     conditions = np.array([s.condition for s in found.segments])
     at_reference = conditions.copy()
     at_reference[:, ALPHA] = reference[ALPHA]
-    scale, shown = _scales(data, flown, found)
+    scale, shown = _scales(data, flown, found, float(reference[ALPHA]))
     drawn = new_figure(5.6 * len(shown) + 0.4, 5.0, 1, len(shown), squeeze=False)
     table: dict[str, Any] = {
         "start_s": np.array([s.start_s for s in found.segments]),
@@ -74,7 +74,7 @@ def reynolds_trend(data: FlownData) -> PaperFigure:
         _limit(
             a, table["log10_re"], ratio * factor, sigma * factor, [v for n, v in table.items() if f"{key}_table" in n]
         )
-        a.legend(fontsize=8, loc="best")
+        legend_above(a)
         notes.append(_trend_text(table["log10_re"], ratio * factor, sigma * factor, name))
     d_alpha, bound = fit.parameters["ratio.d_alpha"]
     notes.append(f"d_alpha fixed at {plus_minus(d_alpha, bound)} per deg; {fit_quality(fit)}")
@@ -86,8 +86,13 @@ def reynolds_trend(data: FlownData) -> PaperFigure:
     return finished(9, title, drawn, {"": table}, tuple(notes))
 
 
-def _scales(data: FlownData, flown: PointManoeuvre, found: Trend) -> tuple[dict[str, FloatArray], list[str]]:
-    """(segment,) factors from the record's reference film coefficient to each that is shown, and these."""
+def _scales(
+    data: FlownData, flown: PointManoeuvre, found: Trend, alpha_deg: float
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """(segment,) factors from the record's reference film coefficient to each that is shown, and these.
+
+    alpha_deg : angle of attack of the ratios, and so of the plate
+    """
     conditions = conditions_of_record(flown.record)
     length = flown.record.declared.heating.running_length_m
     scale = {STAGNATION: np.ones(len(found.segments))}
@@ -97,7 +102,8 @@ def _scales(data: FlownData, flown: PointManoeuvre, found: Trend) -> tuple[dict[
                 f"{flown.record.name}: its record states no running_length_m, which {ECKERT} needs; give it in "
                 f"[heating], or choose --reference {STAGNATION}"
             )
-        film = reference_heating(ECKERT, conditions, running_length_m=length).h_ref_kg_m2_s
+        inclined = conditions.with_columns(alpha_deg=np.full(len(conditions), alpha_deg))
+        film = reference_heating(ECKERT, inclined, running_length_m=length).h_ref_kg_m2_s
         factor = conditions["h_ref_kg_m2_s"] / film
         scale[ECKERT] = np.array([_mean(conditions, factor, s.start_s, s.end_s) for s in found.segments])
     return scale, list(data.references)
