@@ -528,8 +528,9 @@ def named_apart(records: Sequence[Record]) -> list[Record]:
 
     raises : InputError where two records of one name are of one flight
     """
-    names = distinct_names([r.folder_name for r in records], lambda i: records[i].flight)
-    found = [r if r.label or r.name == name else replace(r, label=name) for r, name in zip(records, names, strict=True)]
+    plain = [r for r in records if not r.label]
+    names = iter(distinct_names([r.folder_name for r in plain], lambda i: plain[i].flight))
+    found = [r if r.label or (name := next(names)) == r.folder_name else replace(r, label=name) for r in records]
     _require_distinct([r.name for r in found])
     return found
 
