@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.base.parameters import AT
 from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
 
@@ -50,6 +49,7 @@ def _reference_condition(_: click.Context, __: click.Parameter, value: str | Non
 def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
     """Values of --fit, each `640,760` or `640,760@FLIGHT`: [start, end] times [s], by owner where there is one."""
     from sim_heating.base.files import plain_number
+    from sim_heating.base.parameters import AT
 
     found: dict[str, list[list[float]]] = {}
     for item in value:
@@ -66,6 +66,8 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
 
 def _starts(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
     """Values of --start, each `circuit:650` or `circuit:650@FLIGHT`, by owner where there is one."""
+    from sim_heating.base.parameters import AT
+
     found: dict[str, str] = {}
     for item in value:
         text, _at, owner = item.partition(AT)
