@@ -26,6 +26,7 @@ from sim_heating.closure.revise.errors import HeldFit, errors_before_and_after, 
 from sim_heating.closure.revise.evidence import ratio_names
 from sim_heating.closure.revise.revision_file import RevisionFile
 from sim_heating.closure.revise.revisions import revising
+from sim_heating.closure.revise.table_effects import added_ratio
 from sim_heating.closure.revise.update import (
     MIN_P_VALUE,
     TableChange,
@@ -280,7 +281,10 @@ def draw_update(path: Path, update: TableUpdate) -> None:
 
 
 def _panel(a: Axes, update: TableUpdate, i: int) -> None:
-    """Ratio against one variable: table before and after, and the estimate where it was flown."""
+    """Ratio against one variable: table before and after, and the estimate where it was flown.
+
+    The estimate includes the effects that the table takes; its band is that of the linear model alone.
+    """
     axis, flown = update.table.axes[i], update.flight.path.x[:, i]
     reference = update.estimate.reference_condition.values()
     x = panel_conditions(i, reference, flown, axis)
@@ -291,7 +295,10 @@ def _panel(a: Axes, update: TableUpdate, i: int) -> None:
     names = ratio_names(update.estimate)
     values, covariance = update.estimate.values(names), update.estimate.covariance(names)
     declared = update.records[0].ratio_table
-    plot_flight(a, inside[:, i], *estimated_ratio(names, values, covariance, reference, declared, inside))
+    ratio, sigma = estimated_ratio(names, values, covariance, reference, declared, inside)
+    for used in update.flight.in_table:
+        ratio = ratio + added_ratio(used, inside, reference)
+    plot_flight(a, inside[:, i], ratio, sigma)
     a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
 
 

@@ -81,11 +81,12 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
         f = np.clip((values - axis[low]) / width, 0.0, 1.0)
         ends = np.stack([low, high], axis=1)
         share = np.stack([1.0 - f, f], axis=1)
-        nodes = (nodes[:, :, None] * len(axis) + ends[:, None, :]).reshape(len(x), -1)
-        weights = (weights[:, :, None] * share[:, None, :]).reshape(len(x), -1)
+        shape = (len(x), 2 * nodes.shape[1])  # given, as -1 has no meaning where there is no sample
+        nodes = (nodes[:, :, None] * len(axis) + ends[:, None, :]).reshape(shape)
+        weights = (weights[:, :, None] * share[:, None, :]).reshape(shape)
     rows = np.repeat(np.arange(len(x)), nodes.shape[1])
-    shape = (len(x), math.prod(len(a) for a in axes))
-    matrix = csr_array((weights.ravel(), (rows, nodes.ravel())), shape=shape)
+    size = (len(x), math.prod(len(a) for a in axes))
+    matrix = csr_array((weights.ravel(), (rows, nodes.ravel())), shape=size)
     # On a node or beyond an edge most corners have weight 0; left in, they would count as nodes that the data inform.
     matrix.eliminate_zeros()
     return matrix
