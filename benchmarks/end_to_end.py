@@ -165,8 +165,11 @@ def _of_tables(what: str, mine: Sequence[Result]) -> Iterator[Figure]:
     good = [r.after for r in mine if r.fit <= FLOORS / HELD]
     median = [float(np.median([getattr(r, k) for r in mine])) for k in ("before", "fit", "after", "from_entry")]
     note = "medians: before {:.1f}, fit {:.2f}, after {:.2f}, after from entry {:.2f}".format(*median)
-    text = f"{what} RMSE of the revised tables where the fit is at the noise, worst of {len(good)}"
-    yield Figure(text, max(good, default=float("nan")), "floors", FLOORS, note=note)
+    text = f"{what} RMSE of the revised tables where the fit is at the noise"
+    if good:
+        yield Figure(f"{text}, worst of {len(good)}", max(good), "floors", FLOORS, note=note)
+    else:
+        yield Figure(f"{text}: no fit is; median of all", median[2], "floors", note=note)
     seeds = [r.seed for r in mine]
     note = f"median {np.median(seeds):.2f}"
     yield Figure(f"{what} other noise, RMSE after over before, worst", max(seeds), "", WORSE, note=note)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,8 @@ HELD = 1.15
 """Error with the new table over that of the fit [-] up to which the table counts as holding the fit."""
 LEAST_LOSS = 0.2
 """Part of the error with the new table [-] from which on a cause of it is named."""
+REST = "the form of its ratio between nodes, and heating of which nothing was read"
+"""What is left where all else is added."""
 NOT_MARCHED = (EFFECT_PREFIX, SENSOR_PREFIX, OF_START, *RECORD_PARAMETERS)
 """Begin of the names of what a fit has in addition to heating and stack; effects are passed as such."""
 
@@ -133,19 +135,38 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) ->
     from_entry_K = after_K if start is None else rmse_K(*models["after"], begin=None)
     causes: dict[str, float] = {}
     if not after_K <= HELD * fit_K:
-        model, flow = models["after"]
-        for what, more, uses, of_reading in _missing(update, parameters, readings):
-            richer = replace(
-                model, parameters={**model.parameters, **more}, effects=combined_uses(model.effects, uses),
-                reference=fit.reference,
-            )  # fmt: skip
-            causes[what] = _reduction(after_K, rmse_K(richer, flow, **of_reading))
+        missing = list(_missing(update, parameters, readings))
+        for m in missing:
+            causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
+        every = {key: value for m in missing for key, value in m.of_readings.items()}
+        causes[REST] = _reduction(rmse_K(*_with(models["after"], fit, missing), **every), fit_K)
     if start is not None:
         causes[f"heating before {start.time_s:g} s, where the fit begins"] = _reduction(from_entry_K, after_K)
     return HeldFit(
         record.noise_floor_K(), fit_K, rmse_K(*models["before"]), after_K, from_entry_K,
         {what: loss for what, loss in causes.items() if loss > LEAST_LOSS * max(after_K, from_entry_K)},
     )  # fmt: skip
+
+
+class _Missing(NamedTuple):
+    """What the fit has and the new vehicle has not: parameters, effects, and arguments of `predict`."""
+
+    what: str
+    parameters: dict[str, float]
+    effects: list[EffectUse]
+    of_readings: dict[str, Any]
+
+
+def _with(
+    after: tuple[PointModel, EdgeFlow], fit: PointModel, missing: Sequence[_Missing]
+) -> tuple[PointModel, EdgeFlow]:
+    """The model with the tables after, and what they have not of the fit."""
+    model, flow = after
+    parameters, effects = dict(model.parameters), model.effects
+    for m in missing:
+        parameters |= m.parameters
+        effects = combined_uses(effects, m.effects)
+    return replace(model, parameters=parameters, effects=effects, reference=fit.reference), flow
 
 
 def _reduction(whole: float, without: float) -> float:
@@ -159,22 +180,20 @@ def _values(update: TableUpdate, record: Record) -> dict[str, float]:
     return {name: value for name, owner, value in split if owner in ("", record.name, update.point.name)}
 
 
-def _missing(
-    update: TableUpdate, parameters: Mapping[str, float], readings: Mapping[str, Any]
-) -> Iterator[tuple[str, dict[str, float], list[EffectUse], dict[str, Any]]]:
-    """What the fit has and the new vehicle has not: name, parameters, effects, and arguments of `predict`."""
+def _missing(update: TableUpdate, parameters: Mapping[str, float], readings: Mapping[str, Any]) -> Iterator[_Missing]:
+    """What the fit has and the new vehicle has not, one by one; errors of sensors together."""
     for label in update.not_written:
         name = label.partition(AT)[0]
         if name in parameters:
-            yield label, {name: parameters[name]}, [], {}
+            yield _Missing(label, {name: parameters[name]}, [], {})
         elif name == CLOCK_SKEW.name:
-            yield label, {}, [], {"skew_s": readings["skew_s"]}
+            yield _Missing(label, {}, [], {"skew_s": readings["skew_s"]})
         elif is_effect(name):
             used = fitted_use(update.estimate, name.removeprefix(EFFECT_PREFIX))
             if used is not None:
-                yield name, {}, [used], {}
+                yield _Missing(label, {}, [used], {})
     if any(n.startswith(SENSOR_PREFIX) for n in update.not_written):
-        yield "errors of the sensors", {}, [], {"errors": readings["errors"]}
+        yield _Missing("errors of the sensors", {}, [], {"errors": readings["errors"]})
 
 
 def _residual_K(

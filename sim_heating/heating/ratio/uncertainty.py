@@ -44,7 +44,7 @@ from sim_heating.heating.ratio.table import RatioTable
 
 CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
 """Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent; see docs/table_updates.md."""
-UPDATE_REACH = {"alpha_deg": 15.0, "beta_deg": 10.0, "log10_re": 0.8, "elevon_deg": 15.0, "bodyflap_deg": 15.0}
+UPDATE_REACH = {"alpha_deg": 15.0, "beta_deg": 10.0, "log10_re": 0.4, "elevon_deg": 15.0, "bodyflap_deg": 15.0}
 """Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is; see docs/table_updates.md."""
 
 SINGULAR = 1e-8
