@@ -91,8 +91,8 @@ def test_effects_of_one_flight_predict_another_and_can_be_reverted(
     for name in ("first", "second"):
         rmse = {when: errors[name]["fit"][when]["rmse_K"] for when in ("before", "after")}
         assert rmse["before"] > 5.0 * floor
-        # the second flight is at other Reynolds numbers, towards a node of the table that the first says less about
-        assert rmse["after"] < (1.5 if name == "first" else 1.7) * floor
+        # the second flight is at other Reynolds numbers in part, where the update leaves the table as it was
+        assert rmse["after"] < (1.15 if name == "first" else 2.2) * floor
     assert main(["predict", "second", "--vehicle", "./orbiter", "--out", "after"]) == 0
     assert read_json(workdir / "after" / "summary.json")["fit"] == pytest.approx(errors["second"]["fit"]["after"])
 
