@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sim_heating.base.files import write_text_atomic
-from sim_heating.base.parameters import MODEL
+from sim_heating.base.parameters import MODEL, RATIO
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
@@ -74,8 +74,8 @@ def write_campaign_page(path: Path, result: CampaignResult) -> None:
 def campaign_page(result: CampaignResult) -> Page:
     """Flights, findings, fits, their agreement, the revised tables and what they predict."""
     sections = [
-        _flights_section(result), *_closed_section(result), *_fits_sections(result), *_joint_section(result),
-        *_tables_section(result), *_errors_section(result),
+        _flights_section(result), *_errors_section(result), *_tables_section(result), *_closed_section(result),
+        *_joint_section(result), *_fits_sections(result),
     ]  # fmt: skip
     vehicle = result.campaign.vehicle
     count = f"{len(result.flights)} flights, {len(result.points)} control points"
@@ -140,43 +140,32 @@ def _closed_section(result: CampaignResult) -> list[Section]:
 
 
 def _fits_sections(result: CampaignResult) -> list[Section]:
-    """A section for each control point: its ratio parameters by manoeuvre and flight, as a table and a picture."""
-    sections = []
-    for point in result.points:
-        rows = [r for r in (*result.fits, *result.joint) if r["control_point"] == point and "failed" not in r]
-        failed = [r for r in (*result.fits, *result.joint) if r["control_point"] == point and "failed" in r]
-        if not rows and not failed:
-            continue
-        names = [n for n in MODEL if n.startswith("ratio.") and any(n in r["parameters"] for r in rows)]
-        columns = [
-            Column("manoeuvre"),
-            Column("flights", is_text=True),
-            *(Column(n.removeprefix("ratio."), is_text=True) for n in names),
-        ]
-        columns += [
-            Column("RMSE", format=".2f", unit="K"),
-            Column("noise floor", format=".2f", unit="K"),
-            Column("", is_text=True),
-        ]
-        cells = [
-            [r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"], usable(r)]
-            for r in rows
-        ]
-        others = _other_parameters(rows)
-        points = [f"{r['group']}, {', '.join(r['flights'])}: failed: {r['failed']}" for r in failed]
-        points += [f"{n} not estimated in {', '.join(w)}: {why}" for (n, why), w in _not_estimated(rows).items()]
-        strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
-        picture = (
-            [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")]
-            if names and rows
-            else []
-        )
-        sections.append(
-            Section(
-                f"Fits of {point}", points=points, tables=[Table("", columns, cells, strong), *others], pictures=picture
-            )
-        )
-    return sections
+    """A section for each control point that has fits."""
+    return [section for point in result.points for section in _point_section(result, point)]
+
+
+def _point_section(result: CampaignResult, point: str) -> list[Section]:
+    """Fits of one control point by manoeuvre, the flights together after the single ones, as a table and a picture."""
+    every = [r for r in (*result.fits, *result.joint) if r["control_point"] == point]
+    order = [g.name for g in result.groups]
+    rows = sorted((r for r in every if "failed" not in r), key=lambda r: order.index(r["group"]))
+    points = [f"{r['group']}, {_who(r)}: failed: {r['failed']}" for r in every if "failed" in r]
+    if not rows:
+        return [Section(f"Fits of {point}", points=points)] if points else []
+    names = [p.name for p in RATIO if any(p.name in r["parameters"] for r in rows)]
+    columns = [
+        Column("manoeuvre"), Column("flights", is_text=True),
+        *(Column(n.removeprefix("ratio."), is_text=True) for n in names),
+        Column("RMSE", format=".2f", unit="K"), Column("noise floor", format=".2f", unit="K"), Column("", is_text=True),
+    ]  # fmt: skip
+    cells = [
+        [r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"], usable(r)] for r in rows
+    ]
+    points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
+    strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
+    pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []
+    tables = [Table("", columns, cells, strong), *_other_parameters(rows)]
+    return [Section(f"Fits of {point}", points=points, tables=tables, pictures=pictures)]
 
 
 def _who(row: Mapping[str, Any]) -> str:
@@ -203,12 +192,14 @@ def _other_parameters(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 def _not_estimated(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], list[str]]:
-    """Fits in which a parameter was left out, by the parameter and the reason without its numbers."""
-    found: dict[tuple[str, str], list[str]] = {}
+    """Manoeuvres in which a parameter was left out, by the parameter and the reason in the first fit of each."""
+    first: dict[tuple[str, str], str] = {}
     for r in rows:
         for name, why in r["not_estimated"].items():
-            plain = why.partition(" (")[0].partition(";")[0]
-            found.setdefault((name, plain), []).append(f"{r['group']} ({_who(r)})")
+            first.setdefault((name, r["group"]), why.partition(";")[0])
+    found: dict[tuple[str, str], list[str]] = {}
+    for (name, group), why in first.items():
+        found.setdefault((name, why), []).append(group)
     return found
 
 
