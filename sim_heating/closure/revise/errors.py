@@ -140,12 +140,11 @@ def _held_fit(update: TableUpdate, record: Record, start: FittedStart | None) ->
             causes[m.what] = _reduction(after_K, rmse_K(*_with(models["after"], fit, [m]), **m.of_readings))
         every = {key: value for m in missing for key, value in m.of_readings.items()}
         causes[REST] = _reduction(rmse_K(*_with(models["after"], fit, missing), **every), fit_K)
-    if start is not None:
-        causes[f"heating before {start.time_s:g} s, where the fit begins"] = _reduction(from_entry_K, after_K)
-    return HeldFit(
-        record.noise_floor_K(), fit_K, rmse_K(*models["before"]), after_K, from_entry_K,
-        {what: loss for what, loss in causes.items() if loss > LEAST_LOSS * max(after_K, from_entry_K)},
-    )  # fmt: skip
+    named = {what: loss for what, loss in causes.items() if loss > LEAST_LOSS * after_K}
+    if start is not None and (loss := _reduction(from_entry_K, after_K)) > LEAST_LOSS * from_entry_K:
+        named[f"heating before {start.time_s:g} s, where the fit begins"] = loss
+    before_K = rmse_K(*models["before"])
+    return HeldFit(record.noise_floor_K(), fit_K, before_K, after_K, from_entry_K, named)
 
 
 class _Missing(NamedTuple):
