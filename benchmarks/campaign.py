@@ -57,17 +57,20 @@ def _effects(truth: Mapping[str, Any], point: str) -> dict[str, dict[str, float]
 
 
 def _findings(report: Mapping[str, Any], truths: Mapping[str, Any]) -> Iterator[Figure]:
-    """Records whose missing effects are all named, and records with a name too many."""
-    named = too_many = 0
+    """Records of which every missing effect is named, alone or in a set, and those with a name too many."""
+    named = too_many = alone = 0
     for row in report["closed"]:
         truth = truths[row["flight"]]
         wanted = {*_effects(truth, row["control_point"])}
         wanted |= {"coating-thickness"} if "stack.coating.thickness_factor" in truth["parameters"] else set()
-        found = {*row.get("effects", ())} - {"none"}
-        named += wanted <= found
-        too_many += bool(found - wanted)
+        sets = [set(part.split(" or ")) for part in row.get("named", "").split(" + ") if part]
+        named += all(any(name in s for s in sets) for name in wanted)
+        too_many += any(not s & wanted for s in sets)
+        alone += all(len(s) == 1 for s in sets)
     n = len(report["closed"])
-    yield Figure("records whose effects are all named", named / max(n, 1), "", note=f"of {n}")
+    yield Figure(
+        "records whose effects are all named", named / max(n, 1), "", note=f"of {n}, {alone} with one name each"
+    )
     yield Figure("records with an effect that is not there", too_many, "", note=f"of {n}")
 
 

@@ -15,7 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from sim_heating.base.errors import InputError, printable
-from sim_heating.base.report.figure import PictureWarning, legend_label, new_figure, replaced_if_undrawable, save_figure
+from sim_heating.base.report.figure import (
+    PictureWarning,
+    legend_label,
+    mark_beyond,
+    new_figure,
+    replaced_if_undrawable,
+    save_figure,
+)
 from sim_heating.base.report.page import Picture
 from sim_heating.cli import main
 from tests.support.paths import TILE
@@ -95,3 +102,17 @@ def test_a_record_with_such_names_is_predicted(
     assert main(["predict", "record", "--out", "out"]) == 0, capsys.readouterr().err
     assert Path("out/prediction.png").is_file()
     assert Path("out/summary.json").is_file()
+
+
+def test_points_beyond_the_axes_are_marked_within_their_width():
+    figure, axes = new_figure(6.0, 3.0, 1)
+    time_s = np.linspace(-500.0, 10.0, 200)
+    axes[0].plot(time_s, 3.0 * np.sin(time_s))
+    axes[0].set_ylim(-1.0, 1.0)
+    mark_beyond(axes[0], time_s, 3.0 * np.sin(time_s), "tab:red")
+    axes[0].set_xlim(0.0, 10.0)
+    save_figure(figure, None, "", axes)  # a warning of the layout is an error here
+    assert axes[0].get_position().width > 0.7
+    above, below = axes[0].lines[1:]
+    assert np.all(above.get_ydata() == 1.0)
+    assert np.all(below.get_ydata() == -1.0)

@@ -22,6 +22,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogFormatter
+from matplotlib.transforms import Bbox, TransformedBbox
 from numpy.typing import ArrayLike
 
 from sim_heating.base.errors import InputError, RunError, printable
@@ -177,7 +178,9 @@ def mark_beyond(axes: Axes, x: ArrayLike, y: ArrayLike, color: str) -> None:
     for edge, marker, beyond in ((high, "^", y > high), (low, "v", y < low)):
         if np.any(beyond):
             at = np.full(np.count_nonzero(beyond), edge)
-            axes.plot(x[beyond], at, marker, color=color, markersize=5, clip_on=False, zorder=5)
+            (marks,) = axes.plot(x[beyond], at, marker, color=color, markersize=5, zorder=5)
+            # whole at the upper and lower edge, and none beside the axes where these are narrower than the points
+            marks.set_clip_box(TransformedBbox(Bbox([[0.0, -0.1], [1.0, 1.1]]), axes.transAxes))
     axes.set_ylim(low, high)
 
 
