@@ -15,11 +15,10 @@ import numpy as np
 
 from sim_heating.base.conditions import SHUTTLE_MACH_M_S
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path
+from sim_heating.base.files import display_path, repeated_name
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.record import DECLARATION, Record, load_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
-from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import synthesize
 from sim_heating.trajectory.flight import Flight
 
@@ -92,10 +91,8 @@ def read_flights(
         else:
             loaded += [load_record(p, root=root) for p in record_directories(path)]
     flights += flights_of_records(loaded)
-    names = [f.name for f in flights]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"two flights are named {name}; give one of them another `flight`")
+    if (name := repeated_name([f.name for f in flights])) is not None:
+        raise InputError(f"two flights are named {name}; give one of them another `flight`")
     return flights
 
 
@@ -135,17 +132,14 @@ def flights_of_records(records: Sequence[Record]) -> list[CampaignFlight]:
 
 
 def flight_of_scenario(
-    scenario: Scenario, *, seed: int | None = None, flown: Flight | None = None, progress: Progress = no_progress
+    scenario: Scenario, *, flown: Flight | None = None, progress: Progress = no_progress
 ) -> CampaignFlight:
     """A scenario flown and measured.
 
-    seed  : of the measurements, in place of the scenario's own; the flight is then named after it as well
     flown : the scenario's flight, where it has been flown already
     """
-    seeded = scenario if seed is None else with_seed(scenario, seed)
-    flown = fly_scenario(seeded, progress=progress) if flown is None else flown
-    records = synthesize(seeded, flight=flown)
-    return CampaignFlight(seeded.flight, records, _manoeuvres(seeded.flight, records), seeded)
+    records = synthesize(scenario, flight=flown, progress=progress)
+    return CampaignFlight(scenario.flight, records, _manoeuvres(scenario.flight, records), scenario)
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
@@ -171,8 +165,12 @@ def _manoeuvres(flight: str, records: Mapping[str, Record]) -> tuple[Manoeuvre, 
     found: list[Manoeuvre] = []
     for m in sorted(declared, key=lambda m: m.start_s):
         velocity = float(np.interp(m.start_s, first.conditions.time_s, first.conditions["velocity_m_s"]))
-        stem = f"{m.kind}-mach{velocity / SHUTTLE_MACH_M_S:.0f}"
-        same = sum(f.name == stem or f.name.startswith(f"{stem}-") for f in found)
-        name = f"{stem}-{same + 1}" if same else stem
+        name = numbered(f"{m.kind}-mach{velocity / SHUTTLE_MACH_M_S:.0f}", [f.name for f in found])
         found.append(Manoeuvre(name, m.kind, m.start_s, m.end_s, velocity))
     return tuple(found)
+
+
+def numbered(stem: str, taken: Sequence[str]) -> str:
+    """A name, with the number of its occurrence behind it from the second one on, as `popu-mach20-2`."""
+    same = sum(name == stem or name.startswith(f"{stem}-") for name in taken)
+    return f"{stem}-{same + 1}" if same else stem

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
-from sim_heating.estimation.report.estimate_file import PAIR
+from sim_heating.campaign.flights import CampaignFlight, Manoeuvre, numbered
+from sim_heating.estimation.report.estimate_file import correlation_matrix
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,7 @@ def groups_of(flights: Sequence[CampaignFlight], tolerance: float) -> list[Group
             group.append((flight, manoeuvre))
     names: list[str] = []
     for g in found:
-        same = sum(n == g[0][1].name or n.startswith(f"{g[0][1].name}-") for n in names)
-        names.append(f"{g[0][1].name}-{same + 1}" if same else g[0][1].name)
+        names.append(numbered(g[0][1].name, names))
     return [Group(name, tuple(g)) for name, g in zip(names, found, strict=True)]
 
 
@@ -91,10 +90,4 @@ def _values(row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
 
 def _covariance(row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
     sigma = np.array([row["parameters"][n]["sigma"] for n in names])
-    rho = np.eye(len(names))
-    for i, a in enumerate(names):
-        for j, b in enumerate(names):
-            if i != j:
-                stated = row["correlation"]
-                rho[i, j] = stated.get(f"{a}{PAIR}{b}", stated.get(f"{b}{PAIR}{a}", 0.0))
-    return rho * np.outer(sigma, sigma)
+    return correlation_matrix(row["correlation"], names) * np.outer(sigma, sigma)

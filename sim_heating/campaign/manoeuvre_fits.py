@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sim_heating.base.files import results_digest
-from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel import Job
 from sim_heating.base.parameters import AT
 from sim_heating.campaign.carried import Estimate, effect_uses
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.campaign.spec import ManoeuvreSettings
-from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
+from sim_heating.closure.several.batch import program_digest
+from sim_heating.estimation.fit import DEFAULT, MODEL_ERROR_RATIO, FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.estimation.report.report import estimate_contents, write_fit
-from sim_heating.estimation.starts import STARTS
+from sim_heating.estimation.starts import start_at
 from sim_heating.estimation.trend import LOST_INTERVALS
-from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import Record, load_records
 
-MODEL_ERROR_RATIO = 1.3
-"""RMS of the residuals over that of noise [-] above which a fit revises no table: its model is incomplete."""
 READINGS_BEFORE = 3
 """Readings of every thermocouple before a start that is made from them."""
 LOST = "lost"
@@ -59,12 +55,7 @@ class FitTask:
     settings: Mapping[str, Any]
     reference: Mapping[str, float]
     carried: Mapping[str, Estimate] = field(default_factory=dict)
-    root: str | None = None
-
-    @property
-    def title(self) -> str:
-        """Control point, manoeuvre and flights."""
-        return f"{self.point}, {self.manoeuvre}, {', '.join(self.flights)}"
+    root: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -114,19 +105,9 @@ def _read_before(record: Record, time_s: float) -> bool:
 
 def fit_job(task: FitTask, records: Sequence[Record]) -> Job:
     """The job of a fit; its name depends on everything that its result depends on."""
-    digest = hashlib.sha256("|".join([*map(inputs_hash, records), package_version(), *sorted(effects())]).encode())
-    digest.update(json.dumps({k: v for k, v in asdict(task).items() if k not in ("out", "records")}).encode())
-    for path in user_effect_files():
-        digest.update(path.read_bytes())
-    return Job(f"{task.point}-{task.manoeuvre}-{digest.hexdigest()[:16]}.json", task)
-
-
-def results_are_there(job: Job, finished: bytes) -> bool:
-    """Whether the folder of a finished fit still holds what was written into it."""
-    try:
-        return bool(json.loads(finished)["results"] == results_digest(job.task.out))
-    except (ValueError, KeyError, TypeError):
-        return False
+    settings = json.dumps({k: v for k, v in asdict(task).items() if k not in ("out", "records")}, default=str)
+    digest = program_digest([inputs_hash(record) for record in records], [settings])
+    return Job(f"{task.point}-{task.manoeuvre}-{digest[:16]}.json", task)
 
 
 def run_fit(task: FitTask) -> bytes:
@@ -148,7 +129,7 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     priors = {name: (value, sigma) for name, (value, sigma) in task.carried.items() if sigma > 0.0}
     given = ManoeuvreSettings(**task.settings)
     starts = [
-        None if kind == "declared" else partial(STARTS[kind], time_s=segment[0])
+        None if kind == "declared" else start_at(kind, segment[0])
         for kind, segment in zip(task.starts, task.segments, strict=True)
     ]
     fixed = {**{name: value for name, value in values.items() if name not in priors}, **given.fix}
@@ -191,7 +172,7 @@ def fit_row(task: FitTask, fitted: FitResult) -> dict[str, Any]:
 
 
 def usable(row: Mapping[str, Any]) -> str:
-    """Why a fit revises no table; empty where it may."""
+    """Why a fit revises no table; empty where it may: it converged, and its model is complete."""
     if "failed" in row:
         return str(row["failed"])
     if not row["converged"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -297,11 +298,7 @@ def _errors_section(result: CampaignResult) -> list[Section]:
         for name, held in u["held"].items()
         for what, loss in held["not_held"].items()
     ]
-    return [Section("What the revised tables predict", [text], points, [_strong(errors_table(result), worse)])]
-
-
-def _strong(table: Table, rows: Sequence[int]) -> Table:
-    return Table(table.title, table.columns, table.rows, rows)
+    return [Section("What the revised tables predict", [text], points, [replace(errors_table(result), strong=worse)])]
 
 
 def totals(result: CampaignResult) -> Table:

@@ -36,7 +36,6 @@ from sim_heating.campaign.manoeuvre_fits import (
     FittedSpan,
     fit_job,
     fitted_span,
-    results_are_there,
     run_fit,
     usable,
 )  # fmt: skip
@@ -44,11 +43,11 @@ from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_pag
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign
 from sim_heating.campaign.tables import revise_tables
-from sim_heating.closure.several.batch import close_all
+from sim_heating.closure.several.batch import close_all, results_are_there
 from sim_heating.estimation.problem import joint_reference
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.inputs.scenario import load_scenario
-from sim_heating.inputs.vehicle import vehicle_files
+from sim_heating.inputs.vehicle import add_vehicle_files
 from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import synthesize, write_records
 
@@ -93,7 +92,7 @@ class FlyTask:
     scenario: str
     seeds: tuple[int | None, ...]
     folders: tuple[str, ...]
-    root: str | None
+    root: Path | None
 
 
 def run_campaign(
@@ -180,13 +179,10 @@ def _fly_job(campaign: Campaign, source: FlightInput, out: Path) -> Job:
     digest = hashlib.sha256(package_version().encode())
     for scenario in source.scenarios:
         digest.update(scenario.declared.model_dump_json().encode())
-    for path in vehicle_files(first.vehicle.directory):
-        digest.update(path.relative_to(first.vehicle.directory).as_posix().encode() + path.read_bytes())
+    add_vehicle_files(digest, first.vehicle.directory)
     folders = tuple(str(out / RECORDS / s.flight) for s in source.scenarios)
-    root = None if campaign.root is None else str(campaign.root)
-    return Job(
-        f"{first.path.stem}-{digest.hexdigest()[:16]}.json", FlyTask(str(first.path), source.seeds, folders, root)
-    )
+    task = FlyTask(str(first.path), source.seeds, folders, campaign.root)
+    return Job(f"{first.path.stem}-{digest.hexdigest()[:16]}.json", task)
 
 
 def _fly(task: FlyTask) -> bytes:
@@ -275,8 +271,7 @@ def _fit_singles(
                 task = FitTask(
                     point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
                     ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
-                    found.estimates,
-                    None if result.campaign.root is None else str(result.campaign.root),
+                    found.estimates, result.campaign.root,
                 )  # fmt: skip
                 tasks.append((task, [f.records[point]]))
     result.fits.extend(_run_fits("fits", tasks, engine, progress))
@@ -312,8 +307,7 @@ def _fit_jointly(
                 point, group.name, group.name, names, tuple(str(r.directory) for r in records),
                 tuple((s[0], s[1]) for r in good for s in r["segments"]), str(engine.out / JOINT / point / group.name),
                 tuple(s for r in good for s in r["starts"]), _as_data(settings),
-                good[0]["reference_condition"], common,
-                None if result.campaign.root is None else str(result.campaign.root),
+                good[0]["reference_condition"], common, result.campaign.root,
             )  # fmt: skip
             tasks.append((task, records))
             members.append(good)

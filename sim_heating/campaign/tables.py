@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -41,16 +41,14 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
         place = folder / vehicle.directory.resolve().name
         shutil.copytree(vehicle.directory, place, ignore=shutil.ignore_patterns(LOCK, STAGING))
         for k, row in enumerate(chosen):
-            title = _title(row)
+            title, others = _title(row), _other_flights(result, row)
             progress(0.7 * k / len(chosen), title)
             try:
-                updated = update_tables(
-                    result.out / row["folder"], place, checks=_other_flights(result, row), root=result.campaign.root
-                )
+                updated = update_tables(result.out / row["folder"], place, checks=others, root=result.campaign.root)
             except (InputError, RunError) as error:
                 result.refused.append(f"{title}: {error}")
                 continue
-            against = _contradicted(updated, result, row)
+            against = _contradicted(updated, others)
             if against:
                 revert(load_vehicle(place), row["control_point"])
                 result.refused.append(f"{title}: {against}")
@@ -97,10 +95,10 @@ def _label(fit: Mapping[str, Any]) -> str:
     return f"{fit['flights'][0]}/{fit['manoeuvre']}"
 
 
-def _contradicted(updated: UpdatedTables, result: CampaignResult, row: Mapping[str, Any]) -> str:
+def _contradicted(updated: UpdatedTables, others: Sequence[Record]) -> str:
     """Which manoeuvre of another flight a revision predicts worse than the tables before, in words; empty for none."""
     worst, words = 1.0, ""
-    for record in _other_flights(result, row):
+    for record in others:
         errors = updated.errors_K[record.name]["fit"]
         if errors["before"] is None or errors["after"] is None:
             continue
@@ -120,7 +118,7 @@ def _chosen(result: CampaignResult, doubts: Mapping[tuple[str, str], str]) -> li
     for row in result.joint:
         why = usable(row)
         if why:
-            result.refused.append(f"{row['control_point']}, {row['group']}, {', '.join(row['flights'])}: {why}")
+            result.refused.append(f"{_title(row)}: {why}")
             continue
         chosen.append(row)
         taken |= {(row["control_point"], row["group"], flight) for flight in row["flights"]}

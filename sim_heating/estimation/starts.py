@@ -18,13 +18,14 @@ Equations 2 to 6 of docs/clocks_and_starts.md, with a comparison of the first th
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.filter.records import filtered_start
-from sim_heating.estimation.record_fit import Start, march_times, start_unknowns
+from sim_heating.estimation.record_fit import Start, StartMaker, march_times, start_unknowns
 from sim_heating.estimation.unknown_heating import after_unknown_heating, largest_directions, temperatures_at
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
@@ -263,3 +264,8 @@ def with_estimated_profile(start: Start) -> Start:
 
 STARTS = {"circuit": circuit_start, "profile": profile_start, "filter": filter_start, "lost": lost_start}
 """Kinds of start at a given time, by the name that a command takes."""
+
+
+def start_at(kind: str, time_s: float) -> StartMaker:
+    """What makes a start of a kind, a key of STARTS, at a time [s]."""
+    return partial(STARTS[kind], time_s=time_s)

@@ -11,6 +11,7 @@ Positions are in m from the nose: x aft, y to starboard, z up.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -269,9 +270,12 @@ def vehicle_place(
     return vehicle
 
 
-def vehicle_files(directory: Path) -> list[Path]:
-    """Files of a vehicle that a computation may read, in the order of their names."""
-    return sorted(p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
+def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:
+    """Add names and contents of all files of a vehicle that a computation may read to a digest."""
+    files = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
+    for path in sorted(files):
+        digest.update(path.relative_to(directory).as_posix().encode())
+        digest.update(path.read_bytes())
 
 
 def vehicle_folders() -> list[Path]:

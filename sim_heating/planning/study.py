@@ -32,7 +32,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
 from sim_heating.heating.effects import user_effect_files
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
-from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_files, vehicle_place
+from sim_heating.inputs.vehicle import Vehicle, add_vehicle_files, load_vehicle, vehicle_place
 from sim_heating.planning.dispersion.spec import Dispersion
 from sim_heating.planning.envelope.spec import Envelope, NextFlight
 from sim_heating.planning.limited_point import LimitedPoint
@@ -203,9 +203,7 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
     """SHA-256 over the study, the base entry, all files of the vehicle, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
-    for path in vehicle_files(base.vehicle.directory):
-        digest.update(path.relative_to(base.vehicle.directory).as_posix().encode())
-        digest.update(path.read_bytes())
+    add_vehicle_files(digest, base.vehicle.directory)
     for path in user_effect_files():
         digest.update(path.read_bytes())
     return digest.hexdigest()[:HASH_LENGTH]

@@ -22,16 +22,13 @@ from sim_heating.base.report.figure import MANOEUVRE_NAMES
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.fit import FitResult, estimate
-from sim_heating.estimation.record_fit import Start, StartMaker
-from sim_heating.estimation.starts import READINGS, STARTS
+from sim_heating.estimation.starts import READINGS, start_at
 from sim_heating.estimation.trend import Trend, trend
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.inputs.points import conditions_of_record, intermittency_along, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.march.point import PointModel
 from sim_heating.simulation.predict import Prediction, predict
-from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
 
 T = TypeVar("T")
@@ -281,15 +278,6 @@ def readable_from_s(record: Record) -> float:
     """Time from which a fit may start from readings: that of the third of every used thermocouple [s], or infinite."""
     read = record.time_s[np.all(np.isfinite(record.temperatures_K(record.used_sensors)), axis=0)]
     return float(read[READINGS - 1]) if len(read) >= READINGS else np.inf
-
-
-def start_at(kind: str, time_s: float) -> StartMaker:
-    """A start of estimation/starts.py at a time [s], by its name."""
-
-    def start(record: Record, model: PointModel, mesh: Mesh) -> Start:
-        return STARTS[kind](record, model, mesh, time_s)
-
-    return start
 
 
 def without_table(record: Record) -> Record:

@@ -117,7 +117,7 @@ def close_all(
             require_writable(folder, COMMAND, expected=files, inputs=records)
         outcome = run_batches(
             jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
-            is_current=_results_are_there, progress=progress,
+            is_current=results_are_there, progress=progress,
         )  # fmt: skip
         rows = []
         for label, job in zip(labels, jobs, strict=True):
@@ -140,17 +140,24 @@ def record_job(
         inputs = inputs_hash(load_record(record, root=root))
     except InputError:  # the job itself reports it
         inputs = "unreadable"
-    # Everything that the result depends on: a finished record is closed again after an update of the program or of a
-    # user-defined effect, and not otherwise.
-    digest = hashlib.sha256("|".join([inputs, label, package_version(), *sorted(effects()), *(names or ())]).encode())
-    for path in user_effect_files():
-        digest.update(path.read_bytes())
+    digest = program_digest([inputs, label], names or ())
     return Job(
-        f"{label.replace('/', '_')}-{digest.hexdigest()[:12]}.json",
+        f"{label.replace('/', '_')}-{digest[:12]}.json",
         Task(
             str(record), str(out), None if root is None else str(root), None if names is None else tuple(names), label
         ),
     )
+
+
+def program_digest(inputs: Sequence[str], settings: Sequence[str] = ()) -> str:
+    """Digest of everything that a result depends on: its inputs and settings, the program, user-defined effects.
+
+    A finished part is done again after an update of the program or of an effect, and not otherwise.
+    """
+    digest = hashlib.sha256("|".join([*inputs, package_version(), *sorted(effects()), *settings]).encode())
+    for path in user_effect_files():
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _close_record(task: Task) -> bytes:
@@ -163,8 +170,8 @@ def _close_record(task: Task) -> bytes:
     return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
 
 
-def _results_are_there(job: Job, finished: bytes) -> bool:
-    """Whether the folder of a finished record still holds what was written into it."""
+def results_are_there(job: Job, finished: bytes) -> bool:
+    """Whether the folder of a finished job, `task.out`, still holds what was written into it."""
     try:
         return bool(json.loads(finished)["results"] == results_digest(job.task.out))
     except (ValueError, KeyError, TypeError):  # written by an earlier version

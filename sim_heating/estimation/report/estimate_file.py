@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -272,12 +272,7 @@ class Estimate(Extensible):
 
         Source: docs/estimation_statistics.md, equation 18.
         """
-        rho = np.eye(len(names))
-        for i, a in enumerate(names):
-            for j, b in enumerate(names):
-                if i != j:
-                    rho[i, j] = self.correlation.get(f"{a}{PAIR}{b}", self.correlation.get(f"{b}{PAIR}{a}", 0.0))
-        return rho
+        return correlation_matrix(self.correlation, names)
 
     def values(self, names: Sequence[str]) -> FloatArray:
         """(n,) estimated values of the named parameters, each in its contract unit ([-] for a ratio).
@@ -293,6 +288,19 @@ class Estimate(Extensible):
         """
         sigma = np.array([self.parameters[n].sigma for n in names])
         return self.correlation_matrix(names) * np.outer(sigma, sigma)
+
+
+def correlation_matrix(stated: Mapping[str, float], names: Sequence[str]) -> FloatArray:
+    """(n, n) correlation [-] of names, of which each pair `a|b` is stated in one order; 0 for a pair that is not.
+
+    Source: docs/estimation_statistics.md, equation 18.
+    """
+    rho = np.eye(len(names))
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            if i != j:
+                rho[i, j] = stated.get(f"{a}{PAIR}{b}", stated.get(f"{b}{PAIR}{a}", 0.0))
+    return rho
 
 
 def is_correlation(rho: FloatArray) -> bool:
