@@ -183,7 +183,7 @@ def _xml(data: bytes) -> Leaves:
 
 
 def _model_bin(data: bytes) -> Leaves:
-    """Numbers R and N of an FMU's image (docs/fmu.md), with bounds of variables."""
+    """Numbers R and N of an FMU's image (docs/how_to/fmu.md), with bounds of variables."""
     header = np.frombuffer(data, np.int64, 7, 16)
     n_real, n_whole, n_variables, n_problems = (int(n) for n in header[:4])
     at = 16 + 8 * 7

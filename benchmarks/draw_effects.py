@@ -1,10 +1,10 @@
-"""Pictures of what each effect does to a flight, and the tables of its parameters in docs/effects.md.
+"""Pictures of what each effect does to a flight, and the tables of its parameters in docs/reference/effects.md.
 
     python -m benchmarks.draw_effects scenarios/all_manoeuvres.toml --docs docs
 
-draws docs/images/effect_NAME.png and writes docs/effects.md, from the repository's root. The magnitudes are large
-enough to be visible; every other value is an effect's nominal one. In docs/effects.md the text before the first heading
-and the equations between an effect's source and its table are written by hand; they are kept.
+draws docs/images/effect_NAME.png and writes docs/reference/effects.md, from the repository's root. The magnitudes are
+large enough to be visible; every other value is an effect's nominal one. In docs/reference/effects.md the text before
+the first heading and the equations between an effect's source and its table are written by hand; they are kept.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def main() -> None:
         if known[name].acts_on_readings:
             pair[1] = as_recorded(pair[0], **values)
         draw(given.docs / "images" / f"effect_{name}.png", known[name], values, pair, point.sensors, flown)
-    file = given.docs / "effects.md"
+    file = given.docs / "reference" / "effects.md"
     write_text_atomic(file, page(file.read_text()))
 
 
@@ -150,7 +150,7 @@ def page(present: str) -> str:
             f"| `{p.name}` | {p.unit} | {p.value:g} | {p.sigma:g} | {bounds(p, searched)} | {p.text} |"
             for p, searched in zip(effect.parameters, effect.search_definitions(), strict=True)
         ]
-        lines += ["", f"![{name}](images/effect_{name}.png)", ""]
+        lines += ["", f"![{name}](../images/effect_{name}.png)", ""]
     return "\n".join(lines)
 
 

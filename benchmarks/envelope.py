@@ -30,7 +30,7 @@ PICTURES = {
     "alpha_expansion": ("before_after_alpha", "before_after_cross_range", "next_flight", "map_alpha"),
     "cg_expansion": ("before_after_cg",),
 }
-"""Pictures of the document docs/envelope.md."""
+"""Pictures of the document docs/how_to/envelope.md."""
 
 
 def run() -> list[Figure]:

@@ -1,7 +1,7 @@
 """The founding paper's figures from the shipped scenarios: time of the whole command, and the pictures of the gallery.
 
 The command runs twice, and the second time counts: the kernels are compiled then. The pictures are drawn again,
-reduced, for docs/figures.md; what was found is saved with the times.
+reduced, for docs/how_to/figures.md; what was found is saved with the times.
 """
 
 from __future__ import annotations

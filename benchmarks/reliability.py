@@ -1,4 +1,4 @@
-"""Tables of docs/reliability.md from the results of the benchmarks: `python -m benchmarks.reliability`.
+"""Tables of docs/evidence/reliability.md from the results of the benchmarks: `python -m benchmarks.reliability`.
 
 A table stands between `<!-- results of NAME -->` and `<!-- end -->`. Where results/NAME.json does not exist, the page
 says which command makes it.
@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.measure import RESULTS
 from benchmarks.page import DOCS, fill, markdown_table
 
-PAGE = DOCS / "reliability.md"
+PAGE = DOCS / "evidence" / "reliability.md"
 GOOD = ("accepted", "refused", "failed")
 
 

@@ -2,7 +2,7 @@
 
 `scenarios/sts96.toml` is flown with what the vehicle declares and marched at the four tiles. Each phase has the RMSE
 and the mean of measured minus predicted surface temperature, and the radiated heat as a part of the predicted one. The
-figures of docs/evidence.md.
+figures of docs/evidence/evidence.md.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def test_an_earlier_import_works_and_names_the_one_to_use(module: str, name: str
 
 def shown_to_users():
     """Python that a user reads: blocks of the pages, and the examples."""
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
         for k, block in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)):
             yield pytest.param(block, id=f"{page.name}-{k}")
     for path in sorted((ROOT / "examples").rglob("*.py")):
@@ -107,9 +107,10 @@ def test_what_users_are_shown_uses_the_public_face_alone(code: str):
 
 
 def test_paths_that_pages_name_exist():
-    """Files in backticks: of the repository, or of the package."""
+    """Files in backticks: of the repository, or of the package. A decision names the files of its day."""
     wrong = []
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    pages = [p for p in sorted((ROOT / "docs").rglob("*.md")) if "decisions" not in p.parts]
+    for page in (ROOT / "README.md", *pages):
         for path in re.findall(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|toml|c|h))`", page.read_text()):
             places = [ROOT / path, ROOT / "sim_heating" / path]
             tops = {p.name for root in (ROOT, ROOT / "sim_heating") for p in root.iterdir()}

@@ -71,7 +71,7 @@ def test_the_picture_of_the_architecture_is_that_of_the_imports():
 def test_modules_that_texts_name_exist():
     """In code that a test or a benchmark hands to another process, in docstrings and on pages."""
     wrong = []
-    pages = list((ROOT / "docs").glob("*.md"))
+    pages = list((ROOT / "docs").rglob("*.md"))
     code = [p for folder in ("sim_heating", "tests", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
     for path in (ROOT / "README.md", *pages, *code):
         for name in re.findall(r"\b(?:from|import) (sim_heating(?:\.\w+)+)", path.read_text()):

@@ -5,7 +5,7 @@ Blottner et al. (1971), with Eucken's conductivity. Both are mixed by Wilke's ru
 standard deviation its sigma. Up to 700 K, below the range of Blottner's fits, the viscosity is Sutherland's and the
 Prandtl number that of CEA. Ions count as the neutrals that they come from, and the mixture's viscosity is multiplied
 by the ratio that the collision cross sections of NASA RP-1232 give with and without the charges.
-Equations: docs/equations_reference_heating.md, section 2.
+Equations: docs/theory/equations_reference_heating.md, section 2.
 """
 
 from __future__ import annotations

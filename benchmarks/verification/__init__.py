@@ -2,9 +2,9 @@
 
     python -m benchmarks verification
 
-prints one table, reference | expected | got | error | limit, writes it into docs/verification.md and all digits into
-results/verification.json. The exit status is 1 where an error exceeds its limit. A reference is a closed form, a number
-that others published, or a solution by methods and code that share nothing with the package.
+prints one table, reference | expected | got | error | limit, writes it into docs/evidence/verification.md and all
+digits into results/verification.json. The exit status is 1 where an error exceeds its limit. A reference is a closed
+form, a number that others published, or a solution by methods and code that share nothing with the package.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from benchmarks.verification import (
 )
 from benchmarks.verification.row import Row, cells, text_table
 
-PAGE = DOCS / "verification.md"
+PAGE = DOCS / "evidence" / "verification.md"
 LEAST_ROWS = 60
 SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Conduction": conduction.rows,

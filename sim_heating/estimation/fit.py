@@ -6,7 +6,7 @@ with the reason; the noise of sensors that declare none is estimated as well; bo
 residuals; errors are those of the plain march at the values found. With process noise the innovations of a Kalman
 filter take the place of residuals (filter/innovations.py), and the fit without it is where the search begins. Method:
 HEATEST, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers"; equations in
-docs/estimation_statistics.md.
+docs/theory/estimation_statistics.md.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class FitResult:
     warnings      : one line each
     innovations   : of the filter, in a fit with process noise
 
-    Source: docs/estimation_statistics.md, equations 13 to 26.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 26.
     """
 
     problem: FitProblem
@@ -136,14 +136,14 @@ class FitResult:
     def correlation(self) -> FloatArray:
         """(parameter, parameter) correlation [-] of the estimates, from the covariance corrected for colour.
 
-        Source: docs/estimation_statistics.md, equations 18 and 22.
+        Source: docs/theory/estimation_statistics.md, equations 18 and 22.
         """
         return correlation(self.bounds.covariance)
 
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
 
-        Source: docs/estimation_statistics.md, equation 1, or 32 for a fit with process noise.
+        Source: docs/theory/estimation_statistics.md, equation 1, or 32 for a fit with process noise.
         """
         return (self.innovations or self.problem).samples(self.fit.values)
 
@@ -184,7 +184,7 @@ def estimate(
 
     A name of all these may have an owner: a control point, `ratio.d_alpha@V09T9527`; for clocks and thermocouples a
     record or a flight, `clock.skew@STS-2`. A fit that does not converge is returned, with its status. Source:
-    docs/estimation_statistics.md, equations 13 to 26 and 31; 32 to 35 with process noise.
+    docs/theory/estimation_statistics.md, equations 13 to 26 and 31; 32 to 35 with process noise.
 
     >>> import sim_heating as sh
     >>> fit = sh.estimate("scenarios/records/practice/p06", ["ratio.scale", "ratio.d_alpha"])
@@ -236,7 +236,7 @@ def fit_problem(
     returns : values, bounds, predictions [K] before and after, warnings
     raises  : RunError where the model cannot be marched at the start or at the values found
 
-    Source: docs/estimation_statistics.md, equations 13 to 26 and 31.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 26 and 31.
     """
     return _fit_result(problem, _fit(problem, first, settings, progress), {}, (), None)
 
@@ -480,7 +480,7 @@ def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
               the last sample that is fitted or held out
 
     It ends there because the ratio of a short segment need not be valid far from it.
-    Source: docs/estimation_statistics.md, equation 1, without the correction of equation 31.
+    Source: docs/theory/estimation_statistics.md, equation 1, without the correction of equation 31.
     """
     own, record = record_fit.values(values), record_fit.record
     errors = {s.name: sensor_errors(s, own) for s in record.sensors}
@@ -502,7 +502,7 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
     fit     : which parameters are on a bound, and priors
     raises  : InputError where there are no more samples than parameters
 
-    Source: docs/estimation_statistics.md, equations 22 to 25.
+    Source: docs/theory/estimation_statistics.md, equations 22 to 25.
     """
     channels = []
     for s in samples:
@@ -521,8 +521,8 @@ def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
     """One line for each variable ([deg], [-]) that leaves the ratio table over the fit segments, or has no slope in it,
     and for each control point whose records declare different tables.
 
-    Outside, the table has its edge value, so that the estimate includes the difference (docs/equations.md, section 2).
-    A derivative against a variable with one node is estimated, but no revision of this table can hold it.
+    Outside, the table has its edge value, so that the estimate includes the difference (docs/theory/equations.md,
+    section 2). A derivative against a variable with one node is estimated, but no revision of this table can hold it.
     """
     lines = _different_tables([record_fit.record for record_fit in record_fits])
     for record_fit in record_fits:
@@ -571,14 +571,14 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     samples : fitted channels at the values found
 
     Thresholds are 1.3 times the expected RMS of residuals [-], and scaled eigenvalues of 1e-6.
-    Source: docs/estimation_statistics.md, equations 19 and 29.
+    Source: docs/theory/estimation_statistics.md, equations 19 and 29.
     """
     lines = [] if fit.status is Status.CONVERGED else [fit.status.value]
     lines += problem.mesh_warnings
     for u, value, bounded in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
         if bounded:
             lines.append(f"{u.label} is on its bound, {value:g}")
-        # a lead of some seconds removes the whole lag of a coating: docs/clocks_and_starts.md, first table
+        # a lead of some seconds removes the whole lag of a coating: docs/theory/clocks_and_starts.md, first table
         model = problem.record_fits[u.records[0]].model
         if bounded and model.same_parameter(u.parameter.name, "stack.coating.thickness_factor") and value < 1.0:
             lines.append(
@@ -602,7 +602,7 @@ def rms_normalised_residual(everything: Sequence[PredictedSamples]) -> float:
     everything : all fitted channels, scores u [1/K] and information I [1/K2] of which are those at their predictions
                  [K]
 
-    Source: docs/estimation_statistics.md, equation 29.
+    Source: docs/theory/estimation_statistics.md, equation 29.
     """
     scored = [likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in everything]
     squares = sum(float(np.sum(f.score**2)) for f in scored)
@@ -617,7 +617,7 @@ def lag1_autocorrelation(everything: Sequence[PredictedSamples]) -> float:
     0 for white noise of any size; larger where the model errs for longer than a sample. Samples that follow each other
     in a channel count as neighbours, whatever the time [s] between them.
 
-    Source: docs/estimation_statistics.md, equation 30.
+    Source: docs/theory/estimation_statistics.md, equation 30.
     """
     scored = [likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in everything]
     products = sum(float(np.sum(f.score[1:] * f.score[:-1])) for f in scored)

@@ -2,9 +2,9 @@
 
 Every record is marched with its sensitivities (march/linearised.py), its samples are compared with the predicted
 indications of its sensors (record_fit.py), and log likelihood, gradient and information add up over the records
-(docs/estimation_statistics.md, equations 13 and 14). Parameters of heating and stack are those of a control point,
-shared by all its records; those of clocks, sensors and initial profiles belong to one record. Records on common times
-are marched side by side, others in threads.
+(docs/theory/estimation_statistics.md, equations 13 and 14). Parameters of heating and stack are those of a control
+point, shared by all its records; those of clocks, sensors and initial profiles belong to one record. Records on common
+times are marched side by side, others in threads.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class FitProblem:
     options   : effects, priors, starts and samples, where not the declared ones
     raises    : InputError where no sample is fitted, or a parameter does not exist in the model
 
-    Likelihood: docs/estimation_statistics.md, equations 3 to 14.
+    Likelihood: docs/theory/estimation_statistics.md, equations 3 to 14.
     """
 
     def __init__(
@@ -350,7 +350,7 @@ class FitProblem:
     def parameters(self) -> list[Parameter]:
         """The unknowns as newton.maximise takes them, by their labels, each in its unit ([-] for a ratio).
 
-        Priors P and means of docs/estimation_statistics.md, equation 13.
+        Priors P and means of docs/theory/estimation_statistics.md, equation 13.
         """
         return [replace(u.parameter, name=u.label) for u in self.unknowns]
 
@@ -407,7 +407,7 @@ class FitProblem:
         vector  : (parameter,) values, each in its unit
         returns : log likelihood [-], (parameter,) g, (parameter, parameter) M; NaN log likelihood where a march failed
 
-        Source: docs/estimation_statistics.md, equation 14.
+        Source: docs/theory/estimation_statistics.md, equation 14.
         """
         m = len(self.unknowns)
 
@@ -435,8 +435,8 @@ class FitProblem:
     def failed_evaluation(self) -> Evaluation:
         """Evaluation where a march failed: log likelihood NaN [-], gradient and information 0.
 
-        A search treats it as a point outside the domain (newton.maximise; docs/estimation_statistics.md, section "The
-        most probable parameters").
+        A search treats it as a point outside the domain (newton.maximise; docs/theory/estimation_statistics.md, section
+        "The most probable parameters").
         """
         m = len(self.unknowns)
         return Evaluation(np.nan, np.zeros(m), np.zeros((m, m)))
@@ -447,7 +447,7 @@ class FitProblem:
         vector : (parameter,)
         raises : RunError where a march failed
 
-        Source: docs/estimation_statistics.md, equations 1 and 2.
+        Source: docs/theory/estimation_statistics.md, equations 1 and 2.
         """
 
         found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
@@ -515,7 +515,7 @@ class FitProblem:
 
         vectors : (candidate, parameter);  returns NaN for a candidate whose march failed
 
-        Source: docs/estimation_statistics.md, equations 3 and 5.
+        Source: docs/theory/estimation_statistics.md, equations 3 and 5.
         """
         return np.concatenate(
             [self._lane_log_likelihoods(vectors[k : k + LANES]) for k in range(0, len(vectors), LANES)]
@@ -563,7 +563,7 @@ class FitProblem:
                  the parameters is neglected
 
         Many samples determine a parameter better than a mesh that is accurate to a fraction of one sample's noise.
-        Source: docs/estimation_statistics.md, equation 31.
+        Source: docs/theory/estimation_statistics.md, equation 31.
         """
         in_threads(lambda k: correct_mesh(self.record_fits[k], vector), len(self.record_fits))
 
@@ -583,7 +583,7 @@ class FitProblem:
 
         The noise [K] is at least record_fit.least_sigma_K; parameters are shared among sensors by their numbers of
         samples.
-        Source: docs/estimation_statistics.md, equation 21.
+        Source: docs/theory/estimation_statistics.md, equation 21.
         """
         change, everything = 0.0, self.samples(vector)
         count = sum(len(s.mean_K) for s in everything)
@@ -646,7 +646,7 @@ def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None
     given   : variable -> value, for some of the variables
     returns : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
 
-    Subscript 0 of the founding paper's linear model, docs/equations.md, section 2.
+    Subscript 0 of the founding paper's linear model, docs/theory/equations.md, section 2.
     """
     declared = records[0].declared.reference_condition
     fitted = [(r, r.fit_mask(r.conditions.time_s)) for r in records]

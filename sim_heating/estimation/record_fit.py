@@ -8,17 +8,18 @@ A sensor indicates
     indicated = c0 + c1 T' + c2 T'^2 + ...,    T' = gain T(t - skew) + bias + drift t'       (inputs/sensor_model.py)
 
 so that d indicated = (c1 + 2 c2 T' + ...) (gain dT + T dgain + dbias + t' ddrift - gain dT/dt dskew);
-docs/estimation_statistics.md, equations 1 and 2. Where a thermocouple lags, T is the temperature of the thermocouple,
-and the march is read at its steps as well, since a lag remembers what lies between samples (`RecordFit.sensed`).
+docs/theory/estimation_statistics.md, equations 1 and 2. Where a thermocouple lags, T is the temperature of the
+thermocouple, and the march is read at its steps as well, since a lag remembers what lies between samples
+(`RecordFit.sensed`).
 
 Meshes are of second order. With T_k the temperatures on the mesh whose elements are halved k times,
 
     T_k + (T_k - T_(k-1)) / 3
 
-is closer to the limit of fine meshes than T_k (Richardson's extrapolation; docs/estimation_statistics.md, equation 31).
-A correction T - T_0 that is small is made with k = 1. A larger one is not in the asymptotic range yet, and elements are
-halved until the next halving leaves it unchanged. Temperatures at the start that the stack declares are evaluated again
-on every mesh: what a coarse one cannot resolve of a profile is part of its error.
+is closer to the limit of fine meshes than T_k (Richardson's extrapolation; docs/theory/estimation_statistics.md,
+equation 31). A correction T - T_0 that is small is made with k = 1. A larger one is not in the asymptotic range yet,
+and elements are halved until the next halving leaves it unchanged. Temperatures at the start that the stack declares
+are evaluated again on every mesh: what a coarse one cannot resolve of a profile is part of its error.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ LONGEST_STEP_S = 1.0
 """Default limit on the steps of a fit's march [s]."""
 LEAST_SIGMA_K = 0.02
 """Least noise [K] of a sensor: no thermocouple is better, and a likelihood needs some."""
-# below a tenth of a step the likelihood of a word is that of its interval alone (docs/estimation_statistics.md,
+# below a tenth of a step the likelihood of a word is that of its interval alone (docs/theory/estimation_statistics.md,
 # equation 21)
 LEAST_OF_LSB = 0.05
 """Least noise of a sensor over its recorder's step [-]."""
@@ -163,7 +164,7 @@ class RecordFit:
 
         tolerance_K : largest error of a step [K], at the values that are not estimated
 
-        Source: docs/equations_thermal_step.md, section 9.
+        Source: docs/theory/equations_thermal_step.md, section 9.
         """
         # not `track`: the times at which it reads may depend on the steps
         track = Track(self.model, self.mesh, (), np.zeros(0), initial_K=self.initial_K(None))
@@ -172,7 +173,7 @@ class RecordFit:
     def shift_s(self, vector: FloatArray) -> float:
         """Time [s] that is added to the recorded times: recorded T(t) = true T(t - skew), so it is minus the skew.
 
-        Source: docs/clocks_and_starts.md, equation 1.
+        Source: docs/theory/clocks_and_starts.md, equation 1.
         """
         return -self.values(vector).get(CLOCK_SKEW.name, 0.0)
 
@@ -218,7 +219,7 @@ class RecordFit:
         vector : (parameter,)
 
         A thermocouple is at the temperature of its place at the first row of the conditions, and on a steady ramp where
-        the march begins later. Source: docs/estimation_statistics.md, equation 2a.
+        the march begins later. Source: docs/theory/estimation_statistics.md, equation 2a.
         """
         if not self.lags:
             return Sensed(march.temperature_K, march.rate_K_s, march.sensitivity, np.zeros((len(march.rate_K_s), 1)))
@@ -235,7 +236,7 @@ class RecordFit:
     def initial_K(self, vector: FloatArray | None) -> FloatArray | None:
         """(node,) temperatures [K] at the start, profile + columns @ unknowns; None for those that the stack declares.
 
-        Source: docs/clocks_and_starts.md, equations 4 and 5.
+        Source: docs/theory/clocks_and_starts.md, equations 4 and 5.
         """
         if self.start is None:
             return None
@@ -247,7 +248,8 @@ class RecordFit:
     def refined_K(self, vector: FloatArray) -> FloatArray | None:
         """(node,) temperatures [K] at the start on the refined mesh; None for those that the stack declares.
 
-        The unknowns of the start change both meshes alike. Needed for docs/estimation_statistics.md, equation 31.
+        The unknowns of the start change both meshes alike. Needed for docs/theory/estimation_statistics.md,
+        equation 31.
         """
         initial, fine = self.initial_K(vector), halve_elements(self.mesh)
         if initial is None or self.start is None:
@@ -260,7 +262,7 @@ class RecordFit:
     def corrected(self, march: Linearised, vector: FloatArray) -> Sensed:
         """`sensed` with the correction for the mesh [K] added to its temperatures; sensitivities are those of the mesh.
 
-        Source: docs/estimation_statistics.md, equation 31.
+        Source: docs/theory/estimation_statistics.md, equation 31.
         """
         found = self.sensed(march, vector)
         return replace(found, temperature_K=found.temperature_K + self.correction_K)
@@ -272,7 +274,7 @@ class RecordFit:
         sensitive : whether with sensitivities to the unknowns of march and start
         raises    : RunError where the march failed
 
-        Used where a filter predicts the temperature of the place: docs/filter.md, equation 7a.
+        Used where a filter predicts the temperature of the place: docs/theory/filter.md, equation 7a.
         """
         if not self.lags:
             return None
@@ -317,7 +319,7 @@ class Start:
                of the profile between its nodes
     covariance_K2 : (node, node) of the profile [K2], for a fit with process noise; exactly known where None
 
-    Kinds of start: docs/clocks_and_starts.md, equations 2 to 5.
+    Kinds of start: docs/theory/clocks_and_starts.md, equations 2 to 5.
     """
 
     time_s: float
@@ -383,7 +385,7 @@ class PredictedSamples:
     def spread_K(self) -> FloatArray:
         """() or (sample,) standard deviation [K] of a sample about mean_K: sensor and prediction together.
 
-        Square root of S_i of docs/estimation_statistics.md, equation 32.
+        Square root of S_i of docs/theory/estimation_statistics.md, equation 32.
         """
         return np.asarray(np.hypot(self.sigma_K, self.predicted_sigma_K))
 
@@ -391,7 +393,7 @@ class PredictedSamples:
     def jacobian(self) -> FloatArray:
         """(sample, unknown) sensitivities [K] to all unknowns of the fit, 0 to those of other records.
 
-        S_i of docs/estimation_statistics.md, equation 14.
+        S_i of docs/theory/estimation_statistics.md, equation 14.
         """
         whole = np.zeros((len(self.mean_K), self.unknowns))
         for k, place in enumerate(self.record_fit.index):  # two tied unknowns have one place
@@ -424,7 +426,7 @@ def set_parameters(
     vectors : by record, (parameter,)
     returns : time shifts [s] and initial temperatures [K] (None: as declared), as the march takes them
 
-    Time shift: docs/clocks_and_starts.md, equation 1.
+    Time shift: docs/theory/clocks_and_starts.md, equation 1.
     """
     pairs = list(zip(group, vectors, strict=True))
     march.set_models([record_fit.model_at(v) for record_fit, v in pairs])
@@ -481,7 +483,7 @@ def fitted_channels(record: Record, time_s: FloatArray, mask: NDArray[np.bool_])
     mask    : (sample,) which of the record's samples are fitted
     returns : one channel for each used sensor with a reading; lost readings are omitted
 
-    Intervals of recorder words: docs/estimation_statistics.md, equation 4.
+    Intervals of recorder words: docs/theory/estimation_statistics.md, equation 4.
     """
     channels = []
     for number, sensor in enumerate(record.sensors):
@@ -507,7 +509,7 @@ def indications(
     march_columns : number of columns of the march that are read
     returns : (sample,) indications [K]; (sample, parameter) sensitivities [K] per unit of each parameter
 
-    The march already reads T at t - skew. Source: docs/estimation_statistics.md, equations 1 and 2.
+    The march already reads T at t - skew. Source: docs/theory/estimation_statistics.md, equations 1 and 2.
     """
     sensor, errors = channel.sensor, sensor_errors(channel.sensor, values)
     T = march.temperature_K[channel.number, channel.samples]
@@ -539,7 +541,7 @@ def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
 
     values : dotted name -> value
 
-    Used in docs/estimation_statistics.md, equation 1.
+    Used in docs/theory/estimation_statistics.md, equation 1.
     """
     bias, gain, drift = (
         values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain", "drift")
@@ -552,7 +554,7 @@ def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
 
     values : dotted name -> value
 
-    Tau of docs/estimation_statistics.md, equation 2a.
+    Tau of docs/theory/estimation_statistics.md, equation 2a.
     """
     return values.get(sensor_parameter(sensor, "tau_s"), sensor.tau_s) + values.get(COMMON_LAG.name, 0.0)
 
@@ -560,7 +562,7 @@ def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
 def sensor_parameter(sensor: Sensor, what: str) -> str:
     """Dotted name of a parameter of a sensor, as `sensor.NAME.bias` [K]; the others are those of parameters.SENSOR.
 
-    Parameters b, g and tau of docs/estimation_statistics.md, equation 1.
+    Parameters b, g and tau of docs/theory/estimation_statistics.md, equation 1.
     """
     return f"{SENSOR_PREFIX}{sensor.name}.{what}"
 
@@ -571,7 +573,7 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
     returns : prior, bounds and unit (skew [s], bias [K], gain [-], lag [s], drift [K/s])
     raises  : InputError where the record has no such sensor, or a sensor no such parameter
 
-    Parameters s, b and g of docs/estimation_statistics.md, equation 1.
+    Parameters s, b and g of docs/theory/estimation_statistics.md, equation 1.
     """
     if name in RECORD_PARAMETERS:
         return RECORD_PARAMETERS[name]
@@ -589,8 +591,8 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
 def least_sigma_K(sensor: Sensor) -> float:
     """The least noise [K] that is assumed for a sensor: 0.02 K, or 0.05 of its recorder's step.
 
-    A modelling choice of this program: below it the likelihood of docs/estimation_statistics.md, equation 5, becomes
-    that of an interval without noise, whose score is not smooth.
+    A modelling choice of this program: below it the likelihood of docs/theory/estimation_statistics.md, equation 5,
+    becomes that of an interval without noise, whose score is not smooth.
     """
     return max(LEAST_SIGMA_K, LEAST_OF_LSB * sensor.lsb_K)
 
@@ -605,7 +607,7 @@ def correct_mesh(record_fit: RecordFit, vector: FloatArray) -> None:
     vector     : (parameter,) values at which the error is evaluated; its change with the parameters is neglected
 
     A correction of 1 [K] or more, or one that could not be found, leaves a warning in mesh_warning.
-    Source: docs/estimation_statistics.md, equation 31.
+    Source: docs/theory/estimation_statistics.md, equation 31.
     """
     mesh = f"{record_fit.record.name}: the mesh of {record_fit.mesh.nodes} nodes"
     finer = "remove `nodes` from [stack], or increase it"
@@ -633,7 +635,7 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
     raises  : RunError where a refined mesh cannot be marched, or the correction still changes by 0.1 [K] after six
               halvings
 
-    Second order holds for smooth solutions. Source: docs/estimation_statistics.md, equation 31.
+    Second order holds for smooth solutions. Source: docs/theory/estimation_statistics.md, equation 31.
     """
     fine, initial = halve_elements(record_fit.mesh), record_fit.refined_K(vector)
     coarse, found = _temperatures_K(

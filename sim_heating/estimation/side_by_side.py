@@ -78,7 +78,7 @@ class JointMarch:
         vectors : by problem, (parameter,)
         returns : log likelihood [-], gradient and information of each; NaN log likelihood where its march failed
 
-        Source: docs/estimation_statistics.md, equation 14.
+        Source: docs/theory/estimation_statistics.md, equation 14.
         """
         return [
             problem.evaluate(vector) if marched else problem.failed_evaluation()
@@ -98,7 +98,7 @@ def maximise_together(
     returns  : by problem, its fit; one that did not converge has its status
     raises   : InputError for an invalid prior or bounds
 
-    Source: docs/estimation_statistics.md, equations 13 to 17.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
     searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]

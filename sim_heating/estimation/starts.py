@@ -12,7 +12,7 @@ filter    by the Kalman filter from all readings since the first row of the cond
 lost      the declared model up to a time before which readings were lost; the heating until then is unknown, and so is
           an error smooth in depth (unknown_heating.py)
 
-Equations 2 to 6 of docs/clocks_and_starts.md, with a comparison of the first three.
+Equations 2 to 6 of docs/theory/clocks_and_starts.md, with a comparison of the first three.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
               conditions
 
     Integrated from the declared temperatures, exactly for a constant T_tc between readings.
-    Source: "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers"; docs/clocks_and_starts.md,
-    equation 3.
+    Source: "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers";
+    docs/theory/clocks_and_starts.md, equation 3.
     """
     sensors = sorted(record.used_sensors, key=lambda s: s.depth_m)
     t, read = _read_before(record, sensors[0], time_s)
@@ -115,7 +115,7 @@ def circuit_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
               the conducted profile and at least 10 K, which fits with process noise and of segments use
     raises  : InputError as circuit_profile
 
-    Source: docs/clocks_and_starts.md, equations 3 and 4.
+    Source: docs/theory/clocks_and_starts.md, equations 3 and 4.
     """
     profile = circuit_profile(record, model, mesh, time_s)
     # conduction is nearer to the truth by an order of magnitude: the difference is the error of the analogy
@@ -134,8 +134,8 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
     returns : (node,) temperatures [K]
     raises  : InputError where that sensor has fewer than two readings before that time, or it is outside the conditions
 
-    A thermocouple under a coating counts as the surface. Source: docs/clocks_and_starts.md, profile start;
-    conduction as in docs/equations.md, section 3.
+    A thermocouple under a coating counts as the surface. Source: docs/theory/clocks_and_starts.md, profile start;
+    conduction as in docs/theory/equations.md, section 3.
     """
     t, read = _read_before(record, min(record.used_sensors, key=lambda sensor: sensor.depth_m), time_s)
     flown = conditions_of_record(record)
@@ -169,7 +169,7 @@ def smooth_directions(s: FloatArray) -> FloatArray:
     s       : (node,) diffusion depth [s^(1/2)], square root of the time that heat takes to a node
     returns : (node, direction) eigenvectors times the root of their eigenvalues [-], largest first, 10 at most
 
-    Matern covariance of order 5/2. Source: Rasmussen and Williams (2006), chapter 4; docs/clocks_and_starts.md,
+    Matern covariance of order 5/2. Source: Rasmussen and Williams (2006), chapter 4; docs/theory/clocks_and_starts.md,
     equation 4.
     """
     # profiles bend near the surface and are smooth deep in the wall: in the logarithm they are alike
@@ -186,8 +186,8 @@ def filter_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -
     returns : temperatures [K] and covariance [K2], no unknowns
     raises  : InputError where the time is outside the conditions, or there is no reading before it
 
-    Comparison with the other starts: docs/clocks_and_starts.md, section "Starts"; the disturbance,
-    docs/estimation_statistics.md, equation 34.
+    Comparison with the other starts: docs/theory/clocks_and_starts.md, section "Starts"; the disturbance,
+    docs/theory/estimation_statistics.md, equation 34.
     """
     _check_within(record, time_s)
     return filtered_start(record, model, mesh, time_s)
@@ -202,7 +202,7 @@ def profile_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) 
     raises  : InputError where a used sensor has fewer than two readings before that time, or the time lies outside the
               conditions
 
-    Source: docs/clocks_and_starts.md, equation 4.
+    Source: docs/theory/clocks_and_starts.md, equation 4.
     """
     profile = conducted_profile(record, model, mesh, time_s)
     # a deeper thermocouple that contradicts the conducted profile measures its error, and widens the prior
@@ -221,7 +221,7 @@ def free_start(
     sigma_K : standard deviation of the error at every node [K]
     returns : profile, (node, k) columns [K], and unknowns theta_k with mean 0 and sigma 1 [-]
 
-    Source: docs/clocks_and_starts.md, equation 4.
+    Source: docs/theory/clocks_and_starts.md, equation 4.
     """
     columns = sigma_K * smooth_directions(diffusion_depths(model.construction, mesh))
     return Start(time_s, profile, columns, start_unknowns(columns.shape[1]))
@@ -235,7 +235,7 @@ def lost_start(record: Record, model: PointModel, mesh: Mesh, time_s: float) -> 
               directions of the unknown heating and of an error of 10 K that is smooth in depth
     raises  : InputError where the time lies outside the conditions, RunError where the declared model fails before it
 
-    Source: docs/clocks_and_starts.md, equations 4 and 6.
+    Source: docs/theory/clocks_and_starts.md, equations 4 and 6.
     """
     _check_within(record, time_s)
     flown = conditions_of_record(record)
@@ -253,7 +253,7 @@ def with_estimated_profile(start: Start) -> Start:
     returns : the start with unknowns `initial.1` ... in place of its covariance [K2]; itself where it has unknowns, or
               temperatures that are exactly known
 
-    Source: docs/clocks_and_starts.md, equation 5.
+    Source: docs/theory/clocks_and_starts.md, equation 5.
     """
     if start.unknowns or start.covariance_K2 is None:
         return start

@@ -2,9 +2,9 @@
 
 Each segment starts at the temperatures where the one before ended, with the uncertainty of its fit: the
 covariance of the node temperatures, in its largest directions, is the prior of as many unknowns of the start
-(docs/clocks_and_starts.md, equation 5). Where readings were lost before a segment, or the ratio was not constant over
-the one before, the heating until then is unknown and adds its directions (equation 6). The temperatures of the refined
-mesh that corrects the predictions (FitProblem.correct_meshes) pass from segment to segment as well.
+(docs/theory/clocks_and_starts.md, equation 5). Where readings were lost before a segment, or the ratio was not constant
+over the one before, the heating until then is unknown and adds its directions (equation 6). The temperatures of the
+refined mesh that corrects the predictions (FitProblem.correct_meshes) pass from segment to segment as well.
 """
 
 from __future__ import annotations
@@ -147,8 +147,8 @@ def trend(
     raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
 
     The founding paper's sequence of five-second segments for the trend with Reynolds number ("Trends in Shuttle Entry
-    Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/clocks_and_starts.md, equations 5
-    to 7.
+    Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/theory/clocks_and_starts.md,
+    equations 5 to 7.
     """
     if not 0.0 < length_s < np.inf:
         raise InputError(f"{record.name}: segments of {length_s:g} s; give a length in s above 0, for example 5")
@@ -251,7 +251,7 @@ def _misfit(problem: FitProblem, fit: Fit) -> tuple[float, float]:
         factor = misfit sqrt((1 + c) / (1 - c)),   c their lag-1 autocorrelation, from 0 to 0.9
 
     Both are 1 where noise explains the residuals: chi-square of residuals and of unknowns with a prior, on as many
-    degrees of freedom as there are samples less parameters with a flat prior. Source: docs/clocks_and_starts.md,
+    degrees of freedom as there are samples less parameters with a flat prior. Source: docs/theory/clocks_and_starts.md,
     equation 7.
     """
     samples = problem.samples(fit.values)
@@ -345,7 +345,7 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
     values  : (parameter,);  time_s : [s]; before the start of the record, its initial temperatures
     returns : (node,) temperatures [K]; (node, unknown of the march) sensitivities [K] per unit of each unknown
 
-    S_T of docs/clocks_and_starts.md, equation 5.
+    S_T of docs/theory/clocks_and_starts.md, equation 5.
     """
     begin = record_fit.begin_s
     if time_s <= begin:
@@ -375,7 +375,7 @@ def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> Floa
     values  : (parameter,);  time_s : [s]; before the start of the record, its initial temperatures
     returns : (node of the refined mesh,) [K]
 
-    The next segment needs them for its mesh correction, docs/estimation_statistics.md, equation 31.
+    The next segment needs them for its mesh correction, docs/theory/estimation_statistics.md, equation 31.
     """
     mesh, initial = halve_elements(record_fit.mesh), record_fit.refined_K(values)
     begin = record_fit.begin_s

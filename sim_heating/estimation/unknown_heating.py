@@ -3,7 +3,7 @@
 The heating ratio is unknown over such a time. It is taken to differ from the model's by independent factors over
 intervals that double in length from the end backwards, because the wall forgets earlier heating more; each factor has a
 standard deviation of RATIO_SIGMA of the ratio. What the wall keeps of them is the covariance of its temperatures
-(docs/clocks_and_starts.md, equation 6).
+(docs/theory/clocks_and_starts.md, equation 6).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def after_unknown_heating(
     returns    : (node,) temperatures of the model [K]; (node, interval) W [K] for w_i of mean 0 and sigma 1 [-]
     raises     : RunError where the march failed
 
-    Intervals are 1, 2, 4, ... s long from the end backwards. Source: docs/clocks_and_starts.md, equation 6.
+    Intervals are 1, 2, 4, ... s long from the end backwards. Source: docs/theory/clocks_and_starts.md, equation 6.
     """
     flown = conditions.at(time_s)
     histories = [condition_history(flown)]
@@ -76,7 +76,7 @@ def temperatures_at(
     returns   : (flight, node) [K]
     raises    : RunError where a march failed
 
-    Derived in docs/equations_march.md, equations 4 to 8.
+    Derived in docs/theory/equations_march.md, equations 4 to 8.
     """
     nodes, found = tuple(range(mesh.nodes)), []
     for first in range(0, len(histories), LANES):
@@ -105,7 +105,7 @@ def largest_directions(spread_K: FloatArray, count: int) -> tuple[FloatArray, Fl
     returns  : (node, direction) singular vectors times singular values [K]; (direction, unknown) rows of V' [-]
 
     The singular values of F keep small directions that an eigendecomposition of F F' would lose to rounding.
-    Source: docs/clocks_and_starts.md, equation 5.
+    Source: docs/theory/clocks_and_starts.md, equation 5.
     """
     U, s, V = np.linalg.svd(spread_K, full_matrices=False)
     n = min(count, len(s))

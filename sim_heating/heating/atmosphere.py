@@ -4,7 +4,7 @@ A host simulation gives altitude, density and velocity. Temperature, pressure, M
 only: the atmospheres of hosts are wrong where it matters (a temperature that is constant above 86 km).
 
 Sources: US Standard Atmosphere 1976, NOAA-S/T 76-1562 ("US76"; its own equation and table numbers are cited);
-docs/equations_reference_heating.md, equations 1 to 4.
+docs/theory/equations_reference_heating.md, equations 1 to 4.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def _upper_table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Floa
 def _hermite(s: float, step: float, y0: float, y1: float, d0: float, d1: float) -> float:
     """Cubic through y0, y1 with slopes d0, d1 over a step, at the fraction s of it.
 
-    Source: docs/equations_reference_heating.md, equation 4.
+    Source: docs/theory/equations_reference_heating.md, equation 4.
     """
     t = 1.0 - s
     return y0 * (1.0 + 2.0 * s) * t * t + y1 * s * s * (3.0 - 2.0 * s) + step * s * t * (d0 * t - d1 * s)
@@ -226,7 +226,7 @@ def us76_kernel(altitude_m: float) -> tuple[float, float, float]:
     """Kinetic temperature [K], pressure [Pa] and density [kg/m3] of the standard atmosphere at one altitude.
 
     altitude_m : geometric altitude [m]; outside -5 km and 200 km the value at the nearest end (`us76` raises an error)
-    Layer equations below 86 km; above, Table I by docs/equations_reference_heating.md, equation 4.
+    Layer equations below 86 km; above, Table I by docs/theory/equations_reference_heating.md, equation 4.
     Source: US Standard Atmosphere 1976, eqs. 22 to 42 and Table I.
     """
     z = min(max(altitude_m, LOWEST_M), HIGHEST_M)
@@ -252,7 +252,7 @@ def speed_of_sound_kernel(p_Pa: float, rho_kg_m3: float) -> float:
     p_Pa, rho_kg_m3 : pressure [Pa] and density [kg/m3], above 0
     The standard defines the speed of sound to 86 km. It is continued above, as Mach number needs it. There gamma
     neglects atomic oxygen, with which the speed of sound would be 1 % higher at 120 km.
-    Source: US Standard Atmosphere 1976, eq. 50; docs/equations_reference_heating.md, equation 2.
+    Source: US Standard Atmosphere 1976, eq. 50; docs/theory/equations_reference_heating.md, equation 2.
     """
     return math.sqrt(GAMMA * p_Pa / rho_kg_m3)
 
@@ -278,7 +278,7 @@ def free_stream_kernel(
     altitude_m, velocity_m_s, rho_kg_m3 : of the frame [m], [m/s], [kg/m3]; density above 0
     reference_length_m                  : L [m]
     Nothing is checked; an altitude outside -5 to 200 km counts as the nearest end, and log10 Re is not below -3.
-    Source: docs/equations_reference_heating.md, equations 1 to 3.
+    Source: docs/theory/equations_reference_heating.md, equations 1 to 3.
     """
     T, p_standard, rho_standard = us76_kernel(altitude_m)
     # The ratio of the standard has the mean molar mass at this altitude in it, so that none has to be tabulated.
@@ -383,7 +383,7 @@ def free_stream(
     reference_length_m : L [m], of the vehicle
     returns : T_inf_K [K], p_inf_Pa [Pa], mach [-], log10_re [-], each (time,); log10_re is at least -3 (a body at rest)
     raises  : InputError outside the altitudes of `us76`, for a density that is not positive, a negative velocity
-    Source: docs/equations_reference_heating.md, equations 1 to 3.
+    Source: docs/theory/equations_reference_heating.md, equations 1 to 3.
     """
     checked = (
         np.atleast_1d(_checked_altitude(altitude_m)),

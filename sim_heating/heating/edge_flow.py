@@ -11,7 +11,7 @@ pressure, u_e = V |cos(angle)|. The laminar momentum thickness is Eckert's,
 
 with sqrt(3) for flow that diverges as over a cone. Atoms are those of equilibrium air at the edge, or at the stagnation
 point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they are from there on (frozen).
-Equations: docs/equations_reference_heating.md, equations 33 to 35.
+Equations: docs/theory/equations_reference_heating.md, equations 33 to 35.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
 
     flows   : of the points
     returns : numbers in the units of their places, angles in [deg]; tables as `pack_table` makes them, a 0 behind them
-    The ratio of the tables is turbulent over laminar (docs/effects.md, equation 23).
+    The ratio of the tables is turbulent over laminar (docs/reference/effects.md, equation 23).
     """
     numbers, tables, end = np.full((len(flows), FLOW_WIDTH), -1.0), [], 0
     for row, flow in zip(numbers, flows, strict=True):
@@ -143,8 +143,8 @@ def re_theta_over_mach(p_e: float, h_e: float, u_e: float, length_m: float) -> f
         Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e
 
     p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  length_m : running length x [m]
-    rho*, mu* are at Eckert's reference enthalpy. Source: Eckert 1956; docs/equations_reference_heating.md, equations 33
-    and 34.
+    rho*, mu* are at Eckert's reference enthalpy. Source: Eckert 1956; docs/theory/equations_reference_heating.md,
+    equations 33 and 34.
     """
     h_w = air_kernel(WALL_K, p_e)[0]
     rho, mu = air_state_kernel(reference_enthalpy(h_e, h_w, u_e, False), p_e)
@@ -165,7 +165,7 @@ def edge_flow_kernel(
     velocity_m_s   : free-stream speed [m/s]
     x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
     numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
-    Source: docs/equations_reference_heating.md, equations 33 to 35.
+    Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     ratio, criterion, dissociation = 1.0, 0.0, 0.0
     if numbers[first + TURBULENT_AT] >= 0.0:
@@ -207,7 +207,7 @@ def edge_flow_columns(flow: EdgeFlow, flown: Conditions) -> dict[str, FloatArray
     flow    : what the point asks for
     flown   : conditions with rho_kg_m3, velocity_m_s, T_inf_K and the five ratio variables
     returns : (time,) turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg], those asked for
-    Source: docs/equations_reference_heating.md, equations 33 to 35.
+    Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     if not flow.columns:
         return {}

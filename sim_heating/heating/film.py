@@ -5,7 +5,7 @@ of the time step.
     H_r = H_r,laminar + Gamma H_r,rise,    Gamma the intermittency where a point has transition (equation 6b).
 
 A lag makes the ratio r' = (1 - f) r + f m, dm/dt = (r - m) / tau, integrated exactly for a ratio that is linear in
-time over a step; it starts without history, m = r (docs/equations.md, equations 5 to 8).
+time over a step; it starts without history, m = r (docs/theory/equations.md, equations 5 to 8).
 
 Conditions are linear in time between samples; the ratio is evaluated at the conditions of each stage of the time
 step, not interpolated itself.
@@ -49,7 +49,7 @@ def ratio_with_effects(  # type: ignore[no-untyped-def]
     wall_K     : wall temperature that the effects are evaluated at [K]
     first, end : slots of the effects, from `first` to before `end`; from 0, or from where all that follow multiply
     The lag comes with slot 0; its state at the stage is written into B, and so is the ratio that each factor finds.
-    Source: docs/equations.md, equations 6 and 8.
+    Source: docs/theory/equations.md, equations 6 and 8.
     """
     if end == first:
         return r
@@ -74,7 +74,7 @@ def ratio_with_effects(  # type: ignore[no-untyped-def]
 def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> float:
     """Ratio [-] with its lag at a stage; time constant [s] and lagging part [-] are B[p] and B[p + 1].
 
-    Exact for a linear ratio: docs/equations.md, equation 8.
+    Exact for a linear ratio: docs/theory/equations.md, equation 8.
     """
     now = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS + k.TIME
     start = k.C_STAGES * LANES + lane * k.N_CONDITIONS + k.TIME
@@ -91,7 +91,8 @@ def _lagged_ratio(B: FloatArray, lane: int, stage: int, p: int, r: float) -> flo
 def _recovery_rise(B: FloatArray, J: IntArray, lane: int, c: int, p: int) -> float:
     """Rise of the recovery enthalpy [J/kg] of a lane by transition, Gamma (H_turbulent - H_laminar); 0 without it.
 
-    c, p : where the conditions of the stage and the parameters of the lane begin. docs/equations.md, equation 6b.
+    c, p : where the conditions of the stage and the parameters of the lane begin. docs/theory/equations.md,
+        equation 6b.
     """
     slot = J[k.TRANSITION_SLOT + lane]
     if slot == k.NONE or B[c + k.RECOVERY_RISE] == 0.0:
@@ -114,7 +115,8 @@ def emittance_factor(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: i
 
     B, J   : block of the lane group and its integers;  dispatcher : the compiled effects
     lane   : its number;  stage : 0 start, 1 middle, 2 end of the time step;  wall_K : wall temperature [K]
-    returns : 1 without such effects. It multiplies epsilon of the surface balance (docs/equations.md, equation 2).
+    returns : 1 without such effects. It multiplies epsilon of the surface balance (docs/theory/equations.md,
+        equation 2).
     """
     c = k.C_STAGES * LANES + (stage * LANES + lane) * k.N_CONDITIONS
     p = k.PARAMETERS * LANES + lane * k.N_PARAMETERS + k.EFFECT_PARAMETERS
@@ -134,7 +136,7 @@ def _vent(B: FloatArray, stage: int) -> None:
         tau dp_in/dt = p_surface - p_in
 
     Exact for a surface pressure that is linear over the step; p_in = p_surface at the start of a march.
-    Source: docs/equations_thermal_step.md, equation 10a.
+    Source: docs/theory/equations_thermal_step.md, equation 10a.
     """
     for lane in range(LANES):
         c_0 = k.C_STAGES * LANES + lane * k.N_CONDITIONS
@@ -190,7 +192,7 @@ def heat_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage:
     B, J  : block of the lane group and its integers; rows FILM [kg/(m2 s)], RECOVERY [J/kg], ADDED [W/m2],
             PCOL, PFRAC, AIR_PLACE [-] of the stage are written, OUTSIDE counts samples off the axes of the ratio table
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
-    Source: docs/equations.md, equations 5 to 8.
+    Source: docs/theory/equations.md, equations 5 to 8.
     """
     heat_perturbed_lanes(B, J, table, dispatcher, stage)
     c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
@@ -215,7 +217,7 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             of the stage are written, NEGATIVE counts the end-of-step ratios below 0
     table : property and ratio tables;  dispatcher : the compiled effects;  stage : 0 start, 1 middle, 2 end of the step
     Used alone for perturbed lanes, whose pressure is that of their nominal lane.
-    Source: docs/equations.md, equations 5 to 8 and 6b, film = r h_ref.
+    Source: docs/theory/equations.md, equations 5 to 8 and 6b, film = r h_ref.
     """
     table_ratios(B, J, table, stage)
     for lane in range(LANES):
@@ -241,7 +243,8 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
         B[(k.STAGE_SURROUNDINGS4 + stage) * LANES + lane] = square * square if around > 0.0 else declared4
         B[(k.STAGE_BACK_T + stage) * LANES + lane] = behind if behind > 0.0 else declared
         if J[k.CONVECTS] == 1:
-            # Nu ~ Ra^n and Ra ~ p^2 for a gas of given temperatures (docs/equations_thermal_step.md, equation 15a).
+            # Nu ~ Ra^n and Ra ~ p^2 for a gas of given temperatures (docs/theory/equations_thermal_step.md,
+            # equation 15a).
             n = B[k.NATURAL_EXPONENT * LANES + lane]
             decades = log10(B[c + k.P_SURFACE]) - LOG10_SEA_LEVEL_PA
             natural = B[k.NATURAL * LANES + lane] * exp(2.0 * n * LN_10 * decades)

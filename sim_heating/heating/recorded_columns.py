@@ -89,7 +89,7 @@ def with_density(table: CsvTable) -> CsvTable:
     raises : InputError where neither is there, both are and differ, and for a speed of 0
 
     As the founding paper reduced its flights. Errors of the dynamic pressure, such as those of firing jets, are then in
-    the density, in the reference heating of it, and in what is estimated (docs/effects.md, jet-interaction).
+    the density, in the reference heating of it, and in what is estimated (docs/reference/effects.md, jet-interaction).
     """
     if "q_Pa" not in table.columns:
         absent = f"{display_path(table.path)}: there is no column `rho_kg_m3` or `q_Pa`; add one"

@@ -1,6 +1,6 @@
 """Local surface pressure of a control point, which sets the conductivity of a porous heat shield.
 
-Two models, both tending to the free-stream pressure as the speed falls (docs/equations.md, equations 30 to 32):
+Two models, both tending to the free-stream pressure as the speed falls (docs/theory/equations.md, equations 30 to 32):
 
     modified Newtonian, windward     p = p_inf + q_inf cp_max (cos beta sin theta)^2,  theta > 0, else p_inf
         theta = alpha + inclination + elevon_factor * elevon + bodyflap_factor * bodyflap
@@ -40,7 +40,7 @@ PRESSURE_WIDTH = 4
 
 
 class ModifiedNewtonian(Declared):
-    """Modified Newtonian pressure of a windward surface at an inclination (docs/equations.md, equation 30).
+    """Modified Newtonian pressure of a windward surface at an inclination (docs/theory/equations.md, equation 30).
 
     inclination_deg : slope of the local surface against the vehicle's x axis [deg], -90 to 90
     elevon_factor   : part of the elevon deflection that turns the surface [-], -1 to 1
@@ -60,7 +60,7 @@ class ModifiedNewtonian(Declared):
 class FractionOfStagnation(Declared):
     """Pressure of a leeward or shadowed surface: a constant fraction of the rise at the stagnation point.
 
-    fraction : part of the stagnation pressure rise [-], 0 to 1 (docs/equations.md, equation 31)
+    fraction : part of the stagnation pressure rise [-], 0 to 1 (docs/theory/equations.md, equation 31)
     """
 
     model: Literal["fraction-of-stagnation"]
@@ -80,7 +80,7 @@ def stagnation_rise(state: tuple[float, float, float, float]) -> float:
 
     state : result of `stagnation_kernel`: equilibrium air behind a normal shock, isentropic below Mach 1
     cp_max is 1 at rest, 1.28 at Mach 1, 1.84 at 2 km/s, 1.91 at 4 km/s and 1.95 at 7.5 km/s; a gas with gamma 1.4 has
-    1.839 in the limit. Source: docs/equations.md, equation 32.
+    1.839 in the limit. Source: docs/theory/equations.md, equation 32.
     """
     # At rest rounding can leave p_0 below p_inf.
     return max(state[0] - state[3], 0.0)
@@ -105,7 +105,7 @@ def surface_pressure_kernel(
     alpha_deg, beta_deg      : angle of attack and sideslip [deg]
     elevon_deg, bodyflap_deg : deflections [deg]
     model                    : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
-    Source: docs/equations.md, equations 30 to 32 (Lees 1955).
+    Source: docs/theory/equations.md, equations 30 to 32 (Lees 1955).
     """
     rise = stagnation_rise(stagnation_kernel(rho_kg_m3, max(velocity_m_s, SLOWEST_M_S), T_inf_K))
     cos_beta = math.cos(math.radians(beta_deg))
@@ -130,7 +130,7 @@ def pressure_below_rise(
     cos_beta    : cosine of sideslip [-]; it and `rise` are common to all points of a vehicle, so computed once
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     model       : `parameters()` of a pressure model, at least (PRESSURE_WIDTH,)
-    Source: docs/equations.md, equations 30 and 31.
+    Source: docs/theory/equations.md, equations 30 and 31.
     """
     # Kind as a float in the parameter block: one kernel for both models, whose blocks lie in one array.
     if model[0] == FRACTION:
@@ -159,7 +159,7 @@ def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions
     conditions : flight conditions with the columns of `conditions.STATE`
     returns    : (time,) surface pressure [Pa]
     raises     : KeyError where a column is missing, InputError where density or temperature is not above 0
-    Source: docs/equations.md, equations 30 to 32.
+    Source: docs/theory/equations.md, equations 30 to 32.
     """
     c = conditions
     for name in ("rho_kg_m3", "T_inf_K"):

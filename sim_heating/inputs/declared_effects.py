@@ -19,7 +19,7 @@
     highest_K = 1650.0               above it gamma stays as it is there
     source = "..."
 
-Equations: docs/effects.md, equations 23 to 28.
+Equations: docs/reference/effects.md, equations 23 to 28.
 """
 
 from __future__ import annotations

@@ -137,7 +137,8 @@ def flow_of_record(record: Record, effects: Sequence[EffectUse] = ()) -> EdgeFlo
 
 
 def intermittency_along(transition: EffectUse, conditions: Conditions) -> FloatArray:
-    """(time,) intermittency [-] of a transition along a flight, 0 laminar, 1 turbulent (docs/effects.md, equation 24).
+    """(time,) intermittency [-] of a transition along a flight, 0 laminar, 1 turbulent (docs/reference/effects.md,
+    equation 24).
 
     conditions : of the whole flight, since a flow that has turned turbulent may stay so, with the columns that its
                  criterion reads, log10_re or log10_re_theta_m

@@ -9,7 +9,7 @@ reads every `ratio_sources/*.toml` of a vehicle and writes `ratio_tables/<contro
     (sigma / ratio)^2 = relative_sigma^2 + sum of the sigma curves^2
 
 and, with [scaling], how the product is scaled from the wind tunnel to flight (heating/ratio/tunnel_to_flight.py). The
-format is described in docs/vehicle_format.md. A description always gives the same bytes.
+format is described in docs/reference/vehicle_format.md. A description always gives the same bytes.
 """
 
 from __future__ import annotations

@@ -553,7 +553,7 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     """Read and check a flight record.
 
     directory : of the record; a record that has been loaded is returned as it is
-    root      : folder that symbolic links in it may lead to; by default as docs/scenario_format.md states
+    root      : folder that symbolic links in it may lead to; by default as docs/reference/scenario_format.md states
     returns   : conditions, measurements and the declared model
     raises    : InputError with one line a problem, naming file, row and column or table and key
 

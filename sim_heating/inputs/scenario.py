@@ -334,7 +334,8 @@ def load_scenario(path: str | os.PathLike[str] | Scenario, *, root: str | os.Pat
 
     path    : of the scenario's TOML file; a scenario that has been loaded is returned as it is
     root    : folder that it may name files in, beside its own, its vehicle's and the package's data; by default the
-              nearest folder above it that holds `scenarios`, or the working directory (docs/scenario_format.md)
+              nearest folder above it that holds `scenarios`, or the working directory
+              (docs/reference/scenario_format.md)
     returns : the scenario with its vehicle
     raises  : InputError with one line a problem
 

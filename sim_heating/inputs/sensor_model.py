@@ -5,7 +5,7 @@
 T the temperature at the sensor, t' the time since the first sample of the record, then Gaussian noise, then the
 recorder word: codes 0 .. 2^bits - 1 over range_K, rounded to the nearest and clipped at the ends. The lag is applied
 where temperatures are marched (march/history.py).
-Equations: docs/equations.md, section 5.
+Equations: docs/theory/equations.md, section 5.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def indicated_temperature(
     since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
     returns       : (sample,) indicated temperature [K]
 
-    Source: docs/equations.md, section 5.
+    Source: docs/theory/equations.md, section 5.
     """
     wrong = errors or SensorErrors()
     # A sum and not the argument of the kernel, which would be compiled for arrays a second time.
@@ -62,7 +62,7 @@ def lags_s(sensors: Sequence[Sensor], errors: Mapping[str, SensorErrors]) -> tup
 
     errors : by the name of the sensor
 
-    Source: docs/equations.md, section 5.
+    Source: docs/theory/equations.md, section 5.
     """
     wrong = [errors.get(s.name, SensorErrors()).tau_s for s in sensors]
     return tuple(s.tau_s if tau is None else tau for s, tau in zip(sensors, wrong, strict=True))
@@ -71,7 +71,7 @@ def lags_s(sensors: Sequence[Sensor], errors: Mapping[str, SensorErrors]) -> tup
 def calibration_coefficients(sensor: Sensor) -> FloatArray:
     """Calibration coefficients of a sensor: (order + 1,) c0 [K], c1 [-], c2 ...; 0, 1 where it declares none.
 
-    Source: docs/equations.md, section 5.
+    Source: docs/theory/equations.md, section 5.
     """
     return np.array(sensor.calibration or [0.0, 1.0])
 
@@ -84,7 +84,7 @@ def indicated_kernel(temperature_K, gain, bias_K, coefficients):  # type: ignore
     coefficients  : c0 [K], c1 [-], c2 ...
     returns       : indicated temperature [K], in the shape of temperature_K
 
-    Source: docs/equations.md, section 5.
+    Source: docs/theory/equations.md, section 5.
     """
     wrong = gain * temperature_K + bias_K
     # 0 * wrong gives the constant the shape of the argument, in a kernel that serves numbers and arrays alike.
@@ -101,7 +101,7 @@ def quantise(sensor: Sensor, indicated_K: FloatArray) -> FloatArray:
     returns     : (sample,) [K], within range_K; unchanged where the sensor declares no word
 
     Codes are clipped to 0 .. 2^bits - 1, so that a temperature outside range_K reads as the end of the range. A value
-    halfway between two codes goes to the even one. Source: docs/equations.md, section 5.
+    halfway between two codes goes to the even one. Source: docs/theory/equations.md, section 5.
     """
     if sensor.bits is None or sensor.range_K is None:
         return indicated_K
@@ -122,7 +122,7 @@ def sample_times(
     returns        : (sample,) times [s]; empty where the first sample lies behind the end
     raises         : InputError where sensors of one recorder differ in rate or offset
 
-    Last sample at or before the end: k = floor((end - first) rate). Source: docs/equations.md, section 5.
+    Last sample at or before the end: k = floor((end - first) rate). Source: docs/theory/equations.md, section 5.
     """
     rates = {s.rate_hz or 1.0 for s in sensors} if rate_hz is None else {rate_hz}
     offsets = {s.sample_offset_s for s in sensors}
@@ -153,7 +153,7 @@ def measure(
     since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
     returns       : (sample,) readings [K], NaN where lost
 
-    Source: docs/equations.md, section 5.
+    Source: docs/theory/equations.md, section 5.
     """
     indicated = indicated_temperature(sensor, temperature_K, errors, since_s)
     # Noise is drawn for lost samples as well: losing one leaves the noise of the others unchanged.
@@ -172,7 +172,7 @@ def lost_samples(
     gaps_s   : telemetry gaps [[start, end], ...] [s], both ends included
     returns  : (sample,) True where lost
 
-    Readings at these times become NaN. Source: docs/scenario_format.md, `[measurements]`.
+    Readings at these times become NaN. Source: docs/reference/scenario_format.md, `[measurements]`.
     """
     lost = rng.random(len(time_s)) < fraction
     for start, end in gaps_s:

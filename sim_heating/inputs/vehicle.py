@@ -5,8 +5,8 @@
     control_points/<NAME>.toml   position, stack, sensors, limits, pressure model, ratio table of one point
     ratio_tables/<NAME>.csv      heating ratio in alpha, beta, log10_re, elevon and body flap
 
-The format is described in docs/vehicle_format.md. Loading reads and checks all of it and reports all problems at once.
-Positions are in m from the nose: x aft, y to starboard, z up.
+The format is described in docs/reference/vehicle_format.md. Loading reads and checks all of it and reports all problems
+at once. Positions are in m from the nose: x aft, y to starboard, z up.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
 
     vehicle : a directory with a vehicle.toml, or a name that `vehicle_directory` looks up; a vehicle that has been
               loaded is returned as it is
-    root    : folder that symbolic links in it may lead to; by default as docs/scenario_format.md states
+    root    : folder that symbolic links in it may lead to; by default as docs/reference/scenario_format.md states
     raises  : InputError with the problems of all files, one line each
 
     Files that another process replaces in the meantime, as `update-tables` does, are read again.

@@ -1,7 +1,7 @@
 """Models of the files of a vehicle directory: vehicle.toml, derived materials, control points.
 
-The format is described in docs/vehicle_format.md; `vehicle.load_vehicle` reads and joins the files. Positions are in m
-from the nose: x aft, y to starboard, z up.
+The format is described in docs/reference/vehicle_format.md; `vehicle.load_vehicle` reads and joins the files. Positions
+are in m from the nose: x aft, y to starboard, z up.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def condition_history(conditions: Conditions) -> FloatArray:
     conditions : of one flight; each column keeps its unit ([deg], [Pa], [J/kg] ...)
 
     Columns that a flight may lack (additional flux, jets, rise of the recovery enthalpy ...) are 0, a turbulent over
-    laminar ratio is 1. Source: docs/equations_march.md, equation 1.
+    laminar ratio is 1. Source: docs/theory/equations_march.md, equation 1.
     """
     n = len(conditions)
     columns = [conditions[c] if c in conditions else np.full(n, ABSENT.get(c, 0.0)) for c in CONDITION_COLUMNS]
@@ -278,7 +278,7 @@ class Ensemble:
                   be the same
 
         A march then begins with `reset` or `set_profile`: until then heat contents [J/m2] are those of the earlier
-        parameters, which the step would take for its start (docs/equations_march.md, equation 6).
+        parameters, which the step would take for its start (docs/theory/equations_march.md, equation 6).
         """
         self.models[model] = changed
         self.set_values(model, stack_values(changed), heating_vector(changed))
@@ -290,7 +290,8 @@ class Ensemble:
         stack   : (parameter,) as march.point.stack_values, each in its unit ([-], [J/kg], [K] ...)
         heating : (N_PARAMETERS,) as march.point.heating_vector
 
-        A march then begins with `reset`, `restore` or `set_profile`. Source: docs/equations_thermal_step.md, eq. 8.
+        A march then begins with `reset`, `restore` or `set_profile`. Source: docs/theory/equations_thermal_step.md,
+        eq. 8.
         """
         place, elements = self.lane_offsets[model], self._elements[model]
         B, J = self.block(place.group), self.integers(place.group)
@@ -301,7 +302,7 @@ class Ensemble:
     def reset(self) -> None:
         """Set every point to the initial temperatures of its stack [K] and clear all counters.
 
-        Source: docs/equations_march.md, equation 23.
+        Source: docs/theory/equations_march.md, equation 23.
         """
         self.clear()
         for i, (model, mesh) in enumerate(zip(self.models, self.meshes, strict=True)):
@@ -309,7 +310,7 @@ class Ensemble:
 
     def clear(self) -> None:
         """Set to zero the counters of a march: failures, iterations, samples outside the table or of negative ratio,
-        absorbed and emitted energy [J/m2] (docs/equations_march.md, equation 24).
+        absorbed and emitted energy [J/m2] (docs/theory/equations_march.md, equation 24).
         """
         for g in range(len(self.groups)):
             B = self.block(g)
@@ -325,7 +326,8 @@ class Ensemble:
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
         """Set all node temperatures of one point; a march begins with them, a single step needs `begin` first.
 
-        The initial condition T(x, 0) of docs/equations_march.md, equation 23, for a profile known from elsewhere.
+        The initial condition T(x, 0) of docs/theory/equations_march.md, equation 23, for a profile known from
+        elsewhere.
 
         model         : index of the point
         temperature_K : (node,) outermost first [K]
@@ -368,7 +370,7 @@ class Ensemble:
 
         model : number of the point
 
-        With those at both ends of the step they define the parabola of docs/equations_march.md, equation 4.
+        With those at both ends of the step they define the parabola of docs/theory/equations_march.md, equation 4.
         """
         place = self.lane_offsets[model]
         nodes = block.node_rows(self.block(place.group))
@@ -386,7 +388,7 @@ class Ensemble:
     def outputs(self) -> IntArray:
         """Offsets in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
 
-        The outputs that docs/equations_march.md, equation 16, compares.
+        The outputs that docs/theory/equations_march.md, equation 16, compares.
         """
         faces = [(0, mesh.bondline, *mesh.sensors) for mesh in self.meshes]
         return np.concatenate([self.node_offsets(i, nodes) for i, nodes in enumerate(faces)])
@@ -394,7 +396,7 @@ class Ensemble:
     def film_offsets(self) -> IntArray:
         """(point,) offsets in `state` of the film coefficient at the end of the last step [kg/(m2 s)].
 
-        Source: docs/equations_march.md, equation 18.
+        Source: docs/theory/equations_march.md, equation 18.
         """
         # FILM has one row a stage; the third is that of the end of a step, where the samples are.
         return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
@@ -402,36 +404,37 @@ class Ensemble:
     def heat_offsets(self) -> IntArray:
         """(2, point) offsets in `state` of the heat that enters the wall [W/m2], and of T_sur^4 [K4], at the samples.
 
-        Source: docs/equations_thermal_step.md, equations 14 and 30.
+        Source: docs/theory/equations_thermal_step.md, equations 14 and 30.
         """
         rows = (block.STAGE_IN, block.STAGE_SURROUNDINGS4 + 2)
         return np.array([[place.scalar(row) for place in self.lane_offsets] for row in rows], dtype=np.int64)
 
     @property
     def film_kg_m2_s(self) -> FloatArray:
-        """(point,) film coefficient r h_ref [kg/(m2 s)] at the end of the last step: docs/equations_march.md, eq 18."""
+        """(point,) film coefficient r h_ref [kg/(m2 s)] at the end of a step: docs/theory/equations_march.md, eq 18."""
         return self.state[self.film_offsets()]
 
     @property
     def failures(self) -> FloatArray:
-        """(point,) stages that did not converge since the last reset [-]: docs/equations_thermal_step.md, section 6."""
+        """(point,) stages not converged since the last reset [-]: docs/theory/equations_thermal_step.md, section 6."""
         return self._scalars(block.FAILED)
 
     @property
     def iterations(self) -> FloatArray:
-        """(point,) Newton iterations since the last reset [-]: docs/equations_thermal_step.md, equation 25."""
+        """(point,) Newton iterations since the last reset [-]: docs/theory/equations_thermal_step.md, equation 25."""
         return self._scalars(block.ITERATIONS)
 
     @property
     def steps(self) -> FloatArray:
-        """(point,) time steps taken since the last reset [-]: docs/equations_thermal_step.md, section 9."""
+        """(point,) time steps taken since the last reset [-]: docs/theory/equations_thermal_step.md, section 9."""
         return self._scalars(block.STEPS)
 
     @property
     def steps_outside_table(self) -> FloatArray:
         """(point,) number of steps that ended outside the ratio table since the last reset [-].
 
-        For a host, which steps frame by frame; durations of a whole march are docs/equations_march.md, equation 19.
+        For a host, which steps frame by frame; durations of a whole march are docs/theory/equations_march.md,
+        equation 19.
         """
         return self._scalars(block.OUTSIDE)
 
@@ -439,7 +442,7 @@ class Ensemble:
     def steps_of_negative_ratio(self) -> FloatArray:
         """(point,) number of steps that ended with a negative ratio since the last reset [-].
 
-        The ratio is that of docs/equations_march.md, equation 18; it is not clipped.
+        The ratio is that of docs/theory/equations_march.md, equation 18; it is not clipped.
         """
         return self._scalars(block.NEGATIVE)
 
@@ -447,13 +450,13 @@ class Ensemble:
     def absorbed_J_m2(self) -> FloatArray:
         """(point,) energy that entered at the surface and in gaps since the last reset [J/m2].
 
-        Source: docs/equations_march.md, equation 24.
+        Source: docs/theory/equations_march.md, equation 24.
         """
         return self._scalars(block.ENERGY_IN)
 
     @property
     def emitted_J_m2(self) -> FloatArray:
-        """(point,) energy that left at the back since the last reset [J/m2]; docs/equations_march.md, equation 24."""
+        """(point,) energy that left at the back since the last reset [J/m2]; docs/theory/equations_march.md, eq 24."""
         return self._scalars(block.ENERGY_OUT)
 
     def _scalars(self, row: int) -> FloatArray:
@@ -466,7 +469,7 @@ class Ensemble:
 
         vectors : (point, condition), each column in its unit ([deg], [Pa], [J/kg] ...)
 
-        Lanes that fill a group repeat its last point. Conditions: docs/equations_march.md, equation 1.
+        Lanes that fill a group repeat its last point. Conditions: docs/theory/equations_march.md, equation 1.
         """
         return vectors[self.lanes]
 
@@ -476,7 +479,7 @@ class Ensemble:
         now : (point, condition) in the units of the condition columns ([deg], [Pa], [J/kg] ...)
 
         Needed before the first step, and after temperatures or parameters were changed. Source:
-        docs/equations_march.md, section 1.
+        docs/theory/equations_march.md, section 1.
         """
         vectors = self.spread(now)
         begin_groups(*self.lane_groups, vectors)
@@ -488,8 +491,8 @@ class Ensemble:
         dt     : length of the frame [s]
         raises : InputError where dt is not above 0
 
-        Whether the step converged is found with `check` or `failed`. Source: docs/equations_march.md, equation 3;
-        docs/equations_thermal_step.md, equations 19 and 20, for the step.
+        Whether the step converged is found with `check` or `failed`. Source: docs/theory/equations_march.md,
+        equation 3; docs/theory/equations_thermal_step.md, equations 19 and 20, for the step.
         """
         if not 0.0 < dt < np.inf:
             raise InputError(f"advance: dt is {dt:g} s; it must be above 0")
@@ -517,7 +520,7 @@ class Ensemble:
         raises         : InputError for times or histories of another form or with values that are not finite;
                          RunError where the step of a point did not converge
 
-        Derived in docs/equations_march.md, equations 1 and 2.
+        Derived in docs/theory/equations_march.md, equations 1 and 2.
         """
         # One flight for all points is the common case of a simulation, one for each that of a study.
         if which is None:
@@ -559,7 +562,8 @@ class Ensemble:
         kept           : offsets in `state`, all in this group, to store at each sample
         returns        : (time, place) numbers stored; no rows where no place is given
 
-        Whether the steps converged is found with `check` or `failed`. Source: docs/equations_march.md, equations 1, 2.
+        Whether the steps converged is found with `check` or `failed`. Source: docs/theory/equations_march.md,
+        equations 1, 2.
         """
         out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
         along = Flights(time_s, histories, flights)
@@ -586,7 +590,7 @@ class Ensemble:
 
     def failed(self) -> NDArray[np.bool_]:
         """(point,) whose step did not converge, whose surface temperature [K] is not a number, or whose moisture has no
-        unique temperature (docs/equations_march.md, equation 22).
+        unique temperature (docs/theory/equations_march.md, equation 22).
         """
         surface = np.array([self.state[place.temperature(0)] for place in self.lane_offsets])
         away = np.array([model.runs_away for model in self.models])
@@ -596,7 +600,7 @@ class Ensemble:
         """Raise an error where a point failed.
 
         raises : RunError naming the points whose step did not converge, or whose moisture has no unique temperature
-                 (docs/equations_march.md, equation 22)
+                 (docs/theory/equations_march.md, equation 22)
         """
         away = [model.name for model in self.models if model.runs_away]
         if away:

@@ -1,6 +1,6 @@
 """Compiled time loops: one frame of all lane groups, as a host steps them, and the whole flight of one group.
 
-Conditions are linear in time between samples: docs/equations_march.md, equations 1 to 3.
+Conditions are linear in time between samples: docs/theory/equations_march.md, equations 1 to 3.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def set_flight_conditions(B: FloatArray, flights: Flights, k: int) -> None:
     B       : block of the lane group, changed
     flights : conditions in the units of their columns ([deg], [Pa], [J/kg] ...);  k : number of the sample
 
-    Source: docs/equations_march.md, equation 1.
+    Source: docs/theory/equations_march.md, equation 1.
     """
     for lane in range(LANES):
         for c in range(N_CONDITIONS):
@@ -74,7 +74,7 @@ def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float)
     first   : row of the group's first lane
     share   : part of the way [-]; from 1 on the new conditions are set exactly, without rounding
 
-    Derived in docs/equations_march.md, equation 3.
+    Derived in docs/theory/equations_march.md, equation 3.
     """
     for lane in range(LANES):
         at = END_STAGE + lane * N_CONDITIONS
@@ -97,7 +97,7 @@ def begin_groups(
     now              : (group * LANES, condition) conditions, in the units of their columns
 
     Time does not advance. Needed at the start and after any change of temperatures or parameters from outside, because
-    a step reuses the net heat that the step before left. Derived in docs/equations_march.md, section 1.
+    a step reuses the net heat that the step before left. Derived in docs/theory/equations_march.md, section 1.
     """
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
@@ -118,7 +118,7 @@ def advance_groups(
     dt               : length of the frame [s];  steps : number of equal TR-BDF2 steps in it
 
     A step that does not converge is counted in its lane and raises nothing. Arguments one by one: a named tuple costs a
-    call from Python 1 us, a tenth of a frame. Derived in docs/equations_march.md, equation 3.
+    call from Python 1 us, a tenth of a frame. Derived in docs/theory/equations_march.md, equation 3.
     """
     for g in range(len(groups)):
         B = state[groups[g, BLOCK_START] : groups[g, BLOCK_END]]
@@ -138,7 +138,7 @@ def march_group(group: LaneGroup, flights: Flights, longest_step_s: float, store
     stored         : (m,) offsets in the block of the numbers that are stored at every sample
     out            : (time, m) the numbers stored, temperatures [K] for instance; no rows where none are stored
 
-    Derived in docs/equations_march.md, equations 1 and 2.
+    Derived in docs/theory/equations_march.md, equations 1 and 2.
     """
     B, advance, dispatcher = group.B, group.advance, group.dispatcher
     b, j, t = pointer(B), pointer(group.J), pointer(group.table)

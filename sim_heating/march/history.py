@@ -82,7 +82,7 @@ def march_points(
     raises         : RunError where a step did not converge
 
     The heating ratio is recovered as film coefficient over h_ref, fluxes from the balance of the surface. Derived in
-    docs/equations_march.md, equations 1, 16 and 18.
+    docs/theory/equations_march.md, equations 1, 16 and 18.
     """
     chosen = meshes_on_flights(models, flights, longest_step_s)
     meshes = [halve_repeatedly(mesh, halvings) for mesh, _ in chosen]
@@ -99,7 +99,7 @@ def march_points(
 def halve_repeatedly(mesh: Mesh, halvings: int) -> Mesh:
     """Mesh with every element halved `halvings` times; the error of second order [K] falls to a quarter each time.
 
-    Derived in docs/equations_march.md, equation 16.
+    Derived in docs/theory/equations_march.md, equation 16.
     """
     for _ in range(halvings):
         mesh = halve_elements(mesh)
@@ -143,7 +143,7 @@ def values_at(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> 
     returns   : (..., time), NaN at times outside the history
     raises    : InputError for a time inside the history that is more than 1e-9 s before the next of its times
 
-    Every sample time is an end of a step: docs/equations_march.md, equation 2.
+    Every sample time is an end of a step: docs/theory/equations_march.md, equation 2.
     """
     place = np.clip(np.searchsorted(history_s, time_s), 0, len(history_s) - 1)
     inside = (time_s >= history_s[0]) & (time_s <= history_s[-1])
@@ -159,7 +159,7 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
     returns : variable, duration [s], largest distance in the unit of the variable, time of the first [s]; no entry for
               an axis of a single value, which has no outside, and for a point without a table
 
-    Derived in docs/equations_march.md, equations 19 and 20.
+    Derived in docs/theory/equations_march.md, equations 19 and 20.
     """
     if model.ratio is None:
         return []
@@ -180,7 +180,7 @@ def negative_ratio_s(history: PointHistory) -> float:
 
     history : times [s] and heating ratio [-] of a point
 
-    Samples where h_ref is 0 have no ratio and do not count. Derived in docs/equations_march.md, equation 19.
+    Samples where h_ref is 0 have no ratio and do not count. Derived in docs/theory/equations_march.md, equation 19.
     """
     if len(history.time_s) < 2:
         return 0.0
@@ -192,7 +192,7 @@ def peak(time_s: FloatArray, values: FloatArray) -> tuple[float, float]:
 
     time_s, values : (time,) [s], [K] or [W/m2]
 
-    The maximum is that of docs/equations_march.md, equation 21.
+    The maximum is that of docs/theory/equations_march.md, equation 21.
     """
     i = int(np.argmax(values))
     return float(values[i]), float(time_s[i])
@@ -209,7 +209,7 @@ def point_summary(
     returns : peaks [K], [W/m2] and their times [s], limits and margins limit minus peak [K], positive below the limit,
               heat load [J/m2], excursions, time of negative ratio [s]
 
-    Derived in docs/equations_march.md, equations 19 to 21.
+    Derived in docs/theory/equations_march.md, equations 19 to 21.
     """
     surface, at_s = peak(history.time_s, history.surface_K)
     bondline, bond_at_s = peak(history.time_s, history.bondline_K)

@@ -2,7 +2,7 @@
 
 At a sample between two steps temperatures and sensitivities are read from the parabola through the start, the middle
 stage and the end of the step, which has the order of the step itself; a skew of clocks is then a continuous parameter.
-Equations: docs/equations_march.md, equations 4 to 15.
+Equations: docs/theory/equations_march.md, equations 4 to 15.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Track:
     def columns(self) -> int:
         """Number of sensitivities: named parameters, table errors, initial temperatures.
 
-        Their right-hand sides are docs/equations_march.md, equations 9 to 14.
+        Their right-hand sides are docs/theory/equations_march.md, equations 9 to 14.
         """
         extra = 0 if self.initial_columns is None else self.initial_columns.shape[1]
         return len(self.names) + len(self.table_errors) + extra
@@ -128,7 +128,7 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
               [m] ...)
 
     The scale is the prior's standard deviation, else the larger of the value and 1. A curved parameter's derivative is
-    good to about 1e-8. Derived in docs/equations_march.md, equations 9 and 10.
+    good to about 1e-8. Derived in docs/theory/equations_march.md, equations 9 and 10.
     """
     definition, value = model.definition(name), abs(model.value(name))
     known = 0.0 < definition.sigma < np.inf
@@ -218,7 +218,7 @@ class LinearMarch:
     histories : (flight, time, condition), in the units of the condition columns
     raises    : InputError for no track or for more than LANES
 
-    The derivatives are those of the discrete march: docs/equations_march.md, equations 6 to 14.
+    The derivatives are those of the discrete march: docs/theory/equations_march.md, equations 6 to 14.
     """
 
     def __init__(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
@@ -299,7 +299,7 @@ class LinearMarch:
 
         models : one for each track, differing from the present one in values only ([-], [K], ... by parameter)
 
-        Perturbations have the size of the first models: docs/equations_march.md, equations 9 and 10.
+        Perturbations have the size of the first models: docs/theory/equations_march.md, equations 9 and 10.
         """
         for i, model in enumerate(models):
             self.nominal.set_model(i, model)
@@ -318,7 +318,7 @@ class LinearMarch:
         raises    : InputError where a shifted sample lies outside the march, RunError where a step did not converge or
                     a sensitivity is not finite
 
-        Derived in docs/equations_march.md, equations 4 to 8.
+        Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
         found = self.attempt(shifts_s, initial_K)
         self.nominal.check()
@@ -345,7 +345,7 @@ class LinearMarch:
         returns   : temperatures [K], rates [K/s] and sensitivities of each track, or None
         raises    : InputError where a shifted sample lies outside the march
 
-        Derived in docs/equations_march.md, equations 4 to 8.
+        Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
         shifts = [0.0] * len(self.tracks) if shifts_s is None else list(shifts_s)
         times = [track.sample_s + shift for track, shift in zip(self.tracks, shifts, strict=True)]
@@ -426,7 +426,7 @@ class LinearMarch:
 def initial_profile(track: Track) -> FloatArray:
     """(node,) temperatures at the start of a track [K]: its own, else those that its stack declares.
 
-    Source: docs/equations_march.md, equation 23; its sensitivities are those of equation 14.
+    Source: docs/theory/equations_march.md, equation 23; its sensitivities are those of equation 14.
     """
     if track.initial_K is not None:
         return track.initial_K
@@ -480,8 +480,8 @@ def march_linear(
     requested             : samples and nodes
     out                : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
 
-    A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in docs/equations_march.md,
-    equations 4 to 8.
+    A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in
+    docs/theory/equations_march.md, equations 4 to 8.
     """
     B, time_s = group.B, flights.time_s
     b, j, t = pointer(B), pointer(group.J), pointer(group.table)

@@ -5,7 +5,7 @@ equilibrium near its highest temperature of use. In the other a film whose recov
 drives it, since a surface of low emittance meets heating that has nothing to do with what it radiates. The change when
 every element is halved, times 4/3 for a second-order method and a factor of safety, estimates the error of the coarser
 mesh; the coarsest mesh below the tolerance is taken. Where the conditions of a flight are known, that mesh is confirmed
-on them, or refined until it is. Equations: docs/equations_march.md, equations 16 and 17.
+on them, or refined until it is. Equations: docs/theory/equations_march.md, equations 16 and 17.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def pack(models: Sequence[PointModel], step_s: float = 1.0, tolerance_K: float =
     tolerance_K : largest error of a time step [K]
     raises : RunError where a trial march on a mesh did not converge
 
-    Error estimates of docs/equations_march.md, equation 16, are below 0.3 K.
+    Error estimates of docs/theory/equations_march.md, equation 16, are below 0.3 K.
     """
     return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s, tolerance_K=tolerance_K)
 
@@ -77,7 +77,7 @@ def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tup
 
     Surface, bondline and sensors are compared. The trials heat to the highest temperature of use, with steps of half of
     the heating: a flight that heats more, or at once, may have a larger error (`meshes_on_flights`). Results are cached
-    for each stack, sensors, node count and step. Derived in docs/equations_march.md, equations 16 and 17.
+    for each stack, sensors, node count and step. Derived in docs/theory/equations_march.md, equations 16 and 17.
     """
     new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _CHOSEN}
     _CHOSEN.update({key: (mesh_of_nodes(m, m.nodes, step_s), None) for key, m in new.items() if m.nodes is not None})
@@ -97,7 +97,7 @@ def meshes_on_flights(
               with parameters that cool a wall to 0 K
     raises  : RunError where a trial march did not converge
 
-    Results are cached for each point and flight. Derived in docs/equations_march.md, equation 16.
+    Results are cached for each point and flight. Derived in docs/theory/equations_march.md, equation 16.
     """
     meshes = [mesh for mesh, _ in choose_meshes(models, step_s)]
     time_s, histories = flights[0].time_s, [condition_history(flight) for flight in flights]
@@ -134,7 +134,7 @@ def mesh_of_nodes(model: PointModel, nodes: int, step_s: float) -> Mesh:
     model  : the point, its sensor depths in [m];  nodes : prescribed node count
     step_s : longest time step, which sets how fine the mesh is at the surface [s]
 
-    Derived in docs/equations_march.md, section 4.
+    Derived in docs/theory/equations_march.md, section 4.
     """
     depths = np.array(model.depths_m, dtype=float)
     return build_mesh(model.construction, depths, max(nodes, fewest_nodes(model.construction, depths)), step_s)

@@ -85,7 +85,7 @@ class PointModel:
     raises        : InputError for unknown parameters and values out of bounds, sensors outside the stack, cp not above
                     0, two effects with a lag, ratio.d0 with a table, moisture without a unique temperature
 
-    Heating ratio: docs/equations.md, section 2.
+    Heating ratio: docs/theory/equations.md, section 2.
     """
 
     name: str
@@ -163,7 +163,7 @@ class PointModel:
 
         at one of 81 temperatures over T_condense +- 8 w [K]; L, D latent and deposited heat [J/kg], w the width [K], c
         the specific heat of the insulation [J/(kg K)]. The temperature would jump there and a step have no unique
-        solution. Derived in docs/equations_march.md, equation 22.
+        solution. Derived in docs/theory/equations_march.md, equation 22.
         """
         stack = self.values[len(RATIO) :]
         latent, boil, deposit, condense, width = (float(stack[k]) for k in MOISTURE)
@@ -183,8 +183,8 @@ class PointModel:
 
         Their indices are `places`. Nominal, then `back.*` as the stack declares, then those that an effect sets, the
         first such effect prevailing.
-        Heating ratio: docs/equations.md, section 2; factors and moisture: docs/equations_march.md, equations 9, 10 and
-        22.
+        Heating ratio: docs/theory/equations.md, section 2; factors and moisture: docs/theory/equations_march.md,
+        equations 9, 10 and 22.
         """
         values = _NOMINAL.copy()
         for name, value in self.parameters.items():
@@ -205,7 +205,7 @@ class PointModel:
         name   : dotted name, also `effect.NAME.PARAMETER`
         raises : InputError with the nearest name where the model has no such effect parameter
 
-        Ratio parameters: docs/equations.md, section 2.
+        Ratio parameters: docs/theory/equations.md, section 2.
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
@@ -239,7 +239,7 @@ class PointModel:
     def definition(self, name: str) -> Parameter:
         """Definition of a parameter of this model: unit ([-], [K] ...), nominal value, prior, bounds, description.
 
-        The scale of its perturbation is the prior's sigma: docs/equations_march.md, equation 9.
+        The scale of its perturbation is the prior's sigma: docs/theory/equations_march.md, equation 9.
 
         name   : dotted name, also `effect.NAME.PARAMETER`
         raises : InputError with the nearest name where the model has no such parameter or layer, or for a coating in a
@@ -316,7 +316,7 @@ class PointModel:
 
         name : dotted name, also `effect.NAME.PARAMETER`
 
-        Its sensitivity then needs no rows of the interior: docs/equations_march.md, equation 13.
+        Its sensitivity then needs no rows of the interior: docs/theory/equations_march.md, equation 13.
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
@@ -342,7 +342,7 @@ class PointModel:
         raises : InputError with the nearest name where the model has no such parameter
 
         The caller checks bounds, because derivatives perturb parameters that are at a bound
-        (docs/equations_march.md, equation 9).
+        (docs/theory/equations_march.md, equation 9).
         """
         parameters, effects = dict(self.parameters), [list(use.values) for use in self.effects]
         for name, value in values.items():
@@ -365,7 +365,7 @@ class PointModel:
     def with_lags(self, lags_s: Sequence[float]) -> PointModel:
         """Copy of the point with other time constants of its sensors [s]; parameters beyond their bounds stay so.
 
-        Lag: docs/equations.md, section 5.
+        Lag: docs/theory/equations.md, section 5.
         """
         return self._unchecked(lags_s=tuple(lags_s))
 
@@ -414,7 +414,8 @@ def _stretch(mesh: Mesh) -> FloatArray:
 def elements_of(construction: Construction, mesh: Mesh) -> Elements:
     """Elements of a mesh as the lanes of a point take them, lengths [m] and densities [kg/m3] among them.
 
-    A contact resistance has no mass: its density is 0. Heat capacity of an element: docs/equations.md, section 3.
+    A contact resistance has no mass: its density is 0. Heat capacity of an element: docs/theory/equations.md,
+    section 3.
     """
     densities = np.array([*(m.density_kg_m3 for m in construction.layer_materials()), 0.0])[mesh.layer]
     named, names = _slot_names(construction), construction.stack.layer_names
@@ -430,7 +431,7 @@ def kernel_effects(model: PointModel) -> list[EffectUse]:
     First those that add to the ratio [-], then factors on it [-], those that depend on the wall temperature last, then
     factors on the emittance [-].
 
-    Effects without a kernel act through parameters of the model. Order: docs/equations.md, section 2.
+    Effects without a kernel act through parameters of the model. Order: docs/theory/equations.md, section 2.
     """
     return sorted(
         (u for u in model.effects if u.effect.kernel), key=lambda u: (MODES.index(u.effect.mode), u.effect.needs_wall)
@@ -443,7 +444,7 @@ def heating_vector(model: PointModel) -> FloatArray:
     model : the point, for its parameters, reference condition and effects
 
     Linear ratio (scale and d0 [-], derivatives [1/deg] or [-]), reference condition [deg] or [-], then the parameters
-    of each effect, in slots of fixed width. Equation of the ratio: docs/equations.md, section 2.
+    of each effect, in slots of fixed width. Equation of the ratio: docs/theory/equations.md, section 2.
     """
     vector = np.zeros(N_PARAMETERS)
     vector[: len(RATIO)] = model.values[: len(RATIO)]
@@ -459,7 +460,7 @@ def stack_values(model: PointModel) -> FloatArray:
 
     model : the point; each parameter in its own unit ([-], [J/kg], [K], [m] ...)
 
-    Moisture parameters: docs/equations_march.md, equation 22.
+    Moisture parameters: docs/theory/equations_march.md, equation 22.
     """
     return model.values[len(RATIO) :]
 
@@ -478,7 +479,7 @@ def initial_temperatures(construction: Construction, mesh: Mesh) -> FloatArray:
 
     construction : stack and materials, with the declared start;  mesh : depths of the nodes [m]
 
-    Beyond the ends of a profile its end values are taken. Source: docs/equations_march.md, equation 23.
+    Beyond the ends of a profile its end values are taken. Source: docs/theory/equations_march.md, equation 23.
     """
     stack = construction.stack
     if stack.initial_profile is not None:

@@ -23,7 +23,7 @@ def divided_times(
     returns     : (time,) increasing [s], those given among them; those given alone where the march fails
 
     Temperatures and sensitivities of a march in these steps are smooth in its parameters, as those of a march whose
-    division follows the parameters are not. Derived in docs/equations_thermal_step.md, section 9.
+    division follows the parameters are not. Derived in docs/theory/equations_thermal_step.md, section 9.
     """
     if tolerance_K >= NOT_CONTROLLED_K:
         return time_s

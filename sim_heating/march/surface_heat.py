@@ -3,8 +3,8 @@
     convected - radiated - conducted + added = 0,    heat load = int convected dt
 
 The march keeps what enters the wall and the fourth power of the surroundings' temperature; the radiated flux follows
-from the wall's temperature and emittance, the convected one from the balance (docs/equations.md, equation 1). What hot
-gas leaves along a gap is convected and conducted as well.
+from the wall's temperature and emittance, the convected one from the balance (docs/theory/equations.md, equation 1).
+What hot gas leaves along a gap is convected and conducted as well.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class SurfaceHeat:
     heat_load_J_m2: FloatArray
 
     def columns(self) -> dict[str, FloatArray]:
-        """Fluxes [W/m2] of docs/equations.md, equation 1, and heat load [J/m2], by the name of their column."""
+        """Fluxes [W/m2] of docs/theory/equations.md, equation 1, and heat load [J/m2], by the name of their column."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
@@ -52,7 +52,7 @@ def surface_heat(
     surroundings_K4 : (time,) fourth power of the temperature of the surroundings [K4]
     returns         : fluxes [W/m2], the convected one from the balance of the others, and heat load [J/m2]
 
-    Source: docs/equations.md, equation 1; the emittance of effects, docs/effects.md, equation 9.
+    Source: docs/theory/equations.md, equation 1; the emittance of effects, docs/reference/effects.md, equation 9.
     """
     points = np.array(model.construction.layer_materials()[0].emissivity or [[0.0, 1.0]], dtype=float)
     emittance = np.interp(surface_K, *points.T) * model.values[model.places["stack.emissivity_factor"]]

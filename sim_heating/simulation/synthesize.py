@@ -102,7 +102,7 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
 
     Gamma is the mean intermittency of the points that have a transition in [truth], d tau the rise of the friction of a
     plate of the reference length [Pa], S the reference area. The trajectory itself is not changed.
-    Source: docs/scenario_format.md, `[truth]`; docs/equations_reference_heating.md, equation 17a.
+    Source: docs/reference/scenario_format.md, `[truth]`; docs/theory/equations_reference_heating.md, equation 17a.
     """
     vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
     share = [
@@ -126,7 +126,7 @@ def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions
         q = (1 + f jets) rho V^2 / 2,    rho = 2 q / V^2
 
     The reference heating, the surface pressure and the Reynolds number follow from that density.
-    Source: the pitch-jet spikes of STS-2 in the founding paper; docs/effects.md, jet-interaction.
+    Source: the pitch-jet spikes of STS-2 in the founding paper; docs/reference/effects.md, jet-interaction.
     """
     fraction = scenario.declared.measurements.jet_q_fraction
     if fraction == 0.0 or "jets" not in conditions:

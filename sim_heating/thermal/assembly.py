@@ -1,7 +1,8 @@
 """Rows of the thermal model's linear system, for eight control points (lanes) at once; compiled.
 
 In each layer rho c(T) dT/dt = d/dx( k(T, p) dT/dx ). Linear finite elements in Kirchhoff's variable
-theta = int k dT [W/m] make the flux of an element exact for k(T) (docs/equations_thermal_step.md, equations 2 and 3):
+theta = int k dT [W/m] make the flux of an element exact for k(T) (docs/theory/equations_thermal_step.md, equations 2
+and 3):
 
     d/dt E_i = q_(i-1) - q_i + source_i,      q_i = g_i (theta_i(T_i) - theta_i(T_(i+1))),     g_i = 1 / dx_i
 
@@ -91,8 +92,8 @@ from sim_heating.base.kernels.elementary import lanes_outside, logistic
 from sim_heating.base.kernels.jit import force_inline, inline_always, njit
 
 SHARE = 1.0 / 6.0
-"""Share of heat content between neighbours, lambda in docs/equations_thermal_step.md, equation 4: 0 is the lumped mass
-matrix, 1/3 the consistent one, and 1/6 cancels the error of second order (equation 5)."""
+"""Share of heat content between neighbours, lambda in docs/theory/equations_thermal_step.md, equation 4: 0 is the
+lumped mass matrix, 1/3 the consistent one, and 1/6 cancels the error of second order (equation 5)."""
 FAR = 1e300
 """Bound of an interval that has no end [K]."""
 BIN_K = 5.0
@@ -117,7 +118,7 @@ def property_bin(temperature: float) -> int:
 
     returns : index [-] from 0 to BINS - 1; 0 below 0 K and for NaN, with which the step reports a failure
 
-    Source: docs/equations_thermal_step.md, section 2.
+    Source: docs/theory/equations_thermal_step.md, section 2.
     """
     scaled = temperature * (1.0 / BIN_K)
     # Not `scaled <= 0.0`: NaN compares false, and its conversion to an integer is undefined.
@@ -162,7 +163,7 @@ def _pressure_factor(decade: float, log10_p: float) -> float:
 
 @njit
 def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int) -> int:
-    """`_gather_polynomials` from the table with slopes (docs/equations_thermal_step.md, equation 10b):
+    """`_gather_polynomials` from the table with slopes (docs/theory/equations_thermal_step.md, equation 10b):
 
     c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
     """
@@ -223,7 +224,7 @@ def heat_content(B: FloatArray, at: int, left_row: int, right_row: int) -> float
     B                   : block of a lane group;  at : offset of the first number of the node in its lane
     left_row, right_row : rows with the heat contents of the half elements on either side [J/m2]
 
-    Source: docs/equations_thermal_step.md, equation 4.
+    Source: docs/theory/equations_thermal_step.md, equation 4.
     """
     left, right = B[at + left_row * LANES], B[at + right_row * LANES]
     next_left, last_right = at + (NODE_ROWS + left_row) * LANES, at + (right_row - NODE_ROWS) * LANES
@@ -243,7 +244,7 @@ class Properties(NamedTuple):
 def _properties(B: FloatArray, a: int, lane: int, foot: int, f: float) -> Properties:
     """Properties at a node's temperature.
 
-    f : fraction [-] between two pressure columns (docs/equations_thermal_step.md, equations 9 and 10)
+    f : fraction [-] between two pressure columns (docs/theory/equations_thermal_step.md, equations 9 and 10)
     """
     t = B[a + T * LANES + lane] - B[a + foot * LANES + lane]
     x = a + (foot + 1) * LANES + lane
@@ -260,7 +261,7 @@ def _radiation_in_depth(T_K: float, begin_K: float) -> tuple[float, float]:
     """Kirchhoff's variable [K] and conductivity [-] of radiation in depth, over its conductivity at 1000 K.
 
     Radiation adds (T^3 - T_0^3) / (1000 K)^3 above T_0, up to which the declared tables contain it
-    (docs/equations_thermal_step.md, equation 11).
+    (docs/theory/equations_thermal_step.md, equation 11).
     """
     above = max(T_K, begin_K)
     cube, begin_cube = above * above * above, begin_K * begin_K * begin_K
@@ -273,7 +274,7 @@ def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties,
     """Row of a node from its properties on either side, and its contribution to the row of its left neighbour.
 
     What crosses an element, heat conducted in d dt and heat content shared, is one term
-    (docs/equations_thermal_step.md, equations 26 to 28).
+    (docs/theory/equations_thermal_step.md, equations 26 to 28).
     """
     left = a - NODE_ROWS * LANES
     h_left, c_left, theta_left, k_left = before
@@ -302,7 +303,7 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     """Add moisture, vapour and radiation in depth to the row of a node whose left neighbour has them already.
 
     Separate from the row itself, as most walls have none of them; dry lanes of the group go through the same arithmetic
-    (docs/equations_thermal_step.md, equations 11 to 13).
+    (docs/theory/equations_thermal_step.md, equations 11 to 13).
     """
     left = a - NODE_ROWS * LANES
     t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
@@ -360,7 +361,7 @@ def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: fl
 
 @inline_always
 def _eliminate_row(B: FloatArray, i: int) -> None:
-    """Eliminate row i, whose right neighbour is assembled (docs/equations_thermal_step.md, equation 29)."""
+    """Eliminate row i, whose right neighbour is assembled (docs/theory/equations_thermal_step.md, equation 29)."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
     left = a - NODE_ROWS * LANES
     for lane in range(LANES):
@@ -385,7 +386,7 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
     reduces : whether each row is eliminated as soon as its right neighbour is assembled
 
     Writes E_LEFT to C_RIGHT, and DIAGONAL, ENTRY, LOWER, RESIDUAL, or the reduced rows UPPER and DELTA.
-    Source: docs/equations_thermal_step.md, equations 25 to 29.
+    Source: docs/theory/equations_thermal_step.md, equations 25 to 29.
     """
     n = J[N_NODES]
     before, last = SCALAR_ROWS * LANES, (HEAD_ROWS + (n - 1) * NODE_ROWS) * LANES
@@ -407,7 +408,8 @@ def assemble(B: FloatArray, J: IntArray, table: FloatArray, ddt: float, reduces:
 
 @njit
 def select_pressure(B: FloatArray, J: IntArray, stage: int) -> None:
-    """Set the pressure column and fraction [-] of a stage in every lane (docs/equations_thermal_step.md, equation 10).
+    """Set the pressure column and fraction [-] of a stage in every lane (docs/theory/equations_thermal_step.md,
+    equation 10).
 
     stage : 0, 1 or 2; start, middle and end of a step
 

@@ -95,7 +95,7 @@ def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: F
     elements : elements of the point, b their stretch
     p        : (STACK_WIDTH,) values of parameters.STACK and of the layers by their own names, each in its unit
 
-    Source: docs/equations_thermal_step.md, equations 7, 8, 11 to 13 and 16.
+    Source: docs/theory/equations_thermal_step.md, equations 7, 8, 11 to 13 and 16.
     """
     layer, length_m, insulation = elements.layer, elements.length_m, elements.insulation
     for e in range(len(layer)):
@@ -170,7 +170,7 @@ def _set_gap(
     """Fractions of the film spent along a gap, falling with depth as exp(-x / depth) down to the bondline.
 
     A node has what falls between the middles of its elements; the fractions sum to p[GAP_FRACTION]
-    (docs/equations_thermal_step.md, equation 16).
+    (docs/theory/equations_thermal_step.md, equation 16).
     """
     n = len(layer) + 1
     fraction, depth = p[GAP_FRACTION], p[GAP_DEPTH]
@@ -204,7 +204,7 @@ def set_point(
     heating  : (N_PARAMETERS,) its vector of heating parameters (base/kernels/block.py)
 
     Heat contents are left as they were: the next frame has to be one of step.EVALUATE_START.
-    Source: docs/equations_thermal_step.md, equation 8; docs/equations.md, section 2.
+    Source: docs/theory/equations_thermal_step.md, equation 8; docs/theory/equations.md, section 2.
     """
     for lane in range(first, last):
         set_elements(B, J, lane, elements, stack)
@@ -222,7 +222,8 @@ def set_temperatures(B: FloatArray, first: int, last: int, nodes: int, temperatu
     nodes         : node count of the group
     temperature_K : (node,) [K]; padding nodes behind the back get the temperature of the back
 
-    The parabola of docs/equations_thermal_step.md, equation 23, becomes constant, so that the first guess is the start.
+    The parabola of docs/theory/equations_thermal_step.md, equation 23, becomes constant, so that the first guess is the
+    start.
     """
     for i in range(nodes):
         at = (HEAD_ROWS + i * NODE_ROWS) * LANES

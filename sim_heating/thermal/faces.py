@@ -1,7 +1,7 @@
 """Heat that enters the wall from outside, at its surface, at its back and in gaps; eight lanes at once, compiled.
 
 At the surface, at the back, and at every node along a gap that hot gas flows in
-(docs/equations_thermal_step.md, equations 14 to 16):
+(docs/theory/equations_thermal_step.md, equations 14 to 16):
 
     source_0     = (1 - f) film (H_r - H_w(T)) + q_add - eps(T) sigma (T^4 - T_sur^4),
     source_(n-1) = -h_b (T - T_b) - eps_b sigma (T^4 - T_b^4),
@@ -129,7 +129,7 @@ def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, 
     returns : lower and upper end of the piece [K], its foot [K], emittance at the foot [-], slope [1/K]
 
     The points are used as given, without bins of 5 K: the radiated heat is sensitive to a corner that is cut.
-    Source: docs/equations_thermal_step.md, section 2.
+    Source: docs/theory/equations_thermal_step.md, section 2.
     """
     n = int(table[first])
     T_K, eps = first + 1, first + 1 + n
@@ -149,7 +149,7 @@ def emittance_piece(table: FloatArray, first: int, wall: float) -> tuple[float, 
 def emittance(table: FloatArray, first: int, wall: float) -> float:
     """Emittance [-] of the table at `first` at a wall temperature [K], linear between points and constant beyond them.
 
-    Source: docs/equations_thermal_step.md, section 2.
+    Source: docs/theory/equations_thermal_step.md, section 2.
     """
     _, _, foot, eps, slope = emittance_piece(table, first, wall)
     return eps + slope * (wall - foot)
@@ -169,7 +169,7 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, st
     B     : block of the lane group; SOURCE and SLOPE of the nodes concerned change
     stage : 0, 1 or 2; start, middle and end of a step, whose film coefficients and recovery enthalpies are used
 
-    Source: docs/equations_thermal_step.md, equations 14 to 18.
+    Source: docs/theory/equations_thermal_step.md, equations 14 to 18.
     """
     evaluate_surface(B, J, table, dispatcher, stage)
     evaluate_back(B, J, stage)
@@ -218,7 +218,7 @@ def _write_surface_balance(
 ) -> None:
     """Heat that enters at the surface of a lane and its slope, from an emittance, a film and their slopes.
 
-    docs/equations_thermal_step.md, equations 14 and 17.
+    docs/theory/equations_thermal_step.md, equations 14 and 17.
     """
     a = HEAD_ROWS * LANES + lane
     wall, share, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
@@ -254,7 +254,7 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     stage : 0, 1 or 2, whose conditions are used;  dispatcher : address of the effect dispatcher
 
     A negative film coefficient, from a negative ratio, is not clipped.
-    Source: docs/equations_thermal_step.md, equations 14 and 17.
+    Source: docs/theory/equations_thermal_step.md, equations 14 and 17.
     """
     outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
     affected = 0
@@ -298,7 +298,8 @@ def evaluate_back(B: FloatArray, J: IntArray, stage: int) -> None:
 
     stage : 0, 1 or 2, whose temperature behind the wall and natural film h_n are used
 
-    An adiabatic back has h_b = h_n = 0 and eps_b = 0. Source: docs/equations_thermal_step.md, equations 15 and 18.
+    An adiabatic back has h_b = h_n = 0 and eps_b = 0. Source: docs/theory/equations_thermal_step.md, equations 15 and
+    18.
     """
     for lane in range(LANES):
         a = (HEAD_ROWS + J[BACK_NODE + lane] * NODE_ROWS) * LANES

@@ -10,7 +10,7 @@ step again with half the length: the frame is divided in two, either half again 
 1 / FINEST of the frame. The division of a lane depends on its own temperatures and conditions alone: all lanes are
 stepped together, and each keeps the steps that are its own.
 
-Derived in docs/equations_thermal_step.md, equations 41 to 44.
+Derived in docs/theory/equations_thermal_step.md, equations 41 to 44.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ FINEST = 1024
 def _content_error(B: FloatArray, a: int, lane: int, dt: float) -> float:
     """Error of the heat content of a node after a step of dt [s] [J/m2], by the embedded formula.
 
-    Written without F(Y1) and F(Y2), which a step does not store: docs/equations_thermal_step.md, equation 42.
+    Written without F(Y1) and F(Y2), which a step does not store: docs/theory/equations_thermal_step.md, equation 42.
     """
     start, star = B[a + E_START * LANES + lane], B[a + E_STAR * LANES + lane]
     gain = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT) - star
@@ -121,7 +121,7 @@ def _bound_errors(B: FloatArray, n: int, dt: float) -> None:
 
     |e| <= max |A e| / C for a matrix A whose rows sum to the heat capacity C or more. Here C is E / T, which a material
     has at least whose specific heat does not fall with temperature: the capacities of the last assembly depend on how
-    often other lanes iterated. Derived in docs/equations_thermal_step.md, equation 44.
+    often other lanes iterated. Derived in docs/theory/equations_thermal_step.md, equation 44.
     """
     tolerance = B[TOLERANCE * LANES]
     for lane in range(LANES):
@@ -141,7 +141,7 @@ def _filter_errors(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt
     """Error of the temperatures [K] of a step: LARGEST of node 0, from the matrix at the end of the step.
 
     With E* + A e for E* the residual at the end of the step is -A e, so that Newton's update is e itself; no lane takes
-    it. Derived in docs/equations_thermal_step.md, equation 43.
+    it. Derived in docs/theory/equations_thermal_step.md, equation 43.
     """
     n = J[N_NODES]
     behind = (HEAD_ROWS + n * NODE_ROWS) * LANES
@@ -239,7 +239,7 @@ def _solve_interval(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, d
 def _select_interval(B: FloatArray, begin: int, end: int) -> None:
     """Let the lanes that stand at the beginning of a part of the frame take part, with the conditions at its ends.
 
-    begin, end : of FINEST. Derived in docs/equations_march.md, equation 1.
+    begin, end : of FINEST. Derived in docs/theory/equations_march.md, equation 1.
     """
     span = LANES * N_CONDITIONS
     stages = C_STAGES * LANES
@@ -337,7 +337,7 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float
     The frame is divided in the lanes whose error is above TOLERANCE. T_START and T_STAGE are those of the last step of
     some lane then: they define the parabola of the frame only where it is not controlled.
     One function for both, as they share most of their code, which is compiled once this way.
-    Source: docs/equations_thermal_step.md, equations 19 to 24, and 41 to 44 for the control of the step.
+    Source: docs/theory/equations_thermal_step.md, equations 19 to 24, and 41 to 44 for the control of the step.
     """
     if dt == EVALUATE_START:
         _evaluate_now(B, J, table, dispatcher)

@@ -1,7 +1,7 @@
 """Nodes through the thickness: fine at the surface, coarser inward, one on every interface and sensor.
 
 Thickness is measured by diffusion: s = int dx / sqrt(a) [s^(1/2)] is the square root of the time that heat takes, the
-same for all materials. The density of nodes in s is (docs/equations_thermal_step.md, equation 38)
+same for all materials. The density of nodes in s is (docs/theory/equations_thermal_step.md, equation 38)
 
     1 / (s_0 + GROWTH s)  +  UNIFORM / S,      s_0 = SURFACE sqrt(max(dt, 1 s)),
 
@@ -71,7 +71,7 @@ def layer_diffusivities(construction: Construction) -> list[float]:
 
     construction : the layers and their materials
 
-    Beyond its table a property is constant. Source: docs/equations_thermal_step.md, equation 37.
+    Beyond its table a property is constant. Source: docs/theory/equations_thermal_step.md, equation 37.
     """
     values = []
     for material in construction.layer_materials():
@@ -88,7 +88,7 @@ def diffusion_depths(construction: Construction, mesh: Mesh) -> FloatArray:
     construction : layers, for the diffusivity a [m2/s] of each;  mesh : nodes and element lengths [m]
     returns      : (node,) [s^(1/2)] from the surface: the square root of the time [s] that heat takes
 
-    Contacts add nothing. Source: docs/equations_thermal_step.md, equation 37.
+    Contacts add nothing. Source: docs/theory/equations_thermal_step.md, equation 37.
     """
     root_a = np.sqrt(np.array([*layer_diffusivities(construction), np.inf]))[mesh.layer]
     return np.concatenate(([0.0], np.cumsum(mesh.length_m / root_a)))
@@ -127,7 +127,7 @@ def fewest_nodes(construction: Construction, depths_m: FloatArray) -> int:
 
     depths_m : (sensor,) depths that must be nodes [m]
 
-    Rules of the mesh: docs/equations_thermal_step.md, section 8.
+    Rules of the mesh: docs/theory/equations_thermal_step.md, section 8.
     """
     contacts = sum(layer.contact_m2K_W > 0.0 for layer in construction.stack.layer)
     return len(_segments(construction, depths_m)) + contacts + 2
@@ -142,7 +142,7 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     returns  : the mesh; every layer keeps its thickness to rounding
     raises   : InputError where there are fewer nodes than interfaces and sensors need
 
-    Source: docs/equations_thermal_step.md, equations 37 to 39.
+    Source: docs/theory/equations_thermal_step.md, equations 37 to 39.
     """
     fewest = fewest_nodes(construction, depths_m)
     if nodes < fewest:
@@ -185,7 +185,7 @@ def _place_nodes(
 def halve_elements(mesh: Mesh) -> Mesh:
     """Mesh with every element halved; contacts, and the depths of sensors and bondline, are unchanged.
 
-    Two such meshes give the error estimate [K] of docs/equations_thermal_step.md, equation 40.
+    Two such meshes give the error estimate [K] of docs/theory/equations_thermal_step.md, equation 40.
     """
     times = np.where(mesh.layer < 0, 1, 2)
     first = np.concatenate(([0], np.cumsum(times)))
@@ -202,7 +202,7 @@ def interpolate_profile(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatAr
     other   : mesh of the same elements, or of parts of them
     returns : (node,) temperatures [K] on `other`; exact where it refines the mesh, as the elements are linear
 
-    The interpolation is that of the linear elements of docs/equations.md, section 3.
+    The interpolation is that of the linear elements of docs/theory/equations.md, section 3.
     """
     at, wanted = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
     return np.interp(wanted, at, profile)

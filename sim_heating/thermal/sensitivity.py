@@ -2,7 +2,7 @@
 
 With G(T; p) = E(T; p) - d dt F(T; p) the two stages of a step (step.py) are G(Y1) = E_n + d dt F_n and
 G(Y2) = E_n + (w/d) (E(Y1) - E_n), so that for S = dT/dp, e = dE/dp and f = dF/dp, all total
-(docs/equations_thermal_step.md, equations 31 and 32),
+(docs/theory/equations_thermal_step.md, equations 31 and 32),
 
     A1 S1 = e_n + d dt f_n             - G_p(Y1),      A = dG/dT at the converged stage,
     A2 S2 = e_n + (w/d) (e(Y1) - e_n)  - G_p(Y2),      e = E_T S + E_p,
@@ -124,7 +124,7 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: floa
     B     : block of the perturbed lanes;  J : its integers;  table, dispatcher : as in step.step
     ddt   : d dt [s]; it takes the place of dt in the signature of a step
 
-    Source: docs/equations_thermal_step.md, equations 25 to 28 and 34.
+    Source: docs/theory/equations_thermal_step.md, equations 25 to 28 and 34.
     """
     heat_perturbed_lanes(B, J, table, dispatcher, END)
     select_pressure(B, J, END)
@@ -135,7 +135,8 @@ def rows_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: floa
 def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: float) -> None:  # type: ignore[no-untyped-def]
     """Heat from outside [W/m2] at the present temperatures of perturbed lanes, with the conditions of stage 2.
 
-    ddt is not used: the signature is that of `rows_at`. Source: docs/equations_thermal_step.md, equations 14 to 16.
+    ddt is not used: the signature is that of `rows_at`. Source: docs/theory/equations_thermal_step.md, equations 14 to
+    16.
     """
     heat_perturbed_lanes(B, J, table, dispatcher, END)
     evaluate_faces(B, J, table, dispatcher, END)
@@ -173,7 +174,7 @@ def assemble_perturbed(
     stage     : stage whose conditions they take
     ddt       : d dt [s] of the rows
 
-    Source: docs/equations_thermal_step.md, equation 34.
+    Source: docs/theory/equations_thermal_step.md, equation 34.
     """
     B = group.B
     J, groups, source = perturbed.ints, perturbed.groups, perturbed.source
@@ -213,8 +214,8 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
 
     n : number of nodes; the copy is assembled with ddt = 1 s at the lane's present temperatures
 
-    This is what `step.evaluate_start` does for all lanes, for one of them. Source: docs/equations_thermal_step.md,
-    equations 4 and 25 with kappa = 1 s.
+    This is what `step.evaluate_start` does for all lanes, for one of them. Source:
+    docs/theory/equations_thermal_step.md, equations 4 and 25 with kappa = 1 s.
     """
     for i in range(n):
         content, a = heat_content(X, at + i * NODE, E_LEFT, E_RIGHT), (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
@@ -261,7 +262,7 @@ def content_columns(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, 
     S       : (node, parameter) sensitivity of temperature [K] over the unit of each parameter
     e       : (node, parameter) result [J/m2] over that unit, overwritten
 
-    Source: docs/equations_thermal_step.md, equation 32.
+    Source: docs/theory/equations_thermal_step.md, equation 32.
     """
     n, m = p.nodes[lane], S.shape[1]
     for i in range(n):
@@ -292,7 +293,7 @@ def begin_columns(
     forced  : number of leading columns with partial derivatives
     S, e, f : (node, parameter); e and f are overwritten
 
-    Source: docs/equations_thermal_step.md, equations 32 and 33.
+    Source: docs/theory/equations_thermal_step.md, equations 32 and 33.
     """
     n, m = p.nodes[lane], S.shape[1]
     content_columns(X, p, lane, forced, S, e)
@@ -326,7 +327,7 @@ def solve_columns(
     S       : (node, parameter) sensitivity [K] over that unit, overwritten
     reduced : (node,) work
 
-    Source: docs/equations_thermal_step.md, equations 29 and 31.
+    Source: docs/theory/equations_thermal_step.md, equations 29 and 31.
     """
     n, m = p.nodes[lane], S.shape[1]
     _copy(star, S)
@@ -360,7 +361,7 @@ def first_right_hand_side(e: FloatArray, f: FloatArray, dt: float, star: FloatAr
     e, f, star : (node, parameter) [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
     dt         : [s]
 
-    Source: docs/equations_thermal_step.md, equation 31.
+    Source: docs/theory/equations_thermal_step.md, equation 31.
     """
     e, f, star = e.ravel(), f.ravel(), star.ravel()
     for k in range(len(star)):
@@ -373,7 +374,7 @@ def second_right_hand_side(e: FloatArray, middle: FloatArray, star: FloatArray) 
 
     e, middle, star : (node, parameter) e at the start and at the first stage, and the result, overwritten
 
-    Source: docs/equations_thermal_step.md, equation 31.
+    Source: docs/theory/equations_thermal_step.md, equation 31.
     """
     e, middle, star = e.ravel(), middle.ravel(), star.ravel()
     for k in range(len(star)):
@@ -386,7 +387,7 @@ def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> No
 
     e, star, f : (node, parameter) e at the end, right-hand side of the second stage, result; dt [s]
 
-    Source: docs/equations_thermal_step.md, equation 32.
+    Source: docs/theory/equations_thermal_step.md, equation 32.
     """
     e, star, f = e.ravel(), star.ravel(), f.ravel()
     for k in range(len(f)):
@@ -397,7 +398,7 @@ def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> No
 def parabola(x: float) -> tuple[float, float, float]:
     """Weights [-] of start, middle stage and end of a step in a value at the fraction x [-] of the step.
 
-    Source: docs/equations_thermal_step.md, equation 35.
+    Source: docs/theory/equations_thermal_step.md, equation 35.
     """
     return (x - GAMMA) * (x - 1.0) / GAMMA, x * (x - 1.0) / (GAMMA * (GAMMA - 1.0)), x * (x - GAMMA) / (1.0 - GAMMA)
 
@@ -406,7 +407,7 @@ def parabola(x: float) -> tuple[float, float, float]:
 def parabola_rate(x: float, dt: float) -> tuple[float, float, float]:
     """Weights of start, middle stage and end of a step of dt [s] in the rate of change [K/s] at its fraction x [-].
 
-    Source: docs/equations_thermal_step.md, equation 36.
+    Source: docs/theory/equations_thermal_step.md, equation 36.
     """
     start, middle = (2.0 * x - GAMMA - 1.0) / (GAMMA * dt), (2.0 * x - 1.0) / (GAMMA * (GAMMA - 1.0) * dt)
     return start, middle, (2.0 * x - GAMMA) / ((1.0 - GAMMA) * dt)

@@ -103,7 +103,7 @@ def _axis_problems(key: str, values: list[float]) -> list[tuple[Location, str]]:
 class PressureTable(Declared):
     """Conductivity in temperature and pressure: k[T][p] [W/(m K)], linear in T and in log10(p).
 
-    How it is interpolated: docs/equations_thermal_step.md, equation 10.
+    How it is interpolated: docs/theory/equations_thermal_step.md, equation 10.
     """
 
     quantities: ClassVar = {"k": "conductivity_W_mK"}
@@ -224,7 +224,7 @@ class Material(Declared):
         returns : (p,) pressures [Pa], (T,) temperatures [K], (T, p) conductivity [W/(m K)]; where it does not depend on
                   pressure one column, at 1 Pa
 
-        Interpolated as in docs/equations_thermal_step.md, equation 10.
+        Interpolated as in docs/theory/equations_thermal_step.md, equation 10.
         """
         table = self.conductivity_W_mK
         if isinstance(table, PressureTable):
@@ -267,7 +267,7 @@ class BackFace(Declared):
     """A back face that convects and radiates to T_K: q = h (T - T_K) + emissivity sigma (T^4 - T_K^4) [W/m2].
 
     Natural convection adds natural_h_W_m2K |T - T_K|^natural_exponent (p / 101325 Pa)^(2 natural_exponent) to h.
-    docs/equations_thermal_step.md, equations 15 and 15a.
+    docs/theory/equations_thermal_step.md, equations 15 and 15a.
     """
 
     quantities: ClassVar = {"emissivity": "effective_emissivity"}
@@ -384,7 +384,7 @@ LEAST_DEPTH_M, LEAST_NOISE_K = 1e-6, 1e-5
 
 
 class Sensor(Declared):
-    """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/equations.md, section 5)."""
+    """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/theory/equations.md, 5)."""
 
     name: str = Field(min_length=1)
     column: str = Field(min_length=1, description="column of the measurements, ending in _K")
@@ -450,7 +450,7 @@ class Sensor(Declared):
     def lsb_K(self) -> float:
         """Step of the recorder word [K], span / (2^bits - 1); 0 where nothing is quantised.
 
-        Source: docs/equations.md, section 5.
+        Source: docs/theory/equations.md, section 5.
         """
         if self.bits is None or self.range_K is None:
             return 0.0
@@ -462,7 +462,7 @@ class Sensor(Declared):
         sigma_K : standard deviation of the random noise [K]
 
         LSB^2 / 12 is the variance of a rounding error that is uniform over one step, as where the temperature or its
-        noise moves over several steps. The word is that of docs/equations.md, section 5.
+        noise moves over several steps. The word is that of docs/theory/equations.md, section 5.
         """
         return math.sqrt(sigma_K**2 + self.lsb_K**2 / 12.0)
 

@@ -8,7 +8,7 @@ both with their tridiagonal derivatives from assembly.py and faces.py.
 
 One step is TR-BDF2 with gamma = 2 - sqrt(2) (Bank et al., IEEE Trans. CAD 4 (1985) 436; Hosea and Shampine, Appl.
 Numer. Math. 20 (1996) 21): one-step, L-stable, second order, here written for E so that energy is conserved to rounding
-(docs/equations_thermal_step.md, equations 19 and 20):
+(docs/theory/equations_thermal_step.md, equations 19 and 20):
 
     E(Y1) = E_n + d dt (F_n + F(Y1)),                      at t_n + gamma dt,   d = gamma / 2
     E(Y2) = E_n + (w/d) (E(Y1) - E_n) + d dt F(Y2),        at t_n + dt,         w = sqrt(2) / 4
@@ -121,7 +121,7 @@ def _entering_heat(B: FloatArray, a: int, lane: int) -> float:
 
 @inline_always
 def _record_face_heat(B: FloatArray, J: IntArray) -> None:
-    """Record the heat at the faces of the lanes just updated (docs/equations_thermal_step.md, equation 30)."""
+    """Record the heat at the faces of the lanes just updated (docs/theory/equations_thermal_step.md, equation 30)."""
     front = HEAD_ROWS * LANES
     for lane in range(LANES):
         moves = B[ACTIVE * LANES + lane] > 0.0
@@ -153,7 +153,7 @@ def evaluate_start(B: FloatArray, J: IntArray, table: FloatArray, dispatcher) ->
     J     : its integers;  table : property and ratio tables;  dispatcher : address of the effect dispatcher
 
     A step leaves the same quantities at its end; this evaluates them where no step precedes.
-    Source: docs/equations_thermal_step.md, equations 3, 4 and 22.
+    Source: docs/theory/equations_thermal_step.md, equations 3, 4 and 22.
     """
     n = J[N_NODES]
     select_pressure(B, J, END)
@@ -196,7 +196,7 @@ def _write_extrapolation_times(B: FloatArray, dt: float) -> None:
 def _begin_first_stage(B: FloatArray, n: int, dt: float) -> None:
     """First stage: E* = E_n + d dt F_n with the F_n of the last step's end, and a guess along its parabola.
 
-    docs/equations_thermal_step.md, equations 19 and 24.
+    docs/theory/equations_thermal_step.md, equations 19 and 24.
     """
     ahead = GAMMA * dt
     _write_extrapolation_times(B, dt)
@@ -220,7 +220,7 @@ def close_node(B: FloatArray, a: int, lane: int, dt: float) -> None:
 
     a : offset of the node in the block;  dt : length of the step [s]
 
-    Source: docs/equations_thermal_step.md, equations 22 and 23.
+    Source: docs/theory/equations_thermal_step.md, equations 22 and 23.
     """
     content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
     B[a + NET * LANES + lane] = (content - B[a + E_STAR * LANES + lane]) * (1.0 / (STAGE_WEIGHT * dt))
@@ -240,7 +240,7 @@ def close_step(B: FloatArray, n: int, dt: float) -> None:
 
     n : number of nodes;  dt : length of the step [s]
 
-    Source: docs/equations_thermal_step.md, equations 22 and 23.
+    Source: docs/theory/equations_thermal_step.md, equations 22 and 23.
     """
     for lane in range(LANES):
         B[LAST_STEP * LANES + lane] = dt
@@ -259,7 +259,7 @@ def substitute_back(B: FloatArray, n: int) -> None:
     n : number of nodes
 
     The choice is arithmetic, exact for 1 and 0: a masked store would cost more than all the rest.
-    Source: docs/equations_thermal_step.md, equations 29 and 30.
+    Source: docs/theory/equations_thermal_step.md, equations 29 and 30.
     """
     for i in range(n - 1, -1, -1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
@@ -342,7 +342,7 @@ def _solve_stage(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stag
 def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
     """Second stage: E* = E_n + (w/d) (E(Y1) - E_n), and a guess along the first stage with the last step's curvature.
 
-    docs/equations_thermal_step.md, equations 20 and 24.
+    docs/theory/equations_thermal_step.md, equations 20 and 24.
     """
     _write_extrapolation_times(B, dt)
     for i in range(n):
@@ -386,7 +386,7 @@ def step(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float) -
     Heat contents and net heat at the start are those that the last step left, since the method's last stage is its end;
     after a change of temperatures, parameters or conditions from outside, frame.advance with EVALUATE_START has to
     evaluate them again. A lane that does not converge in NEWTON_LIMIT iterations is counted in FAILED; nothing is
-    raised. Source: Hosea and Shampine (1996); docs/equations_thermal_step.md, equations 19 to 24.
+    raised. Source: Hosea and Shampine (1996); docs/theory/equations_thermal_step.md, equations 19 to 24.
     """
     n = J[N_NODES]
     _note_start(B)

@@ -1,7 +1,7 @@
 """Property tables as the kernel reads them: pieces between declared points, columns of pressure, one flat array.
 
 Between two points of its file a property is linear, and its integral (heat content, Kirchhoff's variable) is a
-parabola, exact to rounding (docs/equations_thermal_step.md, equation 9). A piece of a material lies between two
+parabola, exact to rounding (docs/theory/equations_thermal_step.md, equation 9). A piece of a material lies between two
 neighbouring points of either property, wherever these are. Bins of BIN_K kelvin hold the number of the piece at their
 foot, from which the kernel steps to the piece of a temperature.
 
@@ -35,7 +35,7 @@ KEPT = 256
 """Number of tables that are cached from one ensemble to the next."""
 AIR_PER_DECADE = 8
 """Columns of the enthalpy of equilibrium air in a decade of pressure: linear in log10 p between them it is within
-0.05 % of the equilibrium; one a decade is 2.8 % off where oxygen dissociates (docs/equations_thermal_step.md,
+0.05 % of the equilibrium; one a decade is 2.8 % off where oxygen dissociates (docs/theory/equations_thermal_step.md,
 section 2)."""
 AIR_LOG10_PA = np.linspace(0.0, 6.0, 6 * AIR_PER_DECADE + 1)
 """log10 of the pressures [Pa] at which the enthalpy of equilibrium air is tabulated."""
@@ -100,7 +100,7 @@ class TableStore:
         wall_enthalpy : constant specific heat [J/(kg K)], or the name of a gas model
         returns       : offsets in `values`
 
-        Layout and interpolation: docs/equations_thermal_step.md, section 2.
+        Layout and interpolation: docs/theory/equations_thermal_step.md, section 2.
         """
         # Insulation has a table of its own, even where another layer is of its material: their properties may differ.
         key = (*(id(m) for m in layers), wall_enthalpy)
@@ -159,7 +159,7 @@ def _material_table(material: Material, log10_p: FloatArray) -> FloatArray:
 def _bent_table(material: Material, log10_p: FloatArray) -> FloatArray:
     """As `_material_table`, each piece followed by the same properties weighted with T - BEND_AT_K [K].
 
-    Source: docs/equations_thermal_step.md, equation 10b.
+    Source: docs/theory/equations_thermal_step.md, equation 10b.
     """
     fine = np.arange(BEND_FROM_K, BEND_TO_K + BEND_STEP_K, BEND_STEP_K)
     points = np.union1d(_declared_points(material), fine)

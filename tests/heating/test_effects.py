@@ -179,14 +179,14 @@ def test_every_effect_states_its_physics_and_source():
 
 def test_every_effect_has_a_picture():
     docs = ROOT / "docs"
-    text = (docs / "effects.md").read_text()
+    text = (docs / "reference" / "effects.md").read_text()
     for name in effects():
-        assert f"(images/effect_{name}.png)" in text
+        assert f"(../images/effect_{name}.png)" in text
         assert (docs / "images" / f"effect_{name}.png").is_file()
 
 
 def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations():
-    text = (ROOT / "docs" / "effects.md").read_text()
+    text = (ROOT / "docs" / "reference" / "effects.md").read_text()
     assert page(text) == text
     assert text.count(r"\tag{") == 31
 

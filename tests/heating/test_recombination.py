@@ -91,7 +91,7 @@ def test_turbulent_film_is_the_one_that_atoms_diffuse_through() -> None:
 
 
 def test_the_step_of_catalysis_is_the_same_equation_about_the_temperature_of_half_recombination() -> None:
-    """Width T_c^2 / (T_A - T_c / 2) and step h_D / (H_r - h_D), docs/effects.md, behind equation 28."""
+    """Width T_c^2 / (T_A - T_c / 2) and step h_D / (H_r - h_D), docs/reference/effects.md, behind equation 28."""
     finite, none = use("recombination"), use("recombination", {"efficiency": 0.0})
     T = np.linspace(1100.0, 1650.0, 23)
     rise = np.array([factor(finite, t, HEAT_OF_OXYGEN, 0.6) / factor(none, t, HEAT_OF_OXYGEN, 0.6) for t in T]) - 1.0

@@ -124,7 +124,7 @@ def test_on_the_plateau_the_declared_model_gives_the_radiated_heat_of_two_tiles_
     """600 to 1000 s: before transition, after the low-density phase.
 
     Tiles 480 and 730 radiate twice the prediction: the place of one and the running length at the other are in doubt
-    (docs/evidence.md).
+    (docs/evidence/evidence.md).
     """
     for compared in compare(sts96):
         t = compared.measured.time_s

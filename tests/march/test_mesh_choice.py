@@ -125,7 +125,7 @@ def test_a_finer_mesh_confirms_the_stated_error_on_a_flight(name, heating):
 
 
 def trial(film: bool) -> Heating:
-    """One of the two heatings that a mesh is chosen on where no flight is known (docs/equations_march.md, 17)."""
+    """One of the two heatings that a mesh is chosen on without a known flight (docs/theory/equations_march.md, 17)."""
 
     def heating(hot_K: float, emissivity: float) -> Conditions:
         t = np.arange(0.0, 1201.0)

@@ -1,4 +1,5 @@
-"""The structure of the package as its imports show it, and the part of docs/architecture.md that is drawn from it.
+"""The structure of the package as its imports show it, and the part of docs/development/architecture.md that is drawn
+from it.
 
 python -m tests.support.structure        # writes that part of the page again
 """
@@ -12,7 +13,7 @@ from pathlib import Path
 from tests.support.paths import ROOT
 
 PACKAGE = ROOT / "sim_heating"
-PAGE = ROOT / "docs" / "architecture.md"
+PAGE = ROOT / "docs" / "development" / "architecture.md"
 FOLDERS = (
     "base", "heating", "thermal", "trajectory", "march", "inputs", "simulation", "estimation", "closure", "campaign",
     "planning", "cli",

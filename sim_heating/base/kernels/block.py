@@ -5,7 +5,7 @@ numbers: SCALAR_ROWS rows, one ghost node, the nodes, one ghost node, NODE_ROWS 
 are taken lane by lane instead: a vector of flight conditions at the start, at the middle stage and at the end of a
 step, and a vector of heating parameters.
 
-Equations in these quantities: docs/equations_thermal_step.md.
+Equations in these quantities: docs/theory/equations_thermal_step.md.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ CONDITION_COLUMNS = (
     "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
 )  # fmt: skip
 
-# Heating parameters of a lane: the linear model about a reference condition (docs/equations.md, section 2: 5 first and
-# 15 second derivatives, the reference, the highest order in use), then the parameters of its effects, slot by slot.
+# Heating parameters of a lane: the linear model about a reference condition (docs/theory/equations.md, section 2: 5
+# first and 15 second derivatives, the reference, the highest order in use), then the parameters of its effects, slot by
+# slot.
 SCALE, D0, FIRST, SECOND, REFERENCE, ORDER = 0, 1, 2, 7, 22, 27
 EFFECT_PARAMETERS = 28
 EFFECT_SLOTS, EFFECT_WIDTH = 6, 10
@@ -49,8 +50,9 @@ FILM, RECOVERY, ADDED, PCOL, PFRAC, R_BASE = 0, 3, 6, 9, 12, 15
 SURROUNDINGS4, BACK_H, BACK_T, BACK_EPS, FACTOR_EPS = 18, 19, 20, 21, 22
 ACTIVE, FAILED, ITERATIONS, COLUMN, OUTSIDE, NEGATIVE = 23, 24, 25, 26, 27, 28
 STAGE_IN, STAGE_OUT, ENERGY_IN, ENERGY_OUT = 29, 30, 31, 32
-# The lag of a ratio, one row a stage: its value m and the ratio that it follows (docs/effects.md, equation 19); whether
-# it has a past. Fraction of the film that is spent at the surface, not in gaps. The length of the last step [s].
+# The lag of a ratio, one row a stage: its value m and the ratio that it follows (docs/reference/effects.md,
+# equation 19); whether it has a past. Fraction of the film that is spent at the surface, not in gaps. The length of the
+# last step [s].
 LAG_VALUE, LAG_INPUT, LAG_PAST, SURFACE_SHARE, LAST_STEP = 33, 36, 39, 40, 41
 # Place of the pressure on the axis of the enthalpy of air, one row a stage [-]: column and fraction to the next. The
 # ratio that an effect which multiplies it finds [-].
@@ -69,7 +71,7 @@ VENTED, VENTING_TAU = 71, 74
 # Distance past the onset of transition with its hysteresis [-], one row a stage (heating/effects/transition.py).
 PAST_ONSET = 75
 # Change of the insulation's tables: conductivity with temperature [1/K] and with a decade of pressure [-], specific
-# heat with temperature [1/K] (docs/equations_thermal_step.md, equation 10b).
+# heat with temperature [1/K] (docs/theory/equations_thermal_step.md, equation 10b).
 BEND_K, BEND_P, BEND_C = 78, 79, 80
 C_STAGES = 81
 # After the conditions of the three stages those at the start and at the end of a frame that is divided.
@@ -103,8 +105,8 @@ E_LEFT, E_RIGHT, C_LEFT, C_RIGHT, SOURCE, SLOPE = 6, 7, 8, 9, 10, 11
 # ... heat content at the start of the step [J/m2]; net heat there [W/m2]; heat contents of a converged stage ...
 E_START, NET, STAGE_LEFT, STAGE_RIGHT = 12, 13, 14, 15
 # ... Kirchhoff's variable [W/m], until the right neighbour is assembled; then the matrix entry right of the diagonal (u
-# in docs/equations_thermal_step.md, equation 27); then the largest update of this node and those behind it, or the
-# largest excess of the error over its bound of this node and those before it. The entry
+# in docs/theory/equations_thermal_step.md, equation 27); then the largest update of this node and those behind it, or
+# the largest excess of the error over its bound of this node and those before it. The entry
 # left of the diagonal in the row of the right neighbour (l) ...
 THETA_RIGHT, ENTRY, LARGEST, EXCESS, LOWER = 16, 16, 16, 16, 17
 # ... diagonal and residual of the row of the linear system, then the eliminated row (equation 29); the fraction between

@@ -67,7 +67,7 @@ def log10(x: float) -> float:
 
 @force_inline
 def logistic(x: float) -> float:
-    """Logistic function 1 / (1 + exp(-x)) [-]: 0 far below, 1 far above; S of docs/equations.md, equation 19."""
+    """Logistic function 1 / (1 + exp(-x)) [-]: 0 far below, 1 far above; S of docs/theory/equations.md, equation 19."""
     return 1.0 / (1.0 + exp(-x))
 
 

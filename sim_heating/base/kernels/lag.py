@@ -3,7 +3,7 @@
     tau dy/dt = x - y
 
 The update over a step is exact for an x that is linear in time over it, so that time constants far below the step need
-no substeps. docs/equations.md, equation 8.
+no substeps. docs/theory/equations.md, equation 8.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def lag_step(y_0: float, x_0: float, x_1: float, steps: float) -> float:
     y_0     : lagging value at the start of the step
     steps   : s, length of the step over the time constant [-], above 0
 
-    Source: docs/equations.md, equation 8.
+    Source: docs/theory/equations.md, equation 8.
     """
     behind = (x_1 - x_0) / steps
     return x_1 - behind + (y_0 - x_0 + behind) * exp(-steps)
@@ -40,7 +40,7 @@ def lag_columns(time_s: FloatArray, x: FloatArray, tau_s: float, at_rest: bool) 
     at_rest : whether y = x at the first time; else y starts as behind a ramp of the first interval's slope
     returns : (time, column)
 
-    Source: docs/equations.md, equation 8.
+    Source: docs/theory/equations.md, equation 8.
     """
     y = x.copy()
     if tau_s <= 0.0 or len(time_s) < 2:
@@ -64,7 +64,7 @@ def lag_per_constant(time_s: FloatArray, x: FloatArray, y: FloatArray, tau_s: fl
     tau_s   : time constant [s], 0 included;  at_rest : as of lag_columns
     returns : (time,) dy/dtau [unit of x over s]; without a lag -dx/dt, as for a shift in time
 
-    The update of docs/equations.md, equation 8, differentiated.
+    The update of docs/theory/equations.md, equation 8, differentiated.
     """
     out = np.zeros_like(x)
     if not at_rest and len(x) > 1:

@@ -8,7 +8,7 @@ every moment follows from the M_k: sums of positive terms over a smooth integran
 neither a far tail nor a narrow interval costs digits. Gauss-Legendre panels; the integrand is dropped where it
 falls below 1e-20 of its highest. Wide intervals near the mean, which recorder words mostly are, lose no digits in
 closed form: Z by erfc, then E x^(k+1) = k E x^(k-1) + (alpha^k phi(alpha) - beta^k phi(beta)) / Z. Derived in
-docs/estimation_statistics.md, equations 5 to 9. Identities of the moments with the derivatives of log Z: Louis,
+docs/theory/estimation_statistics.md, equations 5 to 9. Identities of the moments with the derivatives of log Z: Louis,
 "Finding the Observed Information Matrix when Using the EM Algorithm", J. R. Stat. Soc. B 44 (1982).
 """
 
@@ -46,7 +46,7 @@ N_TERMS = 7
 def weighted_density(x: float) -> float:
     """x phi(x) [-], phi the standard normal density; 0 at both infinities.
 
-    Term of the closed form of E x^2, docs/estimation_statistics.md, equation 9.
+    Term of the closed form of E x^2, docs/theory/estimation_statistics.md, equation 9.
     """
     return 0.0 if abs(x) > REMOTE else x * math.exp(-0.5 * x * x - LOG_ROOT_2PI)
 
@@ -60,7 +60,7 @@ def truncated_normal(alpha: float, beta: float, width: float):  # type: ignore[n
     returns     : log Z, E x, var x, 1 - var x, E x^2 - 1, cov(x, x^2), var x^2, in the order LOG_Z ... SPREAD
 
     Relative error about 1e-12 up to 50 sigma from the mean (tests/estimation/test_likelihood.py).
-    Source: docs/estimation_statistics.md, equations 8 and 9.
+    Source: docs/theory/estimation_statistics.md, equations 8 and 9.
     """
     if alpha == -math.inf and beta == math.inf:
         return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0
@@ -109,7 +109,7 @@ def wide_interval_terms(alpha: float, beta: float):  # type: ignore[no-untyped-d
                   of that
     returns     : log Z, E x, var x, 1 - var x, E x^2 - 1, cov(x, x^2), var x^2
 
-    Source: docs/estimation_statistics.md, equation 9.
+    Source: docs/theory/estimation_statistics.md, equation 9.
     """
     z = 0.5 * (math.erfc(alpha * ROOT_HALF) - math.erfc(beta * ROOT_HALF))
     p = math.exp(-0.5 * alpha * alpha - LOG_ROOT_2PI) / z
@@ -131,7 +131,7 @@ def moments(x0: float, low: float, high: float):  # type: ignore[no-untyped-def]
     x0        : point of the interval nearest to the mean [-], not below 0
     low, high : finite limits of t [-]; low is below 0 only for an interval that contains the mean
 
-    Gauss-Legendre of 14 points on panels of PANEL scales. Source: docs/estimation_statistics.md, equation 8.
+    Gauss-Legendre of 14 points on panels of PANEL scales. Source: docs/theory/estimation_statistics.md, equation 8.
     """
     # the integrand changes over 1 / x0 for a remote interval, over 1 for one at the mean
     panels = 1 + int((high - low) * max(1.0, x0) / PANEL)
@@ -159,7 +159,7 @@ def fill_terms(lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: Fl
     terms        : (sample, 7) output [-], in the order LOG_Z ... SPREAD; log density [1/K] for an unrounded sample,
                    NaN where one of the inputs is NaN
 
-    Source: docs/estimation_statistics.md, equations 3 and 5 to 7.
+    Source: docs/theory/estimation_statistics.md, equations 3 and 5 to 7.
     """
     for i in range(len(mean)):
         alpha, beta = (lower[i] - mean[i]) / sigma[i], (upper[i] - mean[i]) / sigma[i]
@@ -186,7 +186,7 @@ def fill_scores(
     sigma              : noise [K], one for all samples
     score, information : (sample,) outputs [1/K], [1/K2]; 0 for a lost sample
 
-    Source: docs/estimation_statistics.md, equations 3, 5 and 6.
+    Source: docs/theory/estimation_statistics.md, equations 3, 5 and 6.
     """
     total = 0.0
     for i in range(len(mean)):
@@ -213,7 +213,7 @@ def information_fraction(first: float, step: float, steps: int) -> float:
     returns            : between 0 and 1 [-]
 
     For steps below NARROW the variance within one is s - s^2, s = step^2 / 12 (Sheppard), on average over x.
-    Source: docs/estimation_statistics.md, equation 11.
+    Source: docs/theory/estimation_statistics.md, equation 11.
     """
     last = first + (steps - 1) * step
     total = word_information(-math.inf, first) + word_information(last, math.inf)
@@ -236,7 +236,7 @@ def information_fraction(first: float, step: float, steps: int) -> float:
 def word_information(alpha: float, beta: float) -> float:
     """Contribution Z (E x)^2 [-] of one word, an interval [alpha, beta] over sigma, to `expected_gain`.
 
-    Source: docs/estimation_statistics.md, equation 11.
+    Source: docs/theory/estimation_statistics.md, equation 11.
     """
     log_z, mean, _, _, _, _, _ = truncated_normal(alpha, beta, beta - alpha)
     return math.exp(log_z) * mean * mean

@@ -18,7 +18,7 @@ heat flux. The samples of a turbulent boundary layer inform the turbulent table,
 table, by the square of the part that each has in the heating.
 
 With Q an orthonormal basis of sqrt(w) W and of sqrt(w) B C^(1/2), the rows Q' sqrt(w) contain all of this, and are no
-more than nodes and parameters together. Equations: docs/equations.md, 17a and 17b; the update by them is that of
+more than nodes and parameters together. Equations: docs/theory/equations.md, 17a and 17b; the update by them is that of
 heating/ratio/uncertainty.py.
 """
 

@@ -109,7 +109,7 @@ class TableChange:
 
     @property
     def p_value(self) -> float:
-        """Probability [-] of a chi-square at least as large, if sigma and bounds are right (docs/equations.md, 17)."""
+        """Probability [-] of a larger chi-square if sigma and bounds are right; docs/theory/equations.md, 17."""
         return float(chi2.sf(self.chi_square, self.freedom))
 
     def changed_nodes(self) -> dict[str, list[float]]:

@@ -2,10 +2,10 @@
 
 Where table and bounds are right, estimates with flat priors are theta_hat ~ N(0, S), S = T + C, with the table's T
 (prior.py) and the bounds C of the fit, corrected for colour. theta_hat' S^-1 theta_hat is then chi-square distributed
-(docs/equations.md, equation 17). A parameter is named where it is off by more than three of its sigma, S_kk^(1/2).
-Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones on its
-diagonal, that contributes most. Variances of combinations follow from correlations of the table's errors, which are
-assumed; so for these INDEPENDENT of every variance counts as independent of the others.
+(docs/theory/equations.md, equation 17). A parameter is named where it is off by more than three of its sigma,
+S_kk^(1/2). Where none is and all together are, the combination is named that is: the eigenvector of S, scaled to ones
+on its diagonal, that contributes most. Variances of combinations follow from correlations of the table's errors, which
+are assumed; so for these INDEPENDENT of every variance counts as independent of the others.
 """
 
 from __future__ import annotations

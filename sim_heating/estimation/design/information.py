@@ -10,8 +10,8 @@ the result adds up over flights. Criteria: D, the volume of the ellipsoid of the
 square bound over a given one (Atkinson, Donev and Tobias, "Optimum Experimental Designs, with SAS", 2007, ch. 10).
 
 The surface pressure, which the conductivity of porous insulation follows, may be unknown by a factor: its sensitivity
-is the difference of two marches. Noise is independent from sample to sample. Derived in docs/manoeuvre_design.md,
-equations 1 to 6.
+is the difference of two marches. Noise is independent from sample to sample. Derived in
+docs/how_to/manoeuvre_design.md, equations 1 to 6.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class PredictedChannel:
         levels : number of levels [-] between two codes [K] that the temperatures are averaged over; 1 takes them as
                  predicted
 
-        Source: docs/manoeuvre_design.md, equations 1 and 2.
+        Source: docs/how_to/manoeuvre_design.md, equations 1 and 2.
         """
         # where a temperature lies between two codes is not known before a flight: an average over the step
         mean_K = self.mean_K + self.sensor.lsb_K * np.arange(levels)[:, np.newaxis] / levels
@@ -86,7 +86,7 @@ class Experiment:
     channels : predicted samples by sensor
     levels   : 1 where the temperatures are taken as predicted, more where they are uncertain by more than a code
 
-    Source: docs/manoeuvre_design.md, equations 1 to 3.
+    Source: docs/how_to/manoeuvre_design.md, equations 1 to 3.
     """
 
     unknowns: tuple[Parameter, ...]
@@ -107,7 +107,7 @@ class Experiment:
 
         sigma : dotted name -> standard deviation, in the unit of the parameter ([-] for a ratio); others stay
 
-        P of docs/manoeuvre_design.md, equation 1.
+        P of docs/how_to/manoeuvre_design.md, equation 1.
         """
         changed = tuple(replace(p, sigma=sigma.get(p.name, p.sigma)) for p in self.unknowns)
         return replace(self, unknowns=changed)
@@ -115,7 +115,8 @@ class Experiment:
     def with_bits(self, bits: int | None) -> Experiment:
         """Copy with recorder words of this number of bits [-] on every sensor that has one; None for no rounding.
 
-        The span stays, so that the step [K] follows; its information, docs/estimation_statistics.md, equation 11.
+        The span stays, so that the step [K] follows; its information, docs/theory/estimation_statistics.md,
+        equation 11.
         """
         changed = [
             replace(c, sensor=c.sensor.model_copy(update={"bits": bits})) if c.sensor.bits is not None else c
@@ -130,7 +131,7 @@ class Experiment:
     def information(self) -> FloatArray:
         """(parameter, parameter) expected information of the samples alone, without priors ([-] for ratios).
 
-        Source: docs/manoeuvre_design.md, equations 1 and 2.
+        Source: docs/how_to/manoeuvre_design.md, equations 1 and 2.
         """
         nothing = np.zeros((len(self.unknowns), len(self.unknowns)))
         return sum((c.information(self.levels) for c in self.channels), start=nothing)
@@ -144,7 +145,7 @@ class Experiment:
         flights : number n of flights [-]
         returns : in products of the parameters' units; infinite variance where a parameter is not identified
 
-        Source: docs/manoeuvre_design.md, equations 1 and 3.
+        Source: docs/how_to/manoeuvre_design.md, equations 1 and 3.
         """
         shared = np.array([not name.startswith(PRIVATE) for name in self.names])
         prior = np.array([p.sigma**-2.0 for p in self.unknowns])
@@ -163,7 +164,7 @@ class Experiment:
         wanted  : dotted names;  flights : number of such flights [-]
         returns : each in the unit of its parameter
 
-        Source: docs/manoeuvre_design.md, equations 1 and 3.
+        Source: docs/how_to/manoeuvre_design.md, equations 1 and 3.
         """
         return np.sqrt(np.diag(self.covariance(wanted, flights)))
 
@@ -177,7 +178,7 @@ def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.
     prior       : (parameter,) 1 / sigma^2;  private : (parameter,) boolean mask
     returns     : (shared, shared); least squares where a private unknown is not identified at all
 
-    Source: docs/manoeuvre_design.md, equation 3.
+    Source: docs/how_to/manoeuvre_design.md, equation 3.
     """
     s, p = np.flatnonzero(~private), np.flatnonzero(private)
     if len(p) == 0:
@@ -199,7 +200,7 @@ def design_criterion(criterion: str, found: FloatArray, planned: FloatArray) -> 
     found, planned : (wanted, wanted) covariances
     returns        : infinite where a parameter is not identified
 
-    Source: Atkinson, Donev and Tobias (2007), chapter 10; docs/manoeuvre_design.md, equation 5.
+    Source: Atkinson, Donev and Tobias (2007), chapter 10; docs/how_to/manoeuvre_design.md, equation 5.
     """
     if not np.all(np.isfinite(found)):
         return np.inf
@@ -228,7 +229,7 @@ def experiment(
     returns   : predictions [K] and sensitivities at the prior means
     raises    : InputError where the record has no sample within its fit segments, RunError where a march failed
 
-    Source: docs/manoeuvre_design.md, equations 1, 2 and 4.
+    Source: docs/how_to/manoeuvre_design.md, equations 1, 2 and 4.
     """
     condition = joint_reference([record], reference)
     marched = [n for n in names if n != PRESSURE.name]
@@ -252,7 +253,7 @@ def _pressure_slopes(
 ) -> list[FloatArray]:
     """By channel, (sample,) sensitivity of the indications [K] to the factor on the surface pressure.
 
-    Source: docs/manoeuvre_design.md, equation 4.
+    Source: docs/how_to/manoeuvre_design.md, equation 4.
     """
     # the start is fixed: only the march from it on depends on the pressure
     known = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
@@ -279,7 +280,7 @@ def sensitivity_to_effort(
     returns     : derivative -> new bound over the old one [-], by "larger" and "longer"; unidentified ones are omitted
 
     n_j counts the scaled variables in parameter j, a squared one once. Temperatures are linear in a derivative times
-    its excursion. Source: docs/manoeuvre_design.md, equation 6.
+    its excursion. Source: docs/how_to/manoeuvre_design.md, equation 6.
     """
     now = np.sqrt(np.diag(covariance(information + np.diag(prior))))
     long = np.sqrt(np.diag(covariance(longer * information + np.diag(prior))))
@@ -306,7 +307,7 @@ def check_wanted(found: Experiment, wanted: Sequence[str]) -> None:
 
     raises : InputError naming those whose bound is infinite or not below 0.999 of their prior's sigma [-]
 
-    Bounds: docs/manoeuvre_design.md, equation 1.
+    Bounds: docs/how_to/manoeuvre_design.md, equation 1.
     """
     sigma = found.sigma(wanted)
     prior = [found.unknowns[k].sigma for k in found.indices(wanted)]

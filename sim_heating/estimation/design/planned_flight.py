@@ -49,7 +49,7 @@ NUISANCE = (
 )  # fmt: skip
 """Unknowns in addition to these and to the derivatives of the point's ratio table."""
 # the point mass is enough to rank designs: flown in JSBSim, the best one has a bound within half a per cent
-# (docs/manoeuvre_design.md)
+# (docs/how_to/manoeuvre_design.md)
 SEARCH_TRAJECTORY = {"source": "entry-3dof", "rate_hz": 4.0}
 """Source and rate of the trajectory during a search."""
 ALLOWED_RISE_K = 5.0

@@ -1,7 +1,7 @@
 """Arrays of the compiled filter: over the lanes of a march, over the readings, and work space for one step.
 
-Symbols are those of docs/filter.md, equations 1 to 14: state z (node temperatures [K], then the ratio disturbance d
-[-]), covariance P, sensitivities s, rows R.
+Symbols are those of docs/theory/filter.md, equations 1 to 14: state z (node temperatures [K], then the ratio
+disturbance d [-]), covariance P, sensitivities s, rows R.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Readings(NamedTuple):
     time_s       : time of each [s];  node : node that is read
     gain, bias   : of the sensor [-], [K];  variance : of its noise [K2]
     lower, upper : interval in which the noisy value lay [K], equal where nothing was rounded, NaN where nothing is read
-    direct       : (lane, reading, parameter, 3) direct terms a0, a1, a2 of docs/filter.md, equation 12
+    direct       : (lane, reading, parameter, 3) direct terms a0, a1, a2 of docs/theory/filter.md, equation 12
     """
 
     number: IntArray
@@ -202,7 +202,7 @@ def workspace(n: int, columns: int) -> Workspace:
 
     n : nodes;  columns : number of columns, each the derivative of the node temperatures [K] against one quantity
 
-    The propagation is docs/equations_march.md, equations 7 and 8.
+    The propagation is docs/theory/equations_march.md, equations 7 and 8.
     """
     end, middle, e, f, star, e_middle = np.zeros((6, n, columns))
     return Workspace(end, middle, e, f, star, e_middle, np.zeros(n))
@@ -213,7 +213,7 @@ def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
 
     readings : most readings in a step;  size : of the state z;  parameters : number of sensitivities
 
-    Holds temperatures [K], covariances [K2] and rows of docs/filter.md, equations 5 to 7.
+    Holds temperatures [K], covariances [K2] and rows of docs/theory/filter.md, equations 5 to 7.
     """
     x, mean, rate = np.zeros((3, readings))
     cross, rows, start = np.zeros((3, readings, size))
@@ -228,7 +228,7 @@ def frozen_gains(after_s: FloatArray, readings: int, size: int) -> FrozenGains:
     after_s  : (lane,) time after which gains are frozen [s];  readings : most readings in a step;  size : of the state
                z
 
-    Holds the covariances of docs/filter.md, equation 6.
+    Holds the covariances of docs/theory/filter.md, equation 6.
     """
     lanes = len(after_s)
     node, x = np.zeros((lanes, readings), dtype=np.int64), np.zeros((lanes, readings))

@@ -24,7 +24,7 @@ Bandwidth: with v the variance that remains at a time, the frequency f above whi
 
 not above half the rate of the knots: as if slower changes were all known and faster ones not at all; 0 where
 the readings have no information. Half amplitude: the frequency at which a sine in the ratio comes back half as large.
-Derived in docs/residual_heating.md, equations 1 to 11.
+Derived in docs/theory/residual_heating.md, equations 1 to 11.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def unknown_input(
                   RunError where a step did not converge
 
     Changes faster than half the rate of the knots (at most 320) are not resolved. Source: Rasmussen and Williams
-    (2006), chapters 2 and 5; derived in docs/residual_heating.md, equations 1 to 9.
+    (2006), chapters 2 and 5; derived in docs/theory/residual_heating.md, equations 1 to 9.
     """
     if disturbance is not None and not (0.0 < disturbance.correlation_s < math.inf and disturbance.start_sigma > 0.0):
         raise InputError("unknown input: the disturbance must be stationary, its sigma and correlation time above 0")
@@ -136,7 +136,7 @@ def most_likely_disturbance(track: FilterTrack, time_s: FloatArray, histories: F
     track  : the point with readings and start;  time_s : (time,) steps [s];  histories : (flight, time, condition)
     raises : InputError for a march too short for a noise model, RunError where a step did not converge
 
-    Source: Rasmussen and Williams (2006), chapter 5; docs/residual_heating.md, equation 7.
+    Source: Rasmussen and Williams (2006), chapter 5; docs/theory/residual_heating.md, equation 7.
     """
     return unknown_input(track, time_s, histories).disturbance
 
@@ -149,8 +149,8 @@ def bandwidth_Hz(disturbance: Disturbance, sigma: FloatArray) -> FloatArray:
     disturbance : noise model of the correction;  sigma : (knot,) standard deviation given the readings, sqrt(v) [-]
     returns     : (knot,) [Hz]; 0 where the readings reduce nothing; q / (2 pi^2 v) for a random walk of density q
 
-    A summary, as if slower changes were all known and faster ones not at all. Derived in docs/residual_heating.md,
-    equation 11.
+    A summary, as if slower changes were all known and faster ones not at all. Derived in
+    docs/theory/residual_heating.md, equation 11.
     """
     left = np.maximum(sigma**2, 1e-300)
     if math.isinf(disturbance.correlation_s):
@@ -169,7 +169,7 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
     returns                 : [Hz], interpolated in log f; 0 where even the slowest sine of the march comes back less
                               than half, half the rate of the knots where all come back more
 
-    Derived in docs/residual_heating.md, equation 10.
+    Derived in docs/theory/residual_heating.md, equation 10.
     """
     span, spacing = np.ptp(time_s), np.median(np.diff(time_s))
     f = np.geomspace(1.0 / span, 0.5 / spacing, FREQUENCIES)
@@ -191,7 +191,7 @@ def knot_times(time_s: FloatArray, most: int) -> FloatArray:
     time_s  : (time,) steps [s];  most : largest number of knots
     returns : (knot,) times [s]
 
-    Derived in docs/residual_heating.md, equation 3.
+    Derived in docs/theory/residual_heating.md, equation 3.
     """
     steps = len(time_s) - 1
     ends = time_s[np.unique(np.append(np.arange(0, steps, math.ceil(steps / most)), steps))]
@@ -204,7 +204,7 @@ def interpolation_weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     time_s, at_s : (time,) times wanted [s], (knot,) knots [s]
     returns      : (time, knot) weights [-], each row of sum 1
 
-    Derived in docs/residual_heating.md, equation 3.
+    Derived in docs/theory/residual_heating.md, equation 3.
     """
     middle = np.clip(time_s, at_s[0], at_s[-1])
     matrix = np.zeros((len(middle), len(at_s)))
@@ -221,7 +221,7 @@ def stationary_disturbance(density_1_s: float, correlation_s: float) -> Disturba
 
     density_1_s : q, variance that the driving noise adds in a second [1/s];  correlation_s : tau [s]
 
-    Derived in docs/filter.md, equation 3.
+    Derived in docs/theory/filter.md, equation 3.
     """
     return Disturbance.gauss_markov(math.sqrt(0.5 * density_1_s * correlation_s), correlation_s)
 
@@ -234,7 +234,7 @@ def process_precision(time_s: FloatArray, disturbance: Disturbance) -> tuple[Flo
     time_s      : (knot,) increasing [s];  disturbance : stationary, with sigma [-] and tau [s]
     returns     : (knot, knot) tridiagonal [-]; log det Q
 
-    Derived in docs/residual_heating.md, equation 5.
+    Derived in docs/theory/residual_heating.md, equation 5.
     """
     decay = np.exp(-np.diff(time_s) / disturbance.correlation_s)
     # expm1, since knots that are close in units of tau leave 1 - a^2 few digits.

@@ -16,7 +16,7 @@ given are those of the largest likelihood with the parameters integrated out (La
 in turn with the parameters: at fixed values, the part of the wandering that the parameters have absorbed would not
 count as noise. R. E. Maine and K. W. Iliff, "Formulation and Implementation of a Practical Algorithm for Parameter
 Estimation with Process and Measurement Noise", SIAM J. Appl. Math. 41 (1981). Derived in
-docs/estimation_statistics.md, equations 32 to 35.
+docs/theory/estimation_statistics.md, equations 32 to 35.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Innovations:
     problem : parameters, records and samples
     levels  : current levels of process noise and of undeclared sensor noise
 
-    Source: docs/estimation_statistics.md, equations 32 to 35.
+    Source: docs/theory/estimation_statistics.md, equations 32 to 35.
     """
 
     def __init__(self, problem: FitProblem, noise: ProcessNoise) -> None:
@@ -85,7 +85,7 @@ class Innovations:
         returns : log likelihood [-], (parameter,) gradient by central differences, (parameter, parameter) information
                   from the filter's own sensitivities; NaN log likelihood where a filter diverged
 
-        Source: docs/estimation_statistics.md, equations 32 and 33.
+        Source: docs/theory/estimation_statistics.md, equations 32 and 33.
         """
         try:
             samples = self.samples(vector)
@@ -105,7 +105,7 @@ class Innovations:
 
         vectors : (candidate, parameter);  returns NaN for a candidate whose filter diverged
 
-        Source: docs/estimation_statistics.md, equation 32.
+        Source: docs/theory/estimation_statistics.md, equation 32.
         """
         chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
         jobs = [(k, c) for k in range(len(self.problem.record_fits)) for c in range(len(chunks))]
@@ -143,7 +143,7 @@ class Innovations:
         returns : largest relative change of a level [-]
 
         Levels: node noise [K s^-1/2], sigma of the ratio [-] and its correlation time [s], sensor noise [K].
-        Source: docs/estimation_statistics.md, equation 35.
+        Source: docs/theory/estimation_statistics.md, equation 35.
         """
         before = self.levels
         for level in before.estimated_levels():
@@ -232,7 +232,7 @@ class Innovations:
         returns : by channel, mean_K [K], its sensitivities, and the standard deviation of the prediction [K]
         raises  : RunError where a filter diverged
 
-        Source: docs/estimation_statistics.md, equation 32.
+        Source: docs/theory/estimation_statistics.md, equation 32.
         """
         found = self._filtered(vector)
         return [s for k, filtered in enumerate(found) for s in self._samples_of(k, filtered, vector)]
@@ -244,7 +244,7 @@ class Innovations:
         returns : the track, the filtered states [K], and the places of its readings among those of its channels
         raises  : RunError where the filter diverged
 
-        The smoother is that of docs/filter.md, after Rauch, Tung and Striebel (1965).
+        The smoother is that of docs/theory/filter.md, after Rauch, Tung and Striebel (1965).
         """
         part = self.problem.record_fits[k]
         track, order = self._track(k, vector, self.levels, sensitive=False)
@@ -364,7 +364,7 @@ def fit_innovations(
     on_step : called with values and log posterior after every step
     returns : the fit, and the innovations with the levels found; six rounds of levels and parameters at most
 
-    Source: docs/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
+    Source: docs/theory/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
     """
     found = Innovations(problem, noise)
     searched = bool(found.levels.estimated_levels())

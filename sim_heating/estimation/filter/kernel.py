@@ -19,7 +19,7 @@ that remains.
 
 Sensitivities of the state go through an update as S+ = S - K dy/dp: the derivative of the gain itself is left out.
 After a given time the covariances may be frozen: as long as readings lie where they did in the step before, its gains
-are used again. Derived in docs/filter.md, equations 1 to 14.
+are used again. Derived in docs/theory/filter.md, equations 1 to 14.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def propagate(X: Blocks, offsets: PerturbedOffsets, lane: int, forced: int, dt: 
     w       : columns (node, column) in w.end, at the start on entry, at the end on return; w.middle: middle stage [K
               over the unit of the column]
 
-    Derived in docs/equations_march.md, equations 7 and 8.
+    Derived in docs/theory/equations_march.md, equations 7 and 8.
     """
     ddt = STAGE_WEIGHT * dt
     begin_columns(X.start, offsets, lane, forced, w.end, w.e, w.f)
@@ -132,7 +132,8 @@ def first_pass(X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: Stat
     w          : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P
                  [K2], F
 
-    Columns come in this order, so that those with forcing are the first. Derived in docs/filter.md, equations 4 and 11.
+    Columns come in this order, so that those with forcing are the first. Derived in docs/theory/filter.md, equations 4
+    and 11.
     """
     lane, n, m = step.lane, step.nodes, state.S.shape[2]
     first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if step.whole else 0
@@ -159,7 +160,7 @@ def read_column(w: Workspace, column: int, node: int, x: float, start: float) ->
 
     x     : fraction of the step [-];  start : value of the column at the node at the start of the step
 
-    Source: docs/equations_march.md, equation 4.
+    Source: docs/theory/equations_march.md, equation 4.
     """
     w0, w1, w2 = parabola(x)
     return w0 * start + w1 * w.middle[node, column] + w2 * w.end[node, column]
@@ -176,7 +177,7 @@ def predict_readings(
     w        : columns of the first pass
     taken    : receives temperature [K], rate [K/s], sensitivities, P R' [K2] and R of each reading of the step
 
-    Derived in docs/filter.md, equations 5 and 6, and docs/equations_march.md, equation 5.
+    Derived in docs/theory/filter.md, equations 5 and 6, and docs/theory/equations_march.md, equation 5.
     """
     lane, n, m = step.lane, step.nodes, state.S.shape[2]
     identity, covariances = 1 + m + state.P.shape[1], n + 1 if step.whole else 0
@@ -210,7 +211,7 @@ def second_pass(
     taken      : receives cov(z', T) and cov(T_a, T_b) [K2]
 
     F M' is propagated like M = F P: its columns are the rows of M, with those of the readings appended. Derived in
-    docs/filter.md, equations 2, 4 and 6.
+    docs/theory/filter.md, equations 2, 4 and 6.
     """
     lane, n, m, size = step.lane, step.nodes, state.S.shape[2], state.P.shape[1]
     dt, decay, first, count = step.dt, step.decay, step.first, step.number
@@ -255,7 +256,7 @@ def second_pass(
 
 @njit
 def _noise_duration(decay_1_s: float, dt: float) -> float:
-    """Integral of exp(-2 decay t) over a step [s]; dt for a random walk (docs/filter.md, equation 2)."""
+    """Integral of exp(-2 decay t) over a step [s]; dt for a random walk (docs/theory/filter.md, equation 2)."""
     return dt if decay_1_s == 0.0 else -math.expm1(-2.0 * decay_1_s * dt) / (2.0 * decay_1_s)
 
 
@@ -271,7 +272,7 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
     xi is standard normal, truncated to the interval, Z its probability. The unrounded reading given moves mean and
     variance as the interval does. Where 1 - var xi is below 1e-14 the variance is infinite: the reading has no effect.
-    Source: Curry 1970; derived in docs/filter.md, equations 9 and 10.
+    Source: Curry 1970; derived in docs/theory/filter.md, equations 9 and 10.
     """
     spread = math.sqrt(variance)
     if not lower < upper:
@@ -348,7 +349,8 @@ def take_readings(
     out                 : (reading, column) receives for each reading temperature before and after all readings of its
                           time [K] with variances [K2], prediction, innovation, log likelihood, sensitivities
 
-    A reading without an interval (NaN) is predicted and changes nothing. Derived in docs/filter.md, equations 7 to 14.
+    A reading without an interval (NaN) is predicted and changes nothing. Derived in docs/theory/filter.md, equations 7
+    to 14.
     """
     lane, first, count = step.lane, step.first, step.number
     begun = 0
@@ -419,7 +421,7 @@ def filter_lane(
     returns       : number of the next reading
 
     A lane that diverges (a temperature at or below 1 K, or not finite) is marked and keeps the temperatures of its
-    march. Derived in docs/filter.md, equations 1 to 14.
+    march. Derived in docs/theory/filter.md, equations 1 to 14.
     """
     readings, state, history, taken = f.readings, f.state, f.history, f.taken
     n, m, size = offsets.nodes[lane], state.S.shape[2], state.P.shape[1]
@@ -484,8 +486,8 @@ def disturb(B: FloatArray, X: Blocks, perturbed: PerturbedGroups, lane: int, cha
     perturbed : groups of perturbed lanes and the lane that each belongs to
     change  : of the ratio [-]
 
-    The perturbed lanes need it as well, since derivatives are those at the disturbed ratio. Source: docs/filter.md,
-    equation 1.
+    The perturbed lanes need it as well, since derivatives are those at the disturbed ratio. Source:
+    docs/theory/filter.md, equation 1.
     """
     B[PARAMETERS * LANES + lane * N_PARAMETERS + D0] += change
     for s in range(len(perturbed.source)):
@@ -526,7 +528,7 @@ def begin_march(group: LaneGroup, flights: Flights) -> None:
 
     group : the lane group, whose block changes;  flights : conditions of its lanes
 
-    Source: docs/equations_march.md, section 1.
+    Source: docs/theory/equations_march.md, section 1.
     """
     set_flight_conditions(group.B, flights, 0)
     b, j, t = pointer(group.B), pointer(group.J), pointer(group.table)
@@ -547,7 +549,7 @@ def step_with_perturbed(
     lanes              : number of lanes that are filtered
 
     An update changes the temperatures, so that the net heat that the last step left does not hold: it is evaluated
-    again, from the perturbed lanes at the start. Derived in docs/equations_march.md, equations 6 and 7.
+    again, from the perturbed lanes at the start. Derived in docs/theory/equations_march.md, equations 6 and 7.
     """
     B, dt = group.B, flights.time_s[k] - flights.time_s[k - 1]
     b, j, t = pointer(B), pointer(group.J), pointer(group.table)
@@ -580,7 +582,7 @@ def march_filter(
     out                   : (lane, reading, N_OUT + parameter) temperatures [K], variances [K2], innovations, log
                             likelihood, sensitivities; filled
 
-    A lane that diverges is no longer filtered; the others go on. Derived in docs/filter.md, equations 1 to 14.
+    A lane that diverges is no longer filtered; the others go on. Derived in docs/theory/filter.md, equations 1 to 14.
     """
     state = f.state
     lanes = state.P.shape[0]

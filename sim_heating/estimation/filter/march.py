@@ -3,7 +3,7 @@
 Covariance and sensitivities go through the factorised step of the linearised march, readings may lie anywhere in a
 step, and the heating ratio may carry a disturbance. Without process noise and with a known start the filter is the
 plain march, and the sensitivities of its innovations are exact (output error); otherwise they leave out how the gain
-changes with a parameter. Equations: docs/filter.md, equations 1 to 14.
+changes with a parameter. Equations: docs/theory/filter.md, equations 1 to 14.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def samples_on_grid(
     sigma_K          : (sensor,) or one number, standard deviation of the noise [K]
     returns          : readings in order of time, the sensors of one time in their order
 
-    The reading model is docs/filter.md, equation 7.
+    The reading model is docs/theory/filter.md, equation 7.
     """
     t, lower = np.asarray(time_s, dtype=float), np.atleast_2d(np.asarray(lower_K, dtype=float))
     upper = lower if upper_K is None else np.atleast_2d(np.asarray(upper_K, dtype=float))
@@ -114,7 +114,7 @@ class Disturbance:
 
         sigma : standard deviation [-];  correlation_s : correlation time tau, above 0 [s]
 
-        Derived in docs/filter.md, equation 3.
+        Derived in docs/theory/filter.md, equation 3.
         """
         return Disturbance(sigma, correlation_s, 2.0 * sigma**2 / correlation_s)
 
@@ -152,7 +152,7 @@ class FilterTrack:
     def linear(self) -> Track:
         """Track of the point for a linearised march, with ratio.d0 ahead of its parameters.
 
-        The derivative against ratio.d0 [K] is the Gamma of docs/filter.md, equation 1.
+        The derivative against ratio.d0 [K] is the Gamma of docs/theory/filter.md, equation 1.
         """
         # ratio.d0 first: its column is Gamma, which every other column needs before it.
         return Track(
@@ -225,7 +225,7 @@ class Filtered:
         """(parameter,) gradient of the log likelihood, sum of (nu / S) dm/dp, over the unit of each parameter.
 
         nu innovation [K], S its variance [K2], m prediction [K]. Exact without process noise and with a known start;
-        otherwise the derivative of the gain is missing. Derived in docs/filter.md, equation 13.
+        otherwise the derivative of the gain is missing. Derived in docs/theory/filter.md, equation 13.
         """
         weight = np.where(self.read, self.innovation_K / self.variance_K2, 0.0)
         return weight @ self.sensitivity
@@ -233,7 +233,7 @@ class Filtered:
     def information(self) -> FloatArray:
         """(parameter, parameter) Gauss-Newton information of the readings, sum of (1 / S) dm/dp dm/dp'.
 
-        S variance of the innovation [K2], m prediction [K]. Derived in docs/filter.md, equation 13.
+        S variance of the innovation [K2], m prediction [K]. Derived in docs/theory/filter.md, equation 13.
         """
         weight = np.where(self.read, 1.0 / self.variance_K2, 0.0)
         return (self.sensitivity.T * weight) @ self.sensitivity
@@ -260,7 +260,7 @@ class FilterMarch(LinearMarch):
         raises  : InputError for readings outside the march, negative noise, or a history with frozen gains; RunError
                   where a filter diverged or a step did not converge
 
-        One linearisation a step, not iterated. Derived in docs/filter.md, equations 1 to 14.
+        One linearisation a step, not iterated. Derived in docs/theory/filter.md, equations 1 to 14.
         """
         points = self.points if points is None else tuple(points)
         for point in points:

@@ -3,8 +3,9 @@
     dT_i = ... dt + q dW_i        white noise on every node, q in K s^(-1/2); as dense as the mesh
     r    = ... + d,  cov(d(t), d(t')) = sigma^2 exp(-|t - t'| / tau)        a disturbance of the heating ratio
 
-(docs/estimation_statistics.md, equation 34.) Levels are searched one after the other among candidates a common factor
-apart; a longer correlation time is tried at the same density 2 sigma^2 / tau, which readings determine most directly.
+(docs/theory/estimation_statistics.md, equation 34.) Levels are searched one after the other among candidates a common
+factor apart; a longer correlation time is tried at the same density 2 sigma^2 / tau, which readings determine most
+directly.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class ProcessNoise:
     ratio_sigma, ratio_correlation_s : sigma [-] and tau [s] of the disturbance of the heating ratio
     estimated     : names of the levels that are estimated
 
-    Source: docs/estimation_statistics.md, equation 34.
+    Source: docs/theory/estimation_statistics.md, equation 34.
     """
 
     node_K_sqrt_s: float = 0.0
@@ -41,7 +42,7 @@ class ProcessNoise:
     def disturbance(self) -> Disturbance:
         """Gauss-Markov disturbance of the heating ratio, sigma [-] and correlation time [s]; none where sigma is 0.
 
-        Source: docs/estimation_statistics.md, equation 34.
+        Source: docs/theory/estimation_statistics.md, equation 34.
         """
         if self.ratio_sigma == 0.0:
             return Disturbance()
@@ -75,7 +76,7 @@ class Levels:
     def estimated_levels(self) -> list[Level]:
         """Levels that are to be estimated; one that was found to be 0 is no longer searched.
 
-        The search is that of docs/estimation_statistics.md, equation 35.
+        The search is that of docs/theory/estimation_statistics.md, equation 35.
         """
         own = [name for name in self.noise.estimated if getattr(self.noise, name) > 0.0]
         if self.noise.ratio_sigma == 0.0:
@@ -91,7 +92,7 @@ class Levels:
         returns : new levels; with a correlation time multiplied by f, sigma is multiplied by sqrt(f), so that the
                   density 2 sigma^2 / tau stays
 
-        Source: docs/estimation_statistics.md, equations 34 and 35.
+        Source: docs/theory/estimation_statistics.md, equations 34 and 35.
         """
         noise = self.noise
         if isinstance(level, tuple):

@@ -1,4 +1,4 @@
-"""Flight records as input of the Kalman filter, and a start for a fit from all data before it (docs/filter.md)."""
+"""Flight records as input of a Kalman filter, and a start for a fit from the data before it; docs/theory/filter.md."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
     returns : (sample,) slope [-] and constant [K]
 
     Eight Newton steps from T = read; not checked for convergence, as a calibration is close to the identity.
-    Calibration: docs/estimation_statistics.md, equation 1.
+    Calibration: docs/theory/estimation_statistics.md, equation 1.
     """
     curve = np.polynomial.Polynomial(sensor.calibration or [0.0, 1.0])
     slope, T = curve.deriv(), np.array(read_K, dtype=float)
@@ -78,7 +78,7 @@ def filter_samples(
     lag     : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
     returns : readings of all channels, and the place of each among those of the channels one after the other
 
-    Source: docs/estimation_statistics.md, equations 1, 2 and 4.
+    Source: docs/theory/estimation_statistics.md, equations 1, 2 and 4.
     """
     rows, added = [], np.zeros((len(mesh.sensors), len(time_s))) + added_K
     if lag is not None:
@@ -111,7 +111,8 @@ def _direct(
 ) -> FloatArray:
     """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
 
-    Equation 2 of docs/estimation_statistics.md, split into parts that are constant, per temperature and per rate.
+    Equation 2 of docs/theory/estimation_statistics.md, split into parts that are constant, per temperature and per
+    rate.
     """
     found, sensor = np.zeros((len(slope), len(names), 3)), channel.sensor
     for k, name in enumerate(names):
@@ -151,8 +152,8 @@ def track_of_record(
     returns : the track, (step,) times [s] and the (1, step, ...) history of conditions along them
     raises  : InputError where no used sensor is read by then
 
-    Temperatures at the first row are uncertain by 5 [K], all nodes alike. The filter: docs/filter.md, after Kalman
-    1960.
+    Temperatures at the first row are uncertain by 5 [K], all nodes alike. The filter: docs/theory/filter.md, after
+    Kalman 1960.
     """
     conditions, t = conditions_of_record(record, flow_of_record(record, model.effects)), record.time_s
     begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
@@ -180,7 +181,8 @@ def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float)
     raises  : InputError where nothing is read before that time
 
     The heating ratio may wander as a stationary disturbance of the largest likelihood, so that an error of the ratio
-    before the start does not bias the temperatures. Source: disturbance, docs/estimation_statistics.md, equation 34.
+    before the start does not bias the temperatures. Source: disturbance, docs/theory/estimation_statistics.md,
+    equation 34.
     """
     track, steps, history = track_of_record(record, model, mesh, time_s)
     point = replace(track, disturbance=most_likely_disturbance(track, steps, history))

@@ -6,7 +6,7 @@ step against its start and d_k,
     dT_(k+1) = Phi_k dT_k + Gamma_k d_k,    d(reading) = gain (row . [dT_k, d_k]),
 
 row that of a reading within step k. Phi, Gamma and rows come from the factorised step itself, about the temperatures
-that the added history makes. Derived in docs/residual_heating.md, equations 1 and 2.
+that the added history makes. Derived in docs/theory/residual_heating.md, equations 1 and 2.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ class Response:
         start   : (node, k) temperatures at the start for one unit of k more unknowns [K], or None
         returns : (reading, start | knot) dy/du [K]
 
-        Columns of knots that lie ahead of a step are skipped. Derived in docs/residual_heating.md, equations 1 to 3.
+        Columns of knots that lie ahead of a step are skipped. Derived in docs/theory/residual_heating.md, equations 1
+        to 3.
         """
         nodes, extra = self.transition.shape[1], 0 if start is None else start.shape[1]
         columns = np.concatenate([np.zeros((len(weights), extra)), weights], axis=1)
@@ -99,7 +100,7 @@ class ResponseMarch(FilterMarch):
         returns    : temperatures [K], expected readings [K] and derivatives of each point
         raises     : RunError where a step did not converge or a temperature is not a number
 
-        Derived in docs/residual_heating.md, equations 1 and 2.
+        Derived in docs/theory/residual_heating.md, equations 1 and 2.
         """
         n, lanes = int(self._nodes.max()), len(self.points)
         readings = self._readings(self.points, 0)
@@ -151,7 +152,7 @@ def march_response(
     readings              : of all lanes;  added : (lane, step) addition to the ratio [-];  w : work space
     output                : receives temperatures [K], readings [K] and derivatives
 
-    Derived in docs/residual_heating.md, equations 1 and 2.
+    Derived in docs/theory/residual_heating.md, equations 1 and 2.
     """
     B, time_s, lanes = group.B, flights.time_s, added.shape[0]
     # A filter state without covariance and sensitivities: only Phi and Gamma are propagated.

@@ -7,8 +7,8 @@ transition of a step (its readings taken), h the row of a reading, nu and S its 
     lambda_k = A' lambda_(k+1) + sum h' nu / S,    Lambda_k = A' Lambda_(k+1) A + sum h' h / S,
     z^s_k = z_k + P_k lambda_k,                    P^s_k = P_k - P_k Lambda_k P_k,
 
-z and P filtered at the start of the step; linearised where the filter was. Derived in docs/filter.md, equations 14
-to 16.
+z and P filtered at the start of the step; linearised where the filter was. Derived in docs/theory/filter.md,
+equations 14 to 16.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Smoothed:
 
     @property
     def sigma_K(self) -> FloatArray:
-        """(time, node) standard deviation of the smoothed temperatures [K]; docs/filter.md, equation 16.
+        """(time, node) standard deviation of the smoothed temperatures [K]; docs/theory/filter.md, equation 16.
 
         A variance that rounding has made negative counts as 0.
         """
@@ -47,7 +47,7 @@ class Smoothed:
 
     @property
     def ratio_sigma(self) -> FloatArray:
-        """(time,) standard deviation of the smoothed heating-ratio disturbance [-]; docs/filter.md, equation 16.
+        """(time,) standard deviation of the smoothed heating-ratio disturbance [-]; docs/theory/filter.md, equation 16.
 
         A variance that rounding has made negative counts as 0.
         """
@@ -64,7 +64,8 @@ def smooth(filtered: Filtered) -> Smoothed:
     raises   : InputError where the filter kept no history
 
     Readings that were not taken (lost, held out) contribute nothing. Needs as much memory again as the filtered
-    means and covariances. Source: Bierman 1973, Int. J. Control 18, 65; derived in docs/filter.md, equations 14 to 16.
+    means and covariances. Source: Bierman 1973, Int. J. Control 18, 65; derived in docs/theory/filter.md, equations 14
+    to 16.
     """
     history = filtered.history
     if history is None:

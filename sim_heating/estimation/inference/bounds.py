@@ -13,7 +13,7 @@ Residuals of a fit are less coloured than the noise: with Q = 1 - A M^-1 A' the 
 have the expectation sum_l c(l) tr(W_k Q T_l Q), T_l being 1 where two samples are l apart, W_k the same with weights
 sqrt(I_i I_j); that linear system is solved for c. Lags end where autocorrelation does, with a flat-top taper:
 D. N. Politis, "Adaptive Bandwidth Choice", J. Nonparametr. Stat. 15 (2003). Sensors count as independent of
-each other. Derived in docs/estimation_statistics.md, equations 22 to 26 (M is written N there).
+each other. Derived in docs/theory/estimation_statistics.md, equations 22 to 26 (M is written N there).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ChannelResiduals:
     def weighted(self) -> FloatArray:
         """(sample, parameter) A_i = S_i sqrt(I_i): sensitivity [K] over the standard deviation 1 / sqrt(I_i) [K].
 
-        Source: docs/estimation_statistics.md, equation 22.
+        Source: docs/theory/estimation_statistics.md, equation 22.
         """
         return self.sensitivity * np.sqrt(self.information)[:, None]
 
@@ -74,7 +74,7 @@ class CramerRaoBounds:
     dof             : degrees of freedom [-] of the residuals' spectrum at frequency 0, which the correction rests on
     autocovariance  : by channel, (lag,) of the residuals in their own unit [-], tapered
 
-    Source: docs/estimation_statistics.md, equations 22 to 26.
+    Source: docs/theory/estimation_statistics.md, equations 22 to 26.
     """
 
     covariance: FloatArray
@@ -86,7 +86,7 @@ class CramerRaoBounds:
     def sigma(self) -> FloatArray:
         """(parameter,) standard deviations corrected for colour, in the units of the parameters ([-] for a ratio).
 
-        Source: docs/estimation_statistics.md, equation 22.
+        Source: docs/theory/estimation_statistics.md, equation 22.
         """
         return np.sqrt(np.diag(self.covariance))
 
@@ -98,8 +98,8 @@ class CramerRaoBounds:
         level   : probability [-]
         returns : in the units of the parameters
 
-        Below some ten degrees of freedom the interval covers less than stated. Source: docs/estimation_statistics.md,
-        equation 26.
+        Below some ten degrees of freedom the interval covers less than stated. Source:
+        docs/theory/estimation_statistics.md, equation 26.
         """
         return self.sigma * float(student.ppf(0.5 + 0.5 * level, self.dof))
 
@@ -111,7 +111,7 @@ def grid_index(time_s: FloatArray) -> IntArray:
     returns : (sample,) integers, 0 first; an interval counts as its nearest number of median intervals, 1 at least
     raises  : InputError where the times do not increase
 
-    Neighbourhood in the sums of docs/estimation_statistics.md, equation 23.
+    Neighbourhood in the sums of docs/theory/estimation_statistics.md, equation 23.
     """
     if len(time_s) < 2:
         return np.zeros(len(time_s), dtype=np.int64)
@@ -129,7 +129,7 @@ def place_on_grid(index: IntArray, values: FloatArray) -> FloatArray:
     index   : (sample,) of `grid_index` [-];  values : (sample, ...) in any unit
     returns : (point, ...) in the same unit
 
-    With zeros in the gaps, the lagged sums of docs/estimation_statistics.md, equation 23, need no bookkeeping.
+    With zeros in the gaps, the lagged sums of docs/theory/estimation_statistics.md, equation 23, need no bookkeeping.
     """
     placed = np.zeros((int(index[-1]) + 1 if len(index) else 0, *values.shape[1:]))
     placed[index] = values
@@ -142,7 +142,7 @@ def lagged_sums(values: FloatArray, last: int) -> FloatArray:
     values  : (point,) in any unit;  last : largest lag in grid points [-]
     returns : (lag, point) T_l values, 0 to `last`
 
-    Source: the matrices T_l of docs/estimation_statistics.md, equation 23, applied to a vector.
+    Source: the matrices T_l of docs/theory/estimation_statistics.md, equation 23, applied to a vector.
     """
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, last), 2 * last + 1)
     sums = (windows[:, last:] + windows[:, last::-1]).T
@@ -200,7 +200,7 @@ def taper_weights(lags: int) -> FloatArray:
 
     lags : largest lag L [-];  w(l) = min(1, 2 - 2 l / (L + 1))
 
-    Source: Politis (2003); docs/estimation_statistics.md, equation 24.
+    Source: Politis (2003); docs/theory/estimation_statistics.md, equation 24.
     """
     return np.clip(2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)), 0.0, 1.0)
 
@@ -217,7 +217,7 @@ def autocovariances(channels: Sequence[ChannelResiduals], inverse: FloatArray) -
     Solved twice: for the lags that a channel's length allows, and for those of them that are significant. A channel
     whose variance then is not above 0, as where the model is far from another channel's readings, has the plain
     autocovariance of its residuals.
-    Source: docs/estimation_statistics.md, equation 23.
+    Source: docs/theory/estimation_statistics.md, equation 23.
     """
     gridded = [_GriddedResiduals.of(c) for c in channels]
     samples = [len(c.time_s) for c in channels]
@@ -302,7 +302,7 @@ def cramer_rao_bounds(
 
     Colour may widen a bound and never narrows it below that of white residuals of the same variance. Below some ten
     degrees of freedom the colour is poorly known, and intervals cover less than they state.
-    Source: Maine and Iliff (1981), Morelli and Klein (1997); docs/estimation_statistics.md, equations 22 to 25.
+    Source: Maine and Iliff (1981), Morelli and Klein (1997); docs/theory/estimation_statistics.md, equations 22 to 25.
     """
     parameters = channels[0].sensitivity.shape[1] if channels else 0
     samples = sum(len(c.time_s) for c in channels)

@@ -3,7 +3,7 @@
 With parameters scaled to unit information each, s_i = 1 / sqrt(M_ii), the scaled matrix has ones on its diagonal, and
 the eigenvalue of a direction is the information on the parameters changed together over that on each alone: two
 parameters of correlation rho have the eigenvalues 1 +- rho. A direction is singular where its eigenvalue is below
-a threshold. Derived in docs/estimation_statistics.md, equations 18 and 19.
+a threshold. Derived in docs/theory/estimation_statistics.md, equations 18 and 19.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Direction:
     members    : names of the parameters that change, the largest component first
     opposed    : whether some of them change in the direction opposite to the first
 
-    Source: docs/estimation_statistics.md, equation 19.
+    Source: docs/theory/estimation_statistics.md, equation 19.
     """
 
     eigenvalue: float
@@ -55,7 +55,7 @@ def scale(information: FloatArray) -> FloatArray:
     information : (parameter, parameter) in the inverse units of the parameters ([-] for a ratio)
     returns     : in the units of the parameters; 1 where the diagonal is not positive
 
-    Source: docs/estimation_statistics.md, equation 19.
+    Source: docs/theory/estimation_statistics.md, equation 19.
     """
     diagonal = np.diag(information)
     return 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -67,7 +67,7 @@ def scaled_eigenvectors(information: FloatArray) -> tuple[FloatArray, FloatArray
     information : (parameter, parameter), symmetrised first
     returns     : (parameter,) eigenvalues [-], increasing and not below 0; eigenvectors [-] as columns
 
-    Source: docs/estimation_statistics.md, equation 19.
+    Source: docs/theory/estimation_statistics.md, equation 19.
     """
     s = scale(information)
     # unscaled, the eigenvalues would rank the units of the parameters: sigmas span 1e-5 to 1e2
@@ -81,7 +81,7 @@ def directions(information: FloatArray, names: Sequence[str], below: float = SIN
     information : (parameter, parameter);  names : (parameter,)
     below       : threshold on the scaled eigenvalue [-]
 
-    Source: docs/estimation_statistics.md, equation 19.
+    Source: docs/theory/estimation_statistics.md, equation 19.
     """
     values, vectors = scaled_eigenvectors(information)
     s = scale(information)
@@ -103,7 +103,7 @@ def covariance(information: FloatArray) -> FloatArray:
     returns     : (parameter, parameter); infinite variance and NaN covariances for parameters with a component in
                   a direction whose scaled eigenvalue is below ROUNDING
 
-    Source: docs/estimation_statistics.md, equations 18 and 19.
+    Source: docs/theory/estimation_statistics.md, equations 18 and 19.
     """
     values, vectors = scaled_eigenvectors(information)
     identified = values > ROUNDING
@@ -123,7 +123,7 @@ def predicted_gain(gradient: FloatArray, covariance: FloatArray) -> float:
     gradient   : (parameter,) g
     covariance : (parameter, parameter) C; entries that are not finite count as 0
 
-    Source: docs/estimation_statistics.md, equation 17.
+    Source: docs/theory/estimation_statistics.md, equation 17.
     """
     identified = np.where(np.isfinite(covariance), covariance, 0.0)
     return 0.5 * float(gradient @ identified @ gradient)
@@ -134,7 +134,7 @@ def correlation(covariance: FloatArray) -> FloatArray:
 
     covariance : (parameter, parameter)
 
-    Source: docs/estimation_statistics.md, equation 18.
+    Source: docs/theory/estimation_statistics.md, equation 18.
     """
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore"):

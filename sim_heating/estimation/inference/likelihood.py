@@ -9,7 +9,7 @@ the interval open at either end of the word's span. The derivatives of the secon
 (base/kernels/truncated_normal.py): score E x / sigma, information (1 - var x) / sigma^2, between 0 and that of an
 unrounded sample, so that log L is concave in m. The moments themselves are the update of a normal prior by a rounded
 sample: R. E. Curry, "Estimation and Control with Quantized Measurements" (MIT Press, 1970). Derived in
-docs/estimation_statistics.md, equations 3 to 12.
+docs/theory/estimation_statistics.md, equations 3 to 12.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ReadingIntervals:
     lower_K, upper_K : (sample,) ends of the interval [K]; equal where nothing was rounded, infinite at the ends of a
                        word's span, NaN for a lost sample
 
-    The interval of a recorder code is that of docs/estimation_statistics.md, equation 4.
+    The interval of a recorder code is that of docs/theory/estimation_statistics.md, equation 4.
     """
 
     lower_K: FloatArray
@@ -76,7 +76,7 @@ def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
     reading_K : (sample,) readings [K]; one between two codes counts as the nearer, one outside the span as the end code
     returns : (sample,) intervals [K], open below at code 0 and above at the last code
 
-    Source: docs/estimation_statistics.md, equation 4.
+    Source: docs/theory/estimation_statistics.md, equation 4.
     """
     reading = np.asarray(reading_K, dtype=float)
     if sensor.bits is None or sensor.range_K is None:
@@ -102,7 +102,7 @@ class Likelihood:
     information_log_sigma : -d2/d(log sigma)2 [-], observed
     information_cross     : -d2/dm d log sigma [1/K], observed
 
-    Source: docs/estimation_statistics.md, equations 3 and 5 to 7.
+    Source: docs/theory/estimation_statistics.md, equations 3 and 5 to 7.
     """
 
     log_likelihood: FloatArray
@@ -126,7 +126,7 @@ def likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike)
     returns : log likelihood and its derivatives against m and log sigma, in the broadcast shape
     raises  : InputError where sigma_K is not positive
 
-    Source: derived in docs/estimation_statistics.md, equations 3 to 7, after Louis (1982).
+    Source: derived in docs/theory/estimation_statistics.md, equations 3 to 7, after Louis (1982).
     """
     terms, sigma = _terms(samples, mean_K, sigma_K)
     mean, square = terms[..., MEAN], terms[..., SQUARE]
@@ -152,7 +152,7 @@ def scores(samples: ReadingIntervals, mean_K: FloatArray, sigma_K: float) -> tup
     returns : sum of log likelihoods; (sample,) scores [1/K]; (sample,) observed information [1/K2]; 0 for a lost sample
     raises  : InputError where sigma_K is not positive
 
-    Source: docs/estimation_statistics.md, equations 3 to 6.
+    Source: docs/theory/estimation_statistics.md, equations 3 to 6.
     """
     score, information = np.empty((2, len(mean_K)))
     total = fill_scores(samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information)
@@ -167,7 +167,7 @@ def log_likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayL
     returns : log density of an unrounded sample, log probability of a word [-]
     raises  : InputError where sigma_K is not positive
 
-    Source: docs/estimation_statistics.md, equations 3 and 5.
+    Source: docs/theory/estimation_statistics.md, equations 3 and 5.
     """
     terms, _ = _terms(samples, mean_K, sigma_K)
     return np.where(samples.is_lost, 0.0, terms[..., LOG_Z])
@@ -186,7 +186,7 @@ def posterior_moments(
     returns : mean [K] and variance [K2] of each; NaN for a lost sample
     raises  : InputError where sigma_K is not positive
 
-    Source: Curry (1970); docs/estimation_statistics.md, equation 10.
+    Source: Curry (1970); docs/theory/estimation_statistics.md, equation 10.
     """
     terms, sigma = _terms(samples, mean_K, sigma_K)
     return np.asarray(mean_K, dtype=float) + terms[..., MEAN] * sigma, terms[..., VARIANCE] * sigma**2
@@ -202,7 +202,7 @@ def expected_information(sensor: Sensor, mean_K: ArrayLike, sigma_K: ArrayLike) 
     returns : information [1/K2], between 0 and 1 / sigma_K^2, in the broadcast shape
     raises  : InputError where sigma_K is not positive
 
-    Source: docs/estimation_statistics.md, equation 11.
+    Source: docs/theory/estimation_statistics.md, equation 11.
     """
     mean, sigma = np.broadcast_arrays(np.asarray(mean_K, dtype=float), _positive(sigma_K))
     if sensor.bits is None or sensor.range_K is None:
@@ -231,7 +231,7 @@ def quantile_residuals(
     raises  : InputError where sigma_K is not positive
 
     Source: P. K. Dunn and G. K. Smyth, "Randomized Quantile Residuals", J. Comput. Graph. Stat. 5 (1996);
-    docs/estimation_statistics.md, equation 12.
+    docs/theory/estimation_statistics.md, equation 12.
     """
     mean, sigma = np.asarray(mean_K, dtype=float), _positive(sigma_K)
     alpha, beta = (samples.lower_K - mean) / sigma, (samples.upper_K - mean) / sigma

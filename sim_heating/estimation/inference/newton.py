@@ -10,7 +10,7 @@ bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simp
 watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call.
 Levenberg damping where M + P is singular, more where no fraction helps. Converged when a full step predicts an
 improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma. Derived in
-docs/estimation_statistics.md, equations 13 to 17.
+docs/theory/estimation_statistics.md, equations 13 to 17.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Evaluation:
     gradient       : (parameter,) d/dp
     information    : (parameter, parameter) -d2/dp2 or its Gauss-Newton approximation, positive semidefinite
 
-    Source: docs/estimation_statistics.md, equation 14.
+    Source: docs/theory/estimation_statistics.md, equation 14.
     """
 
     log_likelihood: float
@@ -92,7 +92,7 @@ class NewtonSettings:
     unlimited       : labels of parameters with a prior that `trust_radius` does not limit: the model is linear in them
     first_values    : label of a parameter -> value that the search begins with; the prior's value for all others
 
-    Source: docs/estimation_statistics.md, equation 17 and the line search above it.
+    Source: docs/theory/estimation_statistics.md, equation 17 and the line search above it.
     """
 
     min_improvement: float = 1e-6
@@ -132,7 +132,7 @@ class Fit:
                     directions
     history       : (iteration + 1, parameter) values, the start first
 
-    Source: docs/estimation_statistics.md, equations 13 to 18.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 18.
     """
 
     names: tuple[str, ...]
@@ -158,7 +158,7 @@ class Fit:
     def converged(self) -> bool:
         """Whether the log posterior [-] has its maximum here, on a bound or along an unidentified direction included.
 
-        Criterion: docs/estimation_statistics.md, equation 17.
+        Criterion: docs/theory/estimation_statistics.md, equation 17.
         """
         return self.status is Status.CONVERGED
 
@@ -166,7 +166,7 @@ class Fit:
     def sigma(self) -> FloatArray:
         """(parameter,) Cramer-Rao bounds, one standard deviation, in the units of the parameters ([-] for a ratio).
 
-        Source: docs/estimation_statistics.md, equation 18.
+        Source: docs/theory/estimation_statistics.md, equation 18.
         """
         return np.sqrt(np.diag(self.covariance))
 
@@ -175,7 +175,7 @@ class Fit:
 
         at    : (selected,) indices of the parameters;  names : (selected,) what they are called
 
-        Source: marginal covariance of docs/estimation_statistics.md, equation 18.
+        Source: marginal covariance of docs/theory/estimation_statistics.md, equation 18.
         """
         return replace(
             self,
@@ -277,7 +277,7 @@ def maximise(
     returns         : the fit; its `status` states whether the search converged, it does not raise where it did not
     raises          : InputError for an invalid prior or bounds
 
-    Source: docs/estimation_statistics.md, equations 13 to 17.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, on_step)
@@ -305,7 +305,7 @@ def iteration(
     returns    : the fit, as the value of StopIteration
     raises     : InputError for an invalid prior or bounds
 
-    Source: docs/estimation_statistics.md, equations 13 to 17.
+    Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     posterior = _Posterior.of(parameters)
     settings = settings or NewtonSettings()
@@ -372,7 +372,7 @@ class _NewtonSearch:
         damping : Levenberg damping of the scaled information [-]
         trust   : fraction of `trust_radius` that the step may use [-]
 
-        Source: docs/estimation_statistics.md, equation 16.
+        Source: docs/theory/estimation_statistics.md, equation 16.
         """
         step, free = np.zeros_like(self.at), ~self.on_bound
         if not free.any():

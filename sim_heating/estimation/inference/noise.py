@@ -4,7 +4,7 @@
 
 over sigma at the fitted predictions; the last term corrects for the p fitted parameters, which reduced the residuals
 (without rounding sigma^2 = sum of squares / (n - p)). Limits are where the log likelihood has fallen by half the 95%
-point of chi-square. Derived in docs/estimation_statistics.md, equation 21.
+point of chi-square. Derived in docs/theory/estimation_statistics.md, equation 21.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class NoiseEstimate:
     sigma_K          : the most likely one [K], at least a tenth of a step of the word
     lower_K, upper_K : 95% limits by the likelihood ratio [K]; lower_K is 0 where rounding hides how small the noise is
 
-    Source: docs/estimation_statistics.md, equation 21.
+    Source: docs/theory/estimation_statistics.md, equation 21.
     """
 
     sigma_K: float
@@ -47,8 +47,8 @@ class NoiseEstimate:
     def is_bounded_below(self) -> bool:
         """Whether the data bound the noise [K] from below, and not only from above.
 
-        The likelihood has then dropped by 1.92 above a tenth of the recorder's step: docs/estimation_statistics.md,
-        equation 21.
+        The likelihood has then dropped by 1.92 above a tenth of the recorder's step:
+        docs/theory/estimation_statistics.md, equation 21.
         """
         return self.lower_K > 0.0
 
@@ -71,7 +71,7 @@ def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float 
               with the predictions in every digit
 
     Searched from a tenth of the recorder's step (1e-3 of the largest residual scale where nothing was rounded) to
-    thirty times that scale. Source: docs/estimation_statistics.md, equation 21.
+    thirty times that scale. Source: docs/theory/estimation_statistics.md, equation 21.
     """
     present = ~samples.is_lost
     intervals, mean = samples.select(present), np.asarray(mean_K, dtype=float)[present]

@@ -2,8 +2,8 @@
 
 A derivative is identified where its variable changes over the fit segments, where no other parameter has the same
 effect on all samples, and where its bound over the variable's own excursion is below the heating ratio itself
-(docs/estimation_statistics.md, equation 20). By default only those are estimated whose variable changes by more than it
-is known to, and for which the ratio table has nodes.
+(docs/theory/estimation_statistics.md, equation 20). By default only those are estimated whose variable changes by more
+than it is known to, and for which the ratio table has nodes.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def deviations(records: Sequence[Record]) -> FloatArray:
 
     returns : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]; zeros where no row lies in a fit segment
 
-    Used in docs/estimation_statistics.md, equation 20.
+    Used in docs/theory/estimation_statistics.md, equation 20.
     """
     rows = [np.column_stack([r.conditions[v] for v in RATIO_VARIABLES])[fitted_rows(r)] for r in records]
     every = np.concatenate(rows)
@@ -77,7 +77,7 @@ def variables_of(name: str) -> tuple[int, ...]:
     name    : dotted name, with or without its record; `ratio.d_alpha_elevon` has two, `ratio.d_alpha2` has one
     returns : places [-] among alpha, beta, log10_re, elevon, bodyflap
 
-    The names are those of docs/equations.md, section 2.
+    The names are those of docs/theory/equations.md, section 2.
     """
     stem = name.partition(AT)[0]
     if not stem.startswith("ratio.d_") or stem not in MODEL:
@@ -92,7 +92,7 @@ def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[
     names   : dotted names of parameters
     returns : name -> reason; the standard deviation is compared with 0.05 [deg] (beta 0.02 [deg], log10 Re 0.01 [-])
 
-    First of the two criteria of docs/estimation_statistics.md, equation 20.
+    First of the two criteria of docs/theory/estimation_statistics.md, equation 20.
     """
     sigma = deviations(records)
     reasons = {}
@@ -114,7 +114,8 @@ def unsupported_derivatives(names: Sequence[str], records: Sequence[Record]) -> 
               which a trajectory is known, or a ratio table has one node in it
 
     An error of a variable that is as large as its excursion halves the derivative (Fuller, "Measurement Error Models",
-    1987). A table of one value declares no shape, and has no say. Source: docs/estimation_statistics.md, equation 20a.
+    1987). A table of one value declares no shape, and has no say. Source: docs/theory/estimation_statistics.md,
+    equation 20a.
     """
     sigma = deviations(records)
     tables = [r.ratio_table for r in records if r.ratio_table is not None and r.ratio_table.ratio.size > 1]
@@ -138,8 +139,8 @@ def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) 
     names   : dotted names of the parameters;  records : the records to be fitted
     returns : reason by name; empty where any record has h_ref other than 0
 
-    The ratio enters the surface balance only as r h_ref (docs/equations.md, section 1): with h_ref = 0 [kg/(m2 s)]
-    throughout, as in a ground step test, no temperature [K] depends on it.
+    The ratio enters the surface balance only as r h_ref (docs/theory/equations.md, section 1): with h_ref = 0 [kg/(m2
+    s)] throughout, as in a ground step test, no temperature [K] depends on it.
     """
     if any(np.any(conditions_of_record(r)["h_ref_kg_m2_s"] != 0.0) for r in records):
         return {}
@@ -150,7 +151,7 @@ def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) 
 def mean_ratio(record: Record) -> float:
     """Mean of the declared ratio over the fit segments [-]; NaN where the record has no table.
 
-    Scale r-bar of docs/estimation_statistics.md, equation 20.
+    Scale r-bar of docs/theory/estimation_statistics.md, equation 20.
     """
     if record.ratio_table is None:
         return float("nan")
@@ -176,7 +177,7 @@ def least_determined(
     excursion   : (parameter, 5) standard deviations of the ratio variables in these, [deg] and [-]
     returns     : {name: reason} with one entry at most, as each omission changes the bounds of the others
 
-    Source: docs/estimation_statistics.md, equations 19 and 20.
+    Source: docs/theory/estimation_statistics.md, equations 19 and 20.
     """
     singular = directions(information, list(labels), SINGULAR)
     sigma = np.sqrt(np.abs(np.diag(covariance(information))))

@@ -1,8 +1,8 @@
 """Residual tests of a fit: whether residuals are white, normal and of the declared size.
 
 Tests take residuals that are N(0, 1) for the true model: those of likelihood.quantile_residuals, as the residual of a
-rounded sample is not normal even where everything is right. Statistics: docs/estimation_statistics.md, equations 12,
-27 and 28.
+rounded sample is not normal even where everything is right. Statistics: docs/theory/estimation_statistics.md,
+equations 12, 27 and 28.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def chi_square(residual: FloatArray, fitted: float = 0.0) -> HypothesisTest:
     fitted   : number p of parameters fitted to them [-]
     raises   : InputError where no degree of freedom remains
 
-    Source: docs/estimation_statistics.md, equation 27.
+    Source: docs/theory/estimation_statistics.md, equation 27.
     """
     present = residual[np.isfinite(residual)]
     dof = present.size - fitted
@@ -73,7 +73,7 @@ def whiteness(time_s: FloatArray, residual: FloatArray, lags: int | None = None)
     raises   : InputError for fewer than 8 samples, and for residuals that are all 0
 
     Source: G. M. Ljung and G. E. P. Box, "On a Measure of Lack of Fit in Time Series Models", Biometrika 65 (1978),
-    where no sample is lost; docs/estimation_statistics.md, equation 28.
+    where no sample is lost; docs/theory/estimation_statistics.md, equation 28.
     """
     present = np.isfinite(residual)
     n = int(np.count_nonzero(present))
@@ -150,7 +150,7 @@ def sensor_residuals(
     rng     : source of the draws of the quantile residuals
     raises  : InputError where every sample is lost
 
-    Source: docs/estimation_statistics.md, equations 12 and 28; Shapiro and Wilk (1965).
+    Source: docs/theory/estimation_statistics.md, equations 12 and 28; Shapiro and Wilk (1965).
     """
     residual = quantile_residuals(samples, mean_K, sigma_K, rng)
     present = residual[np.isfinite(residual)]

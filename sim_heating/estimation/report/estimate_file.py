@@ -2,7 +2,7 @@
 
 The keys are those of the format "estimate/1", and in addition what a later reader needs to use the result: the control
 point, the segments that were fitted, the excursions that were flown in them, the program, and a hash of each record's
-files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j (docs/estimation_statistics.md,
+files. Further keys are kept. The covariance is C_ij = rho_ij sigma_i sigma_j (docs/theory/estimation_statistics.md,
 equation 18); a pair that is not listed is uncorrelated.
 
 The `digest` is that of all other keys: an estimate that was changed after it was written is not read, since its numbers
@@ -57,7 +57,7 @@ class EstimatedParameter(Extensible):
     prior_mean, prior_sigma : of the prior that was used; None where it was flat
     lower, upper : bounds that were stated for it; None where none were
 
-    Source: docs/estimation_statistics.md, equations 18 (white) and 22 (corrected).
+    Source: docs/theory/estimation_statistics.md, equations 18 (white) and 22 (corrected).
     """
 
     value: float
@@ -99,7 +99,7 @@ class InnovationErrors(FitErrors):
 
     normalised_rms : RMS of the innovations over the standard deviations that the filter states for them [-]
 
-    Source: docs/estimation_statistics.md, equation 32.
+    Source: docs/theory/estimation_statistics.md, equation 32.
     """
 
     normalised_rms: float = Field(ge=0.0)
@@ -125,7 +125,7 @@ class ReferenceCondition(Extensible):
     def values(self) -> FloatArray:
         """(5,) alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]: the order of a ratio table.
 
-        The variables of docs/equations.md, section 2.
+        The variables of docs/theory/equations.md, section 2.
         """
         return np.array([getattr(self, name) for name in RATIO_VARIABLES])
 
@@ -270,21 +270,22 @@ class Estimate(Extensible):
     def correlation_matrix(self, names: Sequence[str]) -> FloatArray:
         """(n, n) correlation [-] of the named parameters; 0 for a pair that is not listed.
 
-        Source: docs/estimation_statistics.md, equation 18.
+        Source: docs/theory/estimation_statistics.md, equation 18.
         """
         return correlation_matrix(self.correlation, names)
 
     def values(self, names: Sequence[str]) -> FloatArray:
         """(n,) estimated values of the named parameters, each in its contract unit ([-] for a ratio).
 
-        The most probable values, docs/estimation_statistics.md, equation 13.
+        The most probable values, docs/theory/estimation_statistics.md, equation 13.
         """
         return np.array([self.parameters[n].value for n in names])
 
     def covariance(self, names: Sequence[str]) -> FloatArray:
         """(n, n) covariance of the named parameters, marginal over the others: rho_ij sigma_i sigma_j.
 
-        In products of the contract units ([-] for ratios). Source: docs/estimation_statistics.md, equations 18 and 22.
+        In products of the contract units ([-] for ratios). Source: docs/theory/estimation_statistics.md, equations 18
+        and 22.
         """
         sigma = np.array([self.parameters[n].sigma for n in names])
         return self.correlation_matrix(names) * np.outer(sigma, sigma)
@@ -293,7 +294,7 @@ class Estimate(Extensible):
 def correlation_matrix(stated: Mapping[str, float], names: Sequence[str]) -> FloatArray:
     """(n, n) correlation [-] of names, of which each pair `a|b` is stated in one order; 0 for a pair that is not.
 
-    Source: docs/estimation_statistics.md, equation 18.
+    Source: docs/theory/estimation_statistics.md, equation 18.
     """
     rho = np.eye(len(names))
     for i, a in enumerate(names):
@@ -314,7 +315,7 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> dict[str, floa
     covariance : (n, n)
     returns    : "a|b" -> C_ij / (sigma_i sigma_j) [-], clipped to -1 ... 1; 0 where a sigma is 0
 
-    Source: docs/estimation_statistics.md, equation 18.
+    Source: docs/theory/estimation_statistics.md, equation 18.
     """
     sigma = np.sqrt(np.diag(covariance))
     # a parameter on its bound has sigma 0 and no correlation
@@ -390,7 +391,7 @@ def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:
     conditions : by record, (sample, 5) alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
     returns    : variable -> its range
 
-    The variables of docs/equations.md, section 2.
+    The variables of docs/theory/equations.md, section 2.
     """
     every = np.concatenate(conditions)
     return {

@@ -9,7 +9,7 @@ that reads the flight conditions from B[c] on (offsets in heating/flight_variabl
 on, takes the wall temperature [K], and returns what is added to the heating ratio [-], or the factor [-] on the ratio
 or the emittance. An effect of mode "model" has no kernel: its parameters stand for existing parameters of the model.
 
-Effects act in the order of docs/effects.md, equation 1: those that add, the lag, those that multiply.
+Effects act in the order of docs/reference/effects.md, equation 1: those that add, the lag, those that multiply.
 """
 
 from sim_heating.heating import flight_variables as flight

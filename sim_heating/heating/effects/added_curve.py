@@ -4,7 +4,7 @@
 
 What deflections, sideslip and impinging flow add to a ratio follows neither the ratio nor a form that is known in
 advance. `close-loop` fits it where the form of such an effect explains most of a residual, and not all of it.
-docs/effects.md, equation 29.
+docs/reference/effects.md, equation 29.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def added_curve_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     B       : block of the lane group; B[c] flight conditions, B[p] number of the variable, low, high, values of s [-]
     wall_K  : wall temperature [K], the variable where its number is that
 
-    An empirical form, docs/effects.md, equation 29.
+    An empirical form, docs/reference/effects.md, equation 29.
     """
     return spline(B, p, knot_place(B, c, p, wall_K), False)
 

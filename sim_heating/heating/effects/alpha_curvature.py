@@ -1,4 +1,4 @@
-"""Curvature in angle of attack: r += d_alpha2 (alpha - alpha_0)^2, docs/effects.md, equation 2."""
+"""Curvature in angle of attack: r += d_alpha2 (alpha - alpha_0)^2, docs/reference/effects.md, equation 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cooling behind the wall by convection or radiation inside the structure, docs/effects.md, equation 3."""
+"""Cooling behind the wall by convection or radiation inside the structure, docs/reference/effects.md, equation 3."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for backface cooling (docs/effects.md, equation 3), with no cooling yet.
+    """Search starts for backface cooling (docs/reference/effects.md, equation 3), with no cooling yet.
 
     flown   : conditions of the flight, not used
     returns : a film, or radiation, towards structure at 250, 300 and 400 [K]

@@ -1,4 +1,7 @@
-"""Curvature in body-flap deflection: r += d_bodyflap2 (bodyflap - bodyflap_0)^2, docs/effects.md, equation 4."""
+"""Curvature in body-flap deflection: r += d_bodyflap2 (bodyflap - bodyflap_0)^2.
+
+docs/reference/effects.md, equation 4.
+"""
 
 from __future__ import annotations
 

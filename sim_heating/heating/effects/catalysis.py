@@ -29,7 +29,7 @@ def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     S(x) = 1 / (1 + exp(-x)). An empirical rise, without chemistry; T_c [K] and H_c [J/kg] are where half of it is
     reached. Above T_f [K] the part `fall` of the rise is lost again: recombination on silica decreases where it is
     very hot. Source: the rise, Scott in NASA CP-2283; the fall, Deutschmann, Riedel and Warnatz, J. Heat
-    Transfer 117 (1995) 495; the form, docs/effects.md, equation 5.
+    Transfer 117 (1995) 495; the form, docs/reference/effects.md, equation 5.
     """
     hot = B[p + STEP] * logistic((wall_K - B[p + MIDDLE_K]) / B[p + WIDTH_K])
     if B[p + FALL] != 0.0:
@@ -38,7 +38,7 @@ def catalysis_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for catalysis (docs/effects.md, equation 5), with no rise yet.
+    """Search starts for catalysis (docs/reference/effects.md, equation 5), with no rise yet.
 
     flown   : conditions of the flight, whose highest recovery enthalpy [J/kg] sets the scale of the second kind
     returns : rises at wall temperatures of 500 to 1300 [K], or at 0.3 to 0.9 of that enthalpy, sharp and gradual; rises

@@ -1,4 +1,4 @@
-"""Time skew between the clocks of thermocouples and flight conditions, docs/effects.md, equation 22."""
+"""Time skew between the clocks of thermocouples and flight conditions, docs/reference/effects.md, equation 22."""
 
 from __future__ import annotations
 

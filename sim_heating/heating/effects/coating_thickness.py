@@ -1,4 +1,7 @@
-"""Coating thickness: the effective first layer is thicker or thinner than declared, docs/effects.md, equation 6."""
+"""Coating thickness: the effective first layer is thicker or thinner than declared.
+
+docs/reference/effects.md, equation 6.
+"""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ LEAST_DECADES = 0.5
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for conductivity (docs/effects.md, equation 7), with the table as declared.
+    """Search starts for conductivity (docs/reference/effects.md, equation 7), with the table as declared.
 
     flown   : conditions of the flight, whose range of pressure [Pa] decides whether a change with pressure is tried
     returns : the factor alone, with a slope in temperature, and with a change with pressure as well: each is a special

@@ -4,7 +4,7 @@
 
 The slope at a knot is that of the parabola through it and its neighbours, so that s is smooth, local and linear in its
 values. The prior of every value is 0 with a standard deviation of SCATTER: where a flight does not inform it, the curve
-returns to 1. docs/effects.md, equation 29.
+returns to 1. docs/reference/effects.md, equation 29.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def knot_place(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     B       : block of the lane group; B[c] flight conditions, B[p] number of the variable, low, high, values of s [-]
     wall_K  : wall temperature [K], the variable where its number is WALL
 
-    An empirical form, docs/effects.md, equation 29.
+    An empirical form, docs/reference/effects.md, equation 29.
     """
     number = B[p + VARIABLE]
     if number == ALPHA:
@@ -108,13 +108,13 @@ def curve_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
     B, c, p, wall_K : as in `knot_place`
 
-    An empirical form, docs/effects.md, equation 29.
+    An empirical form, docs/reference/effects.md, equation 29.
     """
     return max(1.0 + spline(B, p, knot_place(B, c, p, wall_K), True), 0.0)
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for a curve (docs/effects.md, equation 29), still equal to 1.
+    """Search starts for a curve (docs/reference/effects.md, equation 29), still equal to 1.
 
     flown   : conditions of the flight
     returns : one for each variable that varies, with knots over its range while the flight heats, in its unit; wall

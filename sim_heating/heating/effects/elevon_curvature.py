@@ -1,4 +1,4 @@
-"""Curvature in elevon deflection: r += d_elevon2 (elevon - elevon_0)^2, docs/effects.md, equation 8."""
+"""Curvature in elevon deflection: r += d_elevon2 (elevon - elevon_0)^2, docs/reference/effects.md, equation 8."""
 
 from __future__ import annotations
 

@@ -28,14 +28,14 @@ def emissivity_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     wall_K  : wall temperature T_w [K]
     returns : factor [-]; the emittance times this factor is not limited to 1
 
-    Source: the observation, Williams and Curry, NASA RP-1289 (1992); the form, docs/effects.md, equation 9.
+    Source: the observation, Williams and Curry, NASA RP-1289 (1992); the form, docs/reference/effects.md, equation 9.
     """
     changed = (B[p + FACTOR] - 1.0) * logistic((B[c + flight.time_s] - B[p + CHANGE]) / B[p + DURATION])
     return max(1.0 + changed + B[p + SLOPE] * (wall_K - REFERENCE_K), 0.0)
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for an emittance error (docs/effects.md, equation 9), with the emittance as declared.
+    """Search starts for an emittance error (docs/reference/effects.md, equation 9), with the emittance as declared.
 
     flown   : conditions of the flight
     returns : a constant factor, a slope in temperature, or a change at five quantiles of time [s], sudden and gradual

@@ -1,4 +1,7 @@
-"""Gap flow: hot gas enters gaps between tiles and heats their sides in depth, docs/effects.md, equation 10."""
+"""Gap flow: hot gas enters gaps between tiles and heats their sides in depth.
+
+docs/reference/effects.md, equation 10.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for gap flow (docs/effects.md, equation 10), with no film spent in gaps yet.
+    """Search starts for gap flow (docs/reference/effects.md, equation 10), with no film spent in gaps yet.
 
     flown   : conditions of the flight, not used
     returns : depths of 0.002, 0.006 and 0.02 [m] over which the heating falls by e

@@ -1,4 +1,4 @@
-"""Heat capacity of insulation or coating over the declared table, docs/effects.md, equation 11."""
+"""Heat capacity of insulation or coating over the declared table, docs/reference/effects.md, equation 11."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for heat capacity (docs/effects.md, equation 11), with the tables as declared.
+    """Search starts for heat capacity (docs/reference/effects.md, equation 11), with the tables as declared.
 
     flown   : conditions of the flight, not used
     returns : the factor [-] of the insulation alone, and with a slope in temperature; that of the coating

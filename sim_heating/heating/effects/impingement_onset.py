@@ -26,14 +26,15 @@ def impingement_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     wall_K  : wall temperature [K], not used
     returns : what is added to the heating ratio [-]; its slope jumps at the onset
 
-    Source: fig. 14 of the founding paper (onset at 37 deg in flight, OMS pod of STS-2); docs/effects.md, equation 12.
+    Source: fig. 14 of the founding paper (onset at 37 deg in flight, OMS pod of STS-2); docs/reference/effects.md,
+    equation 12.
     """
     x = max(0.0, B[c + flight.alpha_deg] - B[p + ONSET])
     return B[p + SLOPE] * x / (1.0 + B[p + SATURATION] * x)
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for flow impingement (docs/effects.md, equation 12), with no rise yet.
+    """Search starts for flow impingement (docs/reference/effects.md, equation 12), with no rise yet.
 
     flown   : conditions of the flight
     returns : onsets at six quantiles, 0.3 to 0.99, of the angle of attack flown [deg], and at nine between the lowest

@@ -1,4 +1,4 @@
-"""Interaction: a product term of two ratio variables, docs/effects.md, equation 13."""
+"""Interaction: a product term of two ratio variables, docs/reference/effects.md, equation 13."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PAIRS = tuple((SHORT_NAMES[i], SHORT_NAMES[j]) for i, j in SECOND_ORDER if i != 
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for interaction (docs/effects.md, equation 13): each mixed derivative alone."""
+    """Search starts for interaction (docs/reference/effects.md, equation 13): each mixed derivative alone."""
     return [SearchStart((f"d_{first}_{second}",)) for first, second in PAIRS]
 
 

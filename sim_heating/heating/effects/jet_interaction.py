@@ -22,13 +22,14 @@ def jet_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     B       : block of the lane group; B[c] flight conditions with jets [-], B[p] jet_gain [-]
     wall_K  : wall temperature [K], not used
 
-    Source: the observation, pitch-jet spikes of STS-2 in the founding paper; the form, docs/effects.md, equation 14.
+    Source: the observation, pitch-jet spikes of STS-2 in the founding paper; the form, docs/reference/effects.md,
+    equation 14.
     """
     return 1.0 + B[p + GAIN] * B[c + flight.jets]
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search start for jet interaction (docs/effects.md, equation 14): no dependence [-] on the jets yet."""
+    """Search start for jet interaction (docs/reference/effects.md, equation 14): no dependence [-] on the jets yet."""
     return [SearchStart(("jet_gain",))]
 
 

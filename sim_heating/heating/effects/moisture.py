@@ -8,7 +8,8 @@ fibres are cooler and condenses there. Its heat is conducted with
 
 (diffusivity, latent heat, density of vapour where it dries: about 20 W/m over wet fibres at 370 K, less over merely
 humid ones).
-docs/effects.md, equations 15 and 16; in the thermal model docs/equations_thermal_step.md, equations 12 and 13.
+docs/reference/effects.md, equations 15 and 16; in the thermal model docs/theory/equations_thermal_step.md, equations 12
+and 13.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for moisture (docs/effects.md, equations 15 and 16), with no latent heat yet.
+    """Search starts for moisture (docs/reference/effects.md, equations 15 and 16), with no latent heat yet.
 
     flown   : conditions of the flight, not used
     returns : boiling, boiling with condensation 40 K below, or diffusing vapour, each about 340, 373 and 420 [K]: with

@@ -26,13 +26,15 @@ def overshoot_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     wall_K  : wall temperature [K], not used: the excess comes from the wall upstream, which the model does not have
     returns : factor [-], constant before `begin`; the lag of the same effect is applied by heating/film.py
 
-    Source: the process, Chapman and Rubesin (1949); the form, docs/effects.md, equation 17, its lag equation 18.
+    Source: the process, Chapman and Rubesin (1949); the form, docs/reference/effects.md, equation 17, its lag
+    equation 18.
     """
     return 1.0 + B[p + OVERSHOOT] * exp(-max(B[c + flight.time_s] - B[p + BEGIN], 0.0) / B[p + DECAY])
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for a non-isothermal wall (docs/effects.md, equations 17 and 18), with no lag or excess yet.
+    """Search starts for a non-isothermal wall (docs/reference/effects.md, equations 17 and 18), with no lag or excess
+    yet.
 
     flown   : conditions of the flight
     returns : lags of 1.5, 3 and 6 [s]; excesses that decay in 60, 200 or 500 [s] from where h_ref H_r first reaches

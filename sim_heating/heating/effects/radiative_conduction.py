@@ -1,4 +1,7 @@
-"""Radiation in depth: conductivity grows faster with temperature than declared, docs/effects.md, equation 20."""
+"""Radiation in depth: conductivity grows faster with temperature than declared.
+
+docs/reference/effects.md, equation 20.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from sim_heating.heating.effects import Effect, SearchStart, model_parameter
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for radiative conduction (docs/effects.md, equation 20), with nothing added yet.
+    """Search starts for radiative conduction (docs/reference/effects.md, equation 20), with nothing added yet.
 
     flown   : conditions of the flight, not used
     returns : radiation at all temperatures, or above 400 to 1200 [K], up to which the declared table holds

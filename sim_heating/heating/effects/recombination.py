@@ -7,7 +7,7 @@ h_O and h_N are the heats of dissociation that the flow brings to the wall as at
 h_m = Le^(2/3) film is its coefficient of mass transfer, film the fully catalytic one of the point. Oxygen dissociates
 first: h_O is up to 3.59 MJ/kg of the heat of dissociation, that of all its atoms, and h_N the rest.
 Source: Goulard, Jet Propulsion 28 (1958) 737; phi = 0 is Fay and Riddell's (1958) frozen flow at a noncatalytic wall;
-derived in docs/effects.md, equations 25 to 28.
+derived in docs/reference/effects.md, equations 25 to 28.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ LEWIS_2_3 = 1.4 ** (2.0 / 3.0)
 
 @njit
 def film_found(B: FloatArray, c: int) -> float:
-    """Film coefficient [kg/(m2 s)] that an effect which multiplies the ratio finds, r h_ref of docs/effects.md,
-    equation 26.
+    """Film coefficient [kg/(m2 s)] that an effect which multiplies the ratio finds, r h_ref of
+    docs/reference/effects.md, equation 26.
 
     B, c : block of the lane group, and where the conditions of its lane and stage begin
     """
@@ -59,7 +59,7 @@ def recombined_part(gamma: float, molar_mass: float, rho_w: float, wall_K: float
     gamma      : recombination coefficient, part of the atoms that strike the wall which recombine [-]
     molar_mass : of the atom [kg/kmol];  rho_w : density of the gas at the wall [kg/m3];  wall_K : its temperature [K]
     h_m        : coefficient of mass transfer [kg/(m2 s)], above 0
-    Source: Goulard (1958); docs/effects.md, equation 26.
+    Source: Goulard (1958); docs/reference/effects.md, equation 26.
     """
     rate = rho_w * gamma * math.sqrt(MOLAR_GAS_CONSTANT * wall_K / (2.0 * math.pi * molar_mass))
     return rate / (rate + h_m)
@@ -75,7 +75,7 @@ def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     wall_K  : wall temperature T_w [K], above 0; gamma stays as it is at `highest_K` above that
     returns : factor [-]; 1 where the flow has no atoms, or no film
 
-    gamma is at most 1. Source: Goulard (1958), Scott (1980); docs/effects.md, equations 25 to 28.
+    gamma is at most 1. Source: Goulard (1958), Scott (1980); docs/reference/effects.md, equations 25 to 28.
     """
     h_D, film = B[c + flight.dissociation_J_kg], film_found(B, c)
     if h_D <= 0.0 or film <= 0.0:

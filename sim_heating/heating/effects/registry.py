@@ -17,7 +17,9 @@ from sim_heating.base.files import suggestion
 from sim_heating.heating.effects.definition import Effect, EffectUse
 
 FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
-PUBLIC = "write `from sim_heating import Effect, Parameter, SearchStart, flight, njit` (docs/adding_an_effect.md)"
+PUBLIC = (
+    "write `from sim_heating import Effect, Parameter, SearchStart, flight, njit` (docs/how_to/adding_an_effect.md)"
+)
 """What a user's effect imports, for the message about a file that imports from elsewhere."""
 RENAMED = {
     "'tries'": "`tries` is now `search_starts`",

@@ -1,4 +1,4 @@
-"""First-order lag that all thermocouples of a record have in common, docs/effects.md, equation 25."""
+"""First-order lag that all thermocouples of a record have in common, docs/reference/effects.md, equation 25."""
 
 from __future__ import annotations
 

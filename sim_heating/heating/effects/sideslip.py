@@ -23,15 +23,15 @@ def sideslip_ratio(B: FloatArray, c: int, p: int, wall_K: float) -> float:
               lean [1/deg]
     wall_K  : wall temperature [K], not used
 
-    Source: the observation, NASA TM-86032 and the founding paper; the form, docs/effects.md, equation 21.
+    Source: the observation, NASA TM-86032 and the founding paper; the form, docs/reference/effects.md, equation 21.
     """
     beta = B[c + flight.beta_deg]
     return B[p + SLOPE] * abs(beta) + B[p + CURVATURE] * beta * beta + B[p + LEAN] * beta
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for sideslip (docs/effects.md, equation 21), beta in [deg]: |beta| or beta^2 alone, |beta| with a
-    lean to one side."""
+    """Search starts for sideslip (docs/reference/effects.md, equation 21), beta in [deg]: |beta| or beta^2 alone,
+    |beta| with a lean to one side."""
     return [SearchStart(("slope_abs_beta",)), SearchStart(("d_beta2",)), SearchStart(("slope_abs_beta", "lean"))]
 
 

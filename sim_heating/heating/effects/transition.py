@@ -30,7 +30,7 @@ def past_onset_now(B: FloatArray, c: int, p: int) -> float:
 
     log10(Re_theta / M_e) takes the place of log10_re where `by_re_theta` is 1.
     B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
-    Source: docs/effects.md, equation 23.
+    Source: docs/reference/effects.md, equation 23.
     """
     at = B[c + flight.log10_re]
     if B[p + BY_RE_THETA] != 0.0:
@@ -45,7 +45,7 @@ def held_past(before: float, now: float, hysteresis: float) -> float:
     before     : z at the start of the step;  now : y, without hysteresis
     hysteresis : by how much the flow turns laminar again below the onset at which it turned turbulent, 0 or above
     Exact where y rises or falls all through the step. Source: Visintin, Differential Models of Hysteresis (1994),
-    sec. III.2; docs/effects.md, equation 24a.
+    sec. III.2; docs/reference/effects.md, equation 24a.
     """
     return min(max(before, now), now + hysteresis)
 
@@ -55,7 +55,7 @@ def past_onset(B: FloatArray, c: int, p: int) -> float:
     """Distance past the onset [-] at the stage whose conditions begin at B[c], hysteresis included.
 
     Its value at the start of the step is read where heating/film.py keeps it; a march begins without hysteresis.
-    Source: docs/effects.md, equation 24a.
+    Source: docs/reference/effects.md, equation 24a.
     """
     now, hysteresis = past_onset_now(B, c, p), B[p + HYSTERESIS]
     if hysteresis <= 0.0:
@@ -75,7 +75,7 @@ def turbulent_part(B: FloatArray, p: int, past: float) -> float:
     B, p    : the parameters are B[p] and those behind it;  past : distance past the onset [-]
     returns : Gamma [-]
 
-    Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/effects.md,
+    Source: `spots`, Dhawan and Narasimha (1958), J. Fluid Mech. 3, 418, there in distance; docs/reference/effects.md,
     equations 23 and 24.
     """
     x = past / B[p + WIDTH]
@@ -91,7 +91,7 @@ def intermittency(B: FloatArray, c: int, p: int) -> float:
     """Fraction of the time that the flow is turbulent [-] under flight conditions, hysteresis included.
 
     B       : block of the lane group; B[c] flight conditions with alpha [deg] and log10_re [-], B[p] the parameters
-    Source: docs/effects.md, equations 23 to 24a.
+    Source: docs/reference/effects.md, equations 23 to 24a.
     """
     return turbulent_part(B, p, past_onset(B, c, p))
 
@@ -106,7 +106,7 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     wall_K  : wall temperature [K], not used
     returns : factor [-]; Gamma is that of `intermittency`
 
-    Source: docs/effects.md, equation 23.
+    Source: docs/reference/effects.md, equation 23.
     """
     turbulent = B[p + FACTOR]
     turbulent *= 1.0 + B[p + BY_TABLE] * (B[c + flight.turbulent_ratio] - 1.0)
@@ -114,7 +114,7 @@ def transition_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
-    """Search starts for transition (docs/effects.md, equations 23 and 24), still laminar.
+    """Search starts for transition (docs/reference/effects.md, equations 23 and 24), still laminar.
 
     flown   : conditions of the flight
     returns : onsets at 14 quantiles of the log10 Reynolds number flown [-], in either form, first independent of angle

@@ -3,7 +3,7 @@
     r = r_table(x) (1 + scale) + d0 + sum_i d_i (x_i - x_i0) + sum_(i<=j) d_ij (x_i - x_i0) (x_j - x_j0)
 
 with x = alpha, beta [deg], log10 Re [-], elevon, body flap [deg]; no factor 1/2. Source: "Trends in Shuttle Entry
-Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms; docs/equations.md,
+Heating from the Correlation of Flight Test Maneuvers", eq. 2, and its second-order terms; docs/theory/equations.md,
 equations 5 and 7.
 
 A table is stored as five axis lengths, the axes one after the other, and the ratios with the last variable fastest.
@@ -76,7 +76,7 @@ def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float
 
     table  : flat array of tables as `pack_table` makes them;  offset : where this one begins
     x, at  : array with alpha, beta [deg], log10 Re [-], elevon, body flap [deg] from x[at] on
-    Source: docs/equations.md, equation 7.
+    Source: docs/theory/equations.md, equation 7.
     """
     n1, n2, n3 = int(table[offset]), int(table[offset + 1]), int(table[offset + 2])
     n4, n5 = int(table[offset + 3]), int(table[offset + 4])
@@ -106,7 +106,7 @@ def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
     """Heating ratio of a table at many conditions; outside its axes the nearest edge value.
 
     x       : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
-    returns : (sample,) ratio [-], multilinear (docs/equations.md, equation 7)
+    returns : (sample,) ratio [-], multilinear (docs/theory/equations.md, equation 7)
     """
     packed = pack_table(table)
     return np.array([table_ratio(packed, 0, row, 0) for row in np.ascontiguousarray(x, dtype=float)])
@@ -120,7 +120,7 @@ def linear_ratio(B: FloatArray, p: int, c: int, tabulated: float) -> float:
 
     B         : block of a lane group; parameters and reference condition from B[p] on, conditions from B[c] on
     tabulated : ratio of the table at the conditions [-]
-    Source: docs/equations.md, equation 5 (NASA CP-2283, equation 2, with second-order terms).
+    Source: docs/theory/equations.md, equation 5 (NASA CP-2283, equation 2, with second-order terms).
     """
     r = tabulated * (1.0 + B[p + k.SCALE]) + B[p + k.D0]
     # Most points have no derivatives: ORDER saves up to 20 terms a stage.
@@ -143,7 +143,7 @@ def linear_ratio_derivative(B: FloatArray, p: int, c: int, tabulated: float, par
     B, p, c   : as in `linear_ratio`;  tabulated : ratio of the table [-]
     parameter : its offset from B[p]: SCALE, D0, or one from FIRST or SECOND on
     returns   : r_table, 1, dx_i or dx_i dx_j; [-], [deg] or their product
-    Source: docs/equations.md, equation 9.
+    Source: docs/theory/equations.md, equation 9.
     """
     if parameter == k.SCALE:
         return tabulated
@@ -164,7 +164,7 @@ def write_order(B: FloatArray, p: int) -> None:
     """Write the highest order (0, 1 or 2) of the linear model with a derivative that is not 0 into B[p + ORDER].
 
     B, p : block of a lane group and where a lane's parameters begin
-    `linear_ratio` omits the sums above that order (docs/equations.md, equation 5).
+    `linear_ratio` omits the sums above that order (docs/theory/equations.md, equation 5).
     """
     B[p + k.ORDER] = 0.0
     for parameter in range(k.FIRST, k.REFERENCE):
@@ -250,7 +250,7 @@ def fraction(B: FloatArray, a: int, lane: int) -> float:
     """Position of a lane's variable in its cached cell of axis a [-]: 0 at the lower node, 1 at the upper one.
 
     B : block of the lane group. Below 0 or above 1 only off the ends of the axis; 0 on an axis of one value.
-    It is f_v of docs/equations.md, equation 7, before it is limited to 0 to 1.
+    It is f_v of docs/theory/equations.md, equation 7, before it is limited to 0 to 1.
     """
     x, foot = B[(k.CELL_X + a) * LANES + lane], B[(k.CELL_FOOT + a) * LANES + lane]
     return (x - foot) * B[(k.CELL_INVERSE + a) * LANES + lane]
@@ -290,7 +290,7 @@ def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
     B, J  : block of the lane group and its integers;  table : flat array of tables
     stage : 0 start, 1 middle, 2 end of the time step, whose conditions are read
     Row OFF_AXES gets how many of the five variables lie outside the table (an axis of one value has no outside).
-    The corners of a lane's cell are cached until it leaves the cell. Source: docs/equations.md, equation 7.
+    The corners of a lane's cell are cached until it leaves the cell. Source: docs/theory/equations.md, equation 7.
     """
     c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS
     for a in range(VARIABLES):

@@ -4,7 +4,7 @@
     alpha_deg,beta_deg,log10_re,elevon_deg,bodyflap_deg,ratio[,sigma]
     10,-4,4.5,-10,-10,0.0033
 
-Between nodes the ratio is multilinear, outside the grid the edge value is used (docs/equations.md, equation 7).
+Between nodes the ratio is multilinear, outside the grid the edge value is used (docs/theory/equations.md, equation 7).
 An axis may have one value.
 """
 

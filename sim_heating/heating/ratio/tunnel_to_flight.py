@@ -33,8 +33,8 @@ Sigma, as a fraction of the ratio, grows in quadrature by `method_sigma` (the me
 times the logarithm of the correction, and for transitional flow by the effect of `onset_sigma` decades of both onsets.
 
 Valid for attached windward flow. Leeside and impingement regions have no better theory; choose their method_sigma
-accordingly. Equations: docs/equations.md, equations 10 to 14;
-docs/equations_reference_heating.md, equations 19 and 20.
+accordingly. Equations: docs/theory/equations.md, equations 10 to 14;
+docs/theory/equations_reference_heating.md, equations 19 and 20.
 Sources: Eckert, Trans. ASME 78 (1956) 1273; Fay & Riddell, J. Aero. Sci. 25 (1958) 73; that wind-tunnel data must be
 scaled, transitional flow above all: Hodge, Phillips & Audley, NASA CP-2283 (1983). The method is engineering practice.
 """
@@ -74,7 +74,7 @@ def surface_angle_deg(angle_deg: float) -> float:
     """Angle of a surface against the flow [deg] within the limits of the theory, 3 to 89.
 
     angle_deg : angle of the surface [deg]
-    Source: docs/equations.md, equation 10; below 3 deg Newtonian pressure vanishes, at 90 deg the edge speed.
+    Source: docs/theory/equations.md, equation 10; below 3 deg Newtonian pressure vanishes, at 90 deg the edge speed.
     """
     return min(max(angle_deg, SHALLOWEST_DEG), 89.0)
 
@@ -101,7 +101,7 @@ class FlowState(Declared):
         """Free-stream density rho = Re mu(T_inf) / (V L) [kg/m3] at a Reynolds number.
 
         log10_re : log10 of the Reynolds number on `length_m` [-];  mu is Sutherland's law
-        Source: docs/equations_reference_heating.md, equations 2 and 3.
+        Source: docs/theory/equations_reference_heating.md, equations 2 and 3.
         """
         return 10.0**log10_re * sutherland_kernel(self.T_inf_K) / (self.velocity_m_s * self.length_m)
 
@@ -109,7 +109,7 @@ class FlowState(Declared):
         """log10 of the Reynolds number on `length_m` [-], the inverse of `density`.
 
         rho_kg_m3 : free-stream density [kg/m3]
-        Source: docs/equations_reference_heating.md, equations 2 and 3.
+        Source: docs/theory/equations_reference_heating.md, equations 2 and 3.
         """
         return math.log10(rho_kg_m3 / self.density(0.0))
 
@@ -128,7 +128,7 @@ class Transition(Declared):
         """Turbulent fraction gamma = 1 / (1 + exp(-(log10_re - onset) / width)) [-], 0.5 at the onset.
 
         log10_re : log10 of the free-stream Reynolds number on the body [-]
-        Source: docs/equations.md, equation 11; the logistic form is a choice.
+        Source: docs/theory/equations.md, equation 11; the logistic form is a choice.
         """
         return 1.0 / (1.0 + math.exp(-(log10_re - self.onset_log10_re) / self.width))
 
@@ -179,7 +179,7 @@ class Scaling(Declared):
         """Turbulent fraction [-] of the boundary layer in the tunnel and in flight; 0 or 1 in one regime.
 
         tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
-        Source: docs/equations.md, equation 11.
+        Source: docs/theory/equations.md, equation 11.
         """
         if self.tunnel_transition is None or self.flight_transition is None:
             return (1.0, 1.0) if self.regime == "turbulent" else (0.0, 0.0)
@@ -195,7 +195,7 @@ def theoretical_ratio(state: FlowState, log10_re: float, angle_deg: float, x_ove
     angle_deg : angle of the local surface against the flow [deg], 0 to 90
     x_over_L  : running length over reference length [-];  turbulent : turbulent plate, else laminar
     Diverging-flow factors are included; the sphere has the cold wall (300 K) that defines the reference heating.
-    Source: docs/equations.md, equation 10 (Eckert 1956; Fay and Riddell 1958).
+    Source: docs/theory/equations.md, equation 10 (Eckert 1956; Fay and Riddell 1958).
     """
     rho, V, T = state.density(log10_re), state.velocity_m_s, state.T_inf_K
     plate = eckert_kernel(rho, V, T, angle_deg, x_over_L * state.length_m, state.wall_K, turbulent, True)
@@ -213,7 +213,7 @@ def driving_enthalpy(
     recovery      : a key of RECOVERIES; None for the adiabatic wall of the boundary layer as it is
     intermittency : turbulent fraction of that boundary layer [-]
     raises        : InputError where the wall is hotter than the adiabatic wall
-    Source: docs/equations_reference_heating.md, equations 19 and 20.
+    Source: docs/theory/equations_reference_heating.md, equations 19 and 20.
     """
     rho, V, T = state.density(log10_re), state.velocity_m_s, state.T_inf_K
     p_e, _, _ = windward_edge_kernel(rho, V, T, angle_deg)
@@ -239,7 +239,7 @@ def scale_table(table: RatioTable, scaling: Scaling, log10_re: FloatArray | None
     raises   : InputError where the table is over another reference, reduced with another recovery enthalpy than the
                tunnel state names, or states no sigma
     Reynolds numbers beyond the tunnel's take its nearest ratio, scaled from there.
-    Source: docs/equations.md, equations 10 to 12.
+    Source: docs/theory/equations.md, equations 10 to 12.
     """
     if table.sigma is None:
         raise InputError("ratio table: has no column `sigma`, to which scaling adds; give one")
@@ -281,7 +281,7 @@ def correction(
     tunnel_log10_re, flight_log10_re : log10 of the free-stream Reynolds numbers [-]
     returns          : Theta(flight) / Theta(tunnel), with the transitional blend where both onsets are given, and with
                        the recovery enthalpies of both states where that of flight is an edge's; sigma
-    Source: docs/equations.md, equations 10 to 12; docs/equations_reference_heating.md, equation 20.
+    Source: docs/theory/equations.md, equations 10 to 12; docs/theory/equations_reference_heating.md, equation 20.
     """
     angle = scaling.angle_deg(alpha_deg)
     ends = ((scaling.tunnel, tunnel_log10_re), (scaling.flight, flight_log10_re))
@@ -366,7 +366,8 @@ def windward_trend(alpha_deg: FloatArray) -> FloatArray:
     returns   : trend [-], in that shape
 
     From h ~ sqrt(p_e u_e) with Newtonian p_e ~ sin^2 and u_e ~ cos. Within 5 % of the flat plate with real gas between
-    25 and 40 deg; for continuing a table downward, not for making one. Derived in docs/equations.md, equation 13.
+    25 and 40 deg; for continuing a table downward, not for making one. Derived in docs/theory/equations.md,
+    equation 13.
     """
     angle = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     return np.sin(angle) * np.sqrt(np.cos(angle))
@@ -380,7 +381,7 @@ def deflection_factor(alpha_deg: FloatArray, deflection_deg: FloatArray, pressur
     alpha_deg, deflection_deg : angle of attack and deflection [deg], shapes that broadcast
     pressure_exponent         : n [-]
     Attached flow, no separation ahead of the hinge; angles below 3 deg count as 3. h ~ p^n is the flat plate at given
-    edge speed. Derived in docs/equations.md, equation 14.
+    edge speed. Derived in docs/theory/equations.md, equation 14.
     """
     flat = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float), SHALLOWEST_DEG))
     turned = np.radians(np.maximum(np.asarray(alpha_deg, dtype=float) + deflection_deg, SHALLOWEST_DEG))

@@ -18,7 +18,7 @@ An estimate predicts the ratio at any condition, with its standard deviation, as
 
     r = r_table + sum_k b_k theta_k,    b = r_table for ratio.scale, 1 for ratio.d0, dx_i, dx_i dx_j for derivatives
 
-Equations: docs/equations.md, 9 (prediction) and 15 to 17 (update).
+Equations: docs/theory/equations.md, 9 (prediction) and 15 to 17 (update).
 Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs. 2.23 and 2.24, with linear
 functionals for values; Wendland, Adv. Comput. Math. 4 (1995) 389, function phi_1,1.
 """
@@ -43,9 +43,9 @@ from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 
 CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
-"""Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent; see docs/table_updates.md."""
+"""Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent: docs/how_to/table_updates.md."""
 UPDATE_REACH = {"alpha_deg": 15.0, "beta_deg": 10.0, "log10_re": 0.4, "elevon_deg": 15.0, "bodyflap_deg": 15.0}
-"""Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is; see docs/table_updates.md."""
+"""Distance [deg], or [-] for log10_re, from which on an update leaves a node as it is: docs/how_to/table_updates.md."""
 
 SINGULAR = 1e-8
 """Diagonal [-] of the Cholesky root below which a correlation matrix counts as singular."""
@@ -57,7 +57,7 @@ def correlation(variable: str, distance: FloatArray, reach: Mapping[str, float] 
     variable : name of the axis
     distance : difference of the two nodes, any shape, in the unit of the axis: [deg], or [-] for log10_re
     reach    : variable -> l, in the unit of its axis
-    Source: Wendland 1995, Adv. Comput. Math. 4, 389, phi_1,1; docs/equations.md, equation 15.
+    Source: Wendland 1995, Adv. Comput. Math. 4, 389, phi_1,1; docs/theory/equations.md, equation 15.
     """
     d = np.abs(distance) / reach[variable]
     return np.where(d < 1.0, (1.0 - np.minimum(d, 1.0)) ** 3 * (1.0 + 3.0 * d), 0.0)
@@ -69,7 +69,7 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
     axes    : increasing nodes of the five variables, [deg] and [-]
     x       : (sample, 5) conditions in the same units
     returns : (sample, node) sparse weights [-], rows sum to 1, nodes in the order of a table's ravelled ratio
-    Source: docs/equations.md, equation 7.
+    Source: docs/theory/equations.md, equation 7.
     """
     nodes = np.zeros((len(x), 1), dtype=np.int64)
     weights = np.ones((len(x), 1))
@@ -120,7 +120,7 @@ class Posterior:
     chi_square   : innovation' S^-1 innovation [-]; about k where the table's sigma and the estimates' bounds are right
     root         : (node, k) A with K - A A' the posterior covariance
     reach        : variable -> distance from which on the errors of two nodes are independent, in K
-    Source: docs/equations.md, equations 16 and 17.
+    Source: docs/theory/equations.md, equations 16 and 17.
     """
 
     prior: RatioTable
@@ -135,7 +135,7 @@ class Posterior:
     def p_value(self) -> float:
         """Probability [-] of a chi-square at least as large as this one, if the table's sigma and the bounds are right.
 
-        Upper tail of the chi-square distribution with k degrees of freedom (docs/equations.md, equation 17).
+        Upper tail of the chi-square distribution with k degrees of freedom (docs/theory/equations.md, equation 17).
         """
         return float(chi2.sf(self.chi_square, len(self.innovation)))
 
@@ -143,7 +143,7 @@ class Posterior:
         """(first, second) posterior covariance [-] of the ratios at two lists of nodes, K - A A'.
 
         first, second : ravelled indices of nodes
-        Source: docs/equations.md, equation 16.
+        Source: docs/theory/equations.md, equation 16.
         """
         return prior_covariance(self.prior, first, second, self.reach) - self.root[first] @ self.root[second].T
 
@@ -151,7 +151,8 @@ class Posterior:
         """(row,) posterior standard deviation [-] of linear combinations of the nodes, such as the ratio between nodes.
 
         weights : (row, node) sparse weights W [-], see `node_weights`
-        The variance is diag(W (K - A A') W'), and 0 where rounding makes it negative (docs/equations.md, equation 16).
+        The variance is diag(W (K - A A') W'), and 0 where rounding makes it negative (docs/theory/equations.md,
+        equation 16).
         """
         nodes = np.unique(weights.indices)
         W = weights[:, nodes].toarray()
@@ -168,7 +169,7 @@ def prior_covariance(
     first, second : ravelled indices of nodes
     reach         : variable -> distance from which on the errors of two nodes are independent
     K_ij = sigma_i sigma_j times the product of `correlation` over the axes with more than one node.
-    Source: docs/equations.md, equation 15.
+    Source: docs/theory/equations.md, equation 15.
     """
     shape = table.ratio.shape
     assert table.sigma is not None  # checked by posterior
@@ -194,7 +195,7 @@ def posterior(
     reach    : variable -> distance from which on the errors of two nodes are independent
     returns  : updated ratio and sigma [-]; sigma is nowhere larger than before
     raises   : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
-    Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/equations.md, equations 15 to 17.
+    Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/theory/equations.md, equations 15 to 17.
     """
     if table.sigma is None:
         raise InputError("ratio table: has no sigma column, which the flight's uncertainty is weighed against; add one")
@@ -229,8 +230,8 @@ def on_axes(table: RatioTable, axes: Sequence[FloatArray]) -> RatioTable:
     """A table on other axes: ratio [-] and sigma [-] interpolated, equal to the table where the axes hold its nodes.
 
     axes : increasing nodes of the five variables, [deg] and [-]
-    Nodes that are added to a table by this change no ratio and no sigma between its nodes (docs/equations.md, equation
-    7).
+    Nodes that are added to a table by this change no ratio and no sigma between its nodes (docs/theory/equations.md,
+    equation 7).
     """
     if all(np.array_equal(a, b) for a, b in zip(axes, table.axes, strict=True)):
         return table
@@ -267,7 +268,7 @@ def basis(names: Sequence[str], x: FloatArray, reference: FloatArray, declared: 
     declared  : (sample,) ratio of the declared table [-], 0 without one
     returns   : (sample, k) r_table, 1, dx_i or dx_i dx_j; [-], [deg] or their products
     raises    : KeyError for a name that is not a ratio parameter
-    Source: docs/equations.md, equation 9.
+    Source: docs/theory/equations.md, equation 9.
     """
     dx = x - reference
     second = [dx[:, i] * dx[:, j] for i, j in SECOND_ORDER]
@@ -280,7 +281,7 @@ def declared_ratio(table: RatioTable | None, x: FloatArray) -> FloatArray:
     """Heating ratio of a declared table along a path; 0 without a table.
 
     x       : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
-    returns : (sample,) ratio [-] (docs/equations.md, equation 7)
+    returns : (sample,) ratio [-] (docs/theory/equations.md, equation 7)
     """
     return np.zeros(len(x)) if table is None else table_ratios_at(table, x)
 
@@ -289,8 +290,8 @@ def declared_sigma(table: RatioTable | None, x: FloatArray) -> FloatArray | None
     """Standard deviation of a declared table along a path; None where the table states none.
 
     x       : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
-    returns : (sample,) sigma [-], interpolated like the ratio (docs/equations.md, equation 7), as for errors that are
-              fully correlated within a cell
+    returns : (sample,) sigma [-], interpolated like the ratio (docs/theory/equations.md, equation 7), as for errors
+              that are fully correlated within a cell
     """
     if table is None or table.sigma is None:
         return None
@@ -314,7 +315,7 @@ def estimated_ratio(
     reference     : (5,) condition that the derivatives are about;  table : the declared table or None
     x             : (sample, 5) alpha, beta [deg], log10 Re [-], elevon, body flap [deg]
     returns       : (sample,) ratio [-] and (sample,) sigma [-]; the table's own sigma is not part of it
-    Source: docs/equations.md, equation 9.
+    Source: docs/theory/equations.md, equation 9.
     """
     declared = declared_ratio(table, x)
     B = basis(names, x, reference, declared)

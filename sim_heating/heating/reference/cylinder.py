@@ -4,7 +4,7 @@ The flow along an infinite cylinder does not change along it. The component norm
 to rest at the stagnation line, where Fay and Riddell's formula holds with the constant of plane flow; the component
 along the axis heats by friction, with the recovery factor sqrt(Pr). Sweep L of the edge at alpha 0 and an angle of
 attack turn the axis against the flow by an angle whose sine is sin L cos alpha.
-Equation: docs/equations_reference_heating.md, equation 33.
+Equation: docs/theory/equations_reference_heating.md, equation 33.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def swept_cylinder_film(
     The factor H_aw/H_0 stands for (H_aw - h_w) / (H_0 - h_w): 0.5 % more at a wall of 1200 K, 7 km/s and 45 deg. The
     heating that spanwise friction adds to the properties across the layer is neglected (up to about 60 deg). Laminar.
     Source: Fay and Riddell (1958); independence of the normal flow as in Beckwith and Gallagher, NASA TR R-104 (1961);
-    docs/equations_reference_heating.md, equation 33.
+    docs/theory/equations_reference_heating.md, equation 33.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     along = math.sin(math.radians(sweep_deg)) * math.cos(math.radians(alpha_deg))

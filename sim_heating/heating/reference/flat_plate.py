@@ -8,7 +8,7 @@ rho*, mu* at the temperature of h* and the edge pressure, in equilibrium air; Re
 Source: Eckert, Trans. ASME 78 (1956) 1273; Schultz-Grunow, Luftfahrtforschung 17 (1940) 239.
 Validity: attached boundary layer on a flat surface, no slip (x above some millimetres, below about 90 km); the laminar
 law from Re* 1e3, the turbulent one from 5e5; both are continued outside without a warning, because a reference has to
-have a value everywhere. Equations: docs/equations_reference_heating.md, equations 15 to 18.
+have a value everywhere. Equations: docs/theory/equations_reference_heating.md, equations 15 to 18.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def windward_edge_kernel(
 
     p_0 is the stagnation pressure behind a normal shock in equilibrium air (p_0 - p_inf = 0.5 Cp_max rho V^2, with
     Cp_max about 1.94 at 6 km/s, where a gas with gamma 1.4 has 1.84). Leeward and zero incidence have p_e = p_inf.
-    The edge speed is at least 1 m/s, also at 90 deg. Source: docs/equations_reference_heating.md, equation 18.
+    The edge speed is at least 1 m/s, also at 90 deg. Source: docs/theory/equations_reference_heating.md, equation 18.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     p_0, h_0, _, p = stagnation_kernel(rho_kg_m3, V, T_inf_K)
@@ -70,7 +70,7 @@ def windward_edge(
 
     p_inf_Pa, p_0_Pa, h_0_J_kg : free-stream and stagnation pressure [Pa], stagnation enthalpy [J/kg]
     velocity_m_s, angle_deg    : free-stream speed [m/s], angle of the surface against the flow [deg]
-    Source: docs/equations_reference_heating.md, equation 18.
+    Source: docs/theory/equations_reference_heating.md, equation 18.
     """
     # Newtonian pressure acts on the windward side only.
     sine, u_e = max(math.sin(math.radians(angle_deg)), 0.0), edge_speed(velocity_m_s, angle_deg)
@@ -95,7 +95,7 @@ def reference_enthalpy(h_e: float, h_w: float, u_e: float, turbulent: bool) -> f
 
     h_e, h_w  : enthalpy at the edge of the boundary layer and at the wall [J/kg];  u_e : edge speed [m/s]
     turbulent : recovery factor r = Pr^1/3 where true, Pr^1/2 otherwise
-    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/theory/equations_reference_heating.md, equation 15.
     """
     h_aw = h_e + 0.5 * recovery_factor(turbulent) * u_e * u_e
     return 0.28 * h_e + 0.5 * h_w + 0.22 * h_aw
@@ -109,7 +109,7 @@ def eckert_film(p_e: float, h_e: float, u_e: float, length_m: float, T_w_K: floa
     length_m      : running length from the leading edge [m];  T_w_K : wall temperature [K]
     turbulent     : 0.0296 Re*^-1/5 (Schultz-Grunow's law above 1e7) in place of 0.332 Re*^-1/2 for C_h Pr^2/3
     Laminar from Re* 1e3, turbulent from 5e5; continued below without a warning.
-    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equations 15 to 17.
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/theory/equations_reference_heating.md, equations 15 to 17.
     """
     h_w = air_kernel(T_w_K, p_e)[0]
     rho, mu = air_state_kernel(reference_enthalpy(h_e, h_w, u_e, turbulent), p_e)
@@ -136,7 +136,7 @@ def eckert_kernel(
     length_m, T_w_K                  : running length from the leading edge [m], wall temperature [K]
     turbulent                        : turbulent law, else laminar
     diverging                        : flow that diverges from a point: h times 1.176 turbulent, sqrt(3) laminar
-    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equations 15 to 18.
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/theory/equations_reference_heating.md, equations 15 to 18.
     """
     p_e, h_e, u_e = windward_edge_kernel(rho_kg_m3, velocity_m_s, T_inf_K, alpha_deg)
     h = eckert_film(p_e, h_e, u_e, length_m, T_w_K, turbulent)
@@ -156,7 +156,7 @@ def friction_rise_kernel(
     length_m : length of the plate [m]; other arguments as of `eckert_kernel`, its wall at FRICTION_WALL_K
 
     Reynolds' analogy, tau = rho* u_e^2 C_f/2 with C_f/2 = C_h Pr^2/3, that both laws of C_h come from; means over the
-    length of what falls as x^-1/5 and x^-1/2. Source: docs/equations_reference_heating.md, equation 17a.
+    length of what falls as x^-1/5 and x^-1/2. Source: docs/theory/equations_reference_heating.md, equation 17a.
     """
     u_e = edge_speed(max(velocity_m_s, SLOWEST_M_S), alpha_deg)
     turbulent, laminar = (
@@ -169,7 +169,7 @@ def friction_rise_kernel(
 def friction_rise(flown: Conditions, length_m: float) -> FloatArray:
     """(time,) `friction_rise_kernel` along a flight [Pa], for a plate of length_m [m]; not below 0.
 
-    Source: docs/equations_reference_heating.md, equation 17a.
+    Source: docs/theory/equations_reference_heating.md, equation 17a.
     """
     rho, V, T, alpha = (flown[n] for n in ("rho_kg_m3", "velocity_m_s", "T_inf_K", "alpha_deg"))
     rise = [friction_rise_kernel(rho[i], V[i], T[i], alpha[i], length_m) for i in range(len(flown))]

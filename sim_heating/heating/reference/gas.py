@@ -5,7 +5,7 @@ The enthalpies are zero at 0 K. The table is `data/equilibrium_air.csv` (its sou
 follows p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge value is returned. Between
 its points the table is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
 Viscosity is Sutherland's up to 700 K; above, it is Sutherland's times the table's ratio to it.
-Equations: docs/equations_reference_heating.md, equations 5 to 8.
+Equations: docs/theory/equations_reference_heating.md, equations 5 to 8.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ R_TABLE = MOLAR_GAS_CONSTANT / MOLAR_MASS_N2_O2
 """Gas constant of the undissociated mixture [J/(kg K)]."""
 PRANDTL = 0.71
 """Prandtl number of air in the reference heatings [-]: that of Fay and Riddell's correlation. Published frozen values
-scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/equations_reference_heating.md, section 2)."""
+scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/theory/equations_reference_heating.md, section 2)."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
 """Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
 JOIN_K = 700.0
@@ -177,7 +177,7 @@ def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
 
     h_J_kg : enthalpy above 0 K [J/kg], 0 or more;  p_Pa : pressure [Pa], above 0
     The result is 12000 K above the table; below 200 K it is proportional to h.
-    Source: docs/equations_reference_heating.md, equation 6.
+    Source: docs/theory/equations_reference_heating.md, equation 6.
     """
     return _air_inverse(h_J_kg, p_Pa)[0]
 
@@ -193,7 +193,7 @@ def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
 
     h_J_kg : enthalpy above 0 K [J/kg];  p_Pa : pressure [Pa], above 0
     Equal to `air_density_kernel` at the temperature of h, with one table search instead of two.
-    Source: docs/equations_reference_heating.md, equations 5 and 6.
+    Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
     """
     T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
     return _density(p_Pa, _compressibility(i, w, j, s), T_K)
@@ -204,7 +204,7 @@ def air_density_kernel(T_K: float, p_Pa: float) -> float:
     """Density of equilibrium air rho = p / (Z R T) [kg/m3], Z the compressibility of the table, R = 288.2 [J/(kg K)].
 
     T_K : temperature [K], above 0;  p_Pa : pressure [Pa], above 0
-    Source: docs/equations_reference_heating.md, equation 5.
+    Source: docs/theory/equations_reference_heating.md, equation 5.
     """
     return _density(p_Pa, air_kernel(T_K, p_Pa)[1], T_K)
 
@@ -221,7 +221,7 @@ def air_transport_kernel(T_K: float, p_Pa: float) -> tuple[float, float]:
     """Density [kg/m3] and viscosity [Pa s] of equilibrium air at a temperature and a pressure.
 
     T_K : temperature [K], above 0;  p_Pa : pressure [Pa], above 0; nothing is checked. `transport` states the accuracy.
-    Source: docs/equations_reference_heating.md, equations 5 and 7.
+    Source: docs/theory/equations_reference_heating.md, equations 5 and 7.
     """
     i, w, j, s = _air_cell(T_K, p_Pa)
     return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
@@ -232,7 +232,7 @@ def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
     """Density [kg/m3] and viscosity [Pa s] of equilibrium air at an enthalpy and a pressure, with one table search.
 
     h_J_kg : enthalpy above 0 K [J/kg];  p_Pa : pressure [Pa], above 0
-    Source: docs/equations_reference_heating.md, equations 5 to 7.
+    Source: docs/theory/equations_reference_heating.md, equations 5 to 7.
     """
     T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
     return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
@@ -280,7 +280,8 @@ def transport(T_K: ArrayLike, p_Pa: ArrayLike) -> AirTransport:
 
     Viscosity is within 3 % (one sigma) where at most 1 % of the particles are electrons; above, air is ionised, and the
     sigma grows to 50 %. The Prandtl number leaves electrons and reactions out.
-    Source: docs/equations_reference_heating.md, equation 7: CEA (NASA RP-1311) and Blottner et al. (SC-RR-70-754).
+    Source: docs/theory/equations_reference_heating.md, equation 7: CEA (NASA RP-1311) and Blottner et al.
+    (SC-RR-70-754).
     """
     T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
     out = np.empty((4, len(T), len(p)))
@@ -300,7 +301,7 @@ def wall_enthalpy_grid(
     raises    : InputError for another kind, a cp that is not positive, a temperature or pressure that is not positive
 
     Cubic through the points of the table, which on straight lines between them is 0.4 % off where oxygen dissociates.
-    Source: docs/equations_reference_heating.md, equation 8.
+    Source: docs/theory/equations_reference_heating.md, equation 8.
     """
     cp = None if kind == "equilibrium-air" else _constant_cp(kind)
     T, p = _grid("T_grid_K", T_grid_K), _grid("p_grid_Pa", p_grid_Pa)

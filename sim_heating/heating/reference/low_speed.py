@@ -3,7 +3,7 @@
 Sutton-Graves and Detra-Kemp-Riddell are fits to hypersonic flow, from about 2 km/s on. Continued below they have no
 subsonic limit: Sutton-Graves gives 1.4 times the film coefficient of Fay-Riddell at 1 km/s and 2.0 times at 300 m/s,
 Detra-Kemp-Riddell 1.2 and 1.4 times. Below 2 km/s they therefore hand over to Fay-Riddell, whole below 1.5 km/s.
-Equation: docs/equations_reference_heating.md, equation 12.
+Equation: docs/theory/equations_reference_heating.md, equation 12.
 """
 
 from __future__ import annotations
@@ -23,6 +23,6 @@ def correlation_share(velocity_m_s: float) -> float:
 
         h_ref = w h_correlation + (1 - w) h_Fay-Riddell,   w = 3 s^2 - 2 s^3,   s = (V - 1500) / 500
 
-    Value and slope of h_ref are continuous. Source: docs/equations_reference_heating.md, equation 12 (a choice).
+    Value and slope of h_ref are continuous. Source: docs/theory/equations_reference_heating.md, equation 12 (a choice).
     """
     return smooth_share(velocity_m_s, FAY_RIDDELL_M_S, CORRELATION_M_S)

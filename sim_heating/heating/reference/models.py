@@ -2,7 +2,7 @@
 
 One compiled kernel evaluates a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
 these models and reduced with one recovery enthalpy; the header of its table names both.
-Equations: docs/equations_reference_heating.md, sections 3 and 5.
+Equations: docs/theory/equations_reference_heating.md, sections 3 and 5.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def total_enthalpy_kernel(velocity_m_s: float, T_inf_K: float) -> float:
 
     velocity_m_s, T_inf_K : free-stream speed [m/s] and temperature [K]
     It is the recovery enthalpy of a point without a known edge (heating/reference/recovery.py).
-    Source: docs/equations_reference_heating.md, equation 9.
+    Source: docs/theory/equations_reference_heating.md, equation 9.
     """
     return 0.5 * velocity_m_s * velocity_m_s + CP_AIR * T_inf_K
 
@@ -168,7 +168,7 @@ def reference_film_kernel(
     state : result of `stagnation_kernel` at this density, temperature and speed (at least SLOWEST_M_S); a frame
             computes it once, for the film coefficient and for the surface pressures
     The other arguments are those of `reference_kernel`.
-    Source: docs/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
+    Source: docs/theory/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
     """
     if code in (NONE, COLUMNS):
         return 0.0
@@ -213,7 +213,7 @@ def reference_kernel(
                          correlations have theirs built in)
     sweep_deg          : of the cylinder at alpha 0 [deg]
     Density, temperature, radius and length above 0; nothing is checked here.
-    Source: docs/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
+    Source: docs/theory/equations_reference_heating.md, equations 9 to 18 and 31 to 33, by model.
     """
     H_0 = total_enthalpy_kernel(velocity_m_s, T_inf_K)
     # These two read no density, and without one there is no stagnation state.
@@ -295,8 +295,8 @@ def reference_heating(
     Stagnation heating holds from rest to free-molecular flow: below 2 km/s Fay-Riddell takes over from a correlation,
     thin air is bridged (Matting 1971). Eckert's plate is for continuum flow, below about 90 km. `ReferenceModel`
     states the speeds, `beyond_range` what a flight does outside of them.
-    Source: docs/equations_reference_heating.md, equations 9 to 19, 31 and 32 (Sutton and Graves 1971; Detra et al.
-    1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
+    Source: docs/theory/equations_reference_heating.md, equations 9 to 19, 31 and 32 (Sutton and Graves 1971; Detra et
+    al. 1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
     """
     model = reference_model(name)
     of_point = model.recovery if recovery is None else recovery

@@ -7,7 +7,7 @@ A film coefficient goes with the enthalpy that its flux was divided by, q = h (H
 of them depends on the wall temperature and on the speed, so that no heating ratio can stand for it.
 
 A nose, a leeward side or a pod has no known edge: its heating ratio is reduced with the total enthalpy.
-Equations: docs/equations_reference_heating.md, equations 15, 18 and 19.
+Equations: docs/theory/equations_reference_heating.md, equations 15, 18 and 19.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Recovery:
 def recovery_factor(turbulent: bool) -> float:
     """Recovery factor r [-] of a boundary layer: Pr^1/3 where turbulent, Pr^1/2 where laminar; Pr = 0.71.
 
-    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/equations_reference_heating.md, equation 15.
+    Source: Eckert 1956 (Trans. ASME 78, 1273); docs/theory/equations_reference_heating.md, equation 15.
     """
     return _TURBULENT if turbulent else _LAMINAR
 
@@ -82,7 +82,7 @@ def edge_speed(velocity_m_s: float, angle_deg: float) -> float:
 
     velocity_m_s : free-stream speed [m/s];  angle_deg : angle of the surface against the flow [deg]
     Newtonian flow keeps the part of the velocity that is parallel to the surface; sideslip is not considered.
-    Source: docs/equations_reference_heating.md, equation 18.
+    Source: docs/theory/equations_reference_heating.md, equation 18.
     """
     # Not 0, for Re* and with it the laminar law C_h ~ Re*^-1/2 would have no value.
     return max(velocity_m_s * abs(math.cos(math.radians(angle_deg))), SLOWEST_M_S)
@@ -106,7 +106,7 @@ def point_recovery_kernel(
     velocity_m_s                        : free-stream speed [m/s]
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     numbers, first                      : array that holds `Recovery.parameters()` from this place on
-    Source: docs/equations_reference_heating.md, equations 15, 18 and 19.
+    Source: docs/theory/equations_reference_heating.md, equations 15, 18 and 19.
     """
     kind = numbers[first]
     if kind == TOTAL:
@@ -137,7 +137,7 @@ def point_recovery(recovery: Recovery, total_J_kg: FloatArray, flown: Conditions
     flown      : conditions with the columns of `recovery.needs`
     returns    : H_r (time,) and rise (time,) [J/kg]
     raises     : KeyError where one of these columns is missing
-    Source: docs/equations_reference_heating.md, equation 19.
+    Source: docs/theory/equations_reference_heating.md, equation 19.
     """
     H_r, rise = np.array(total_J_kg, dtype=float), np.zeros(len(flown))
     if recovery.kind == "total":

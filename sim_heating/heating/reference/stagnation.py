@@ -8,7 +8,7 @@ Each function here is a published formula in continuum flow. `low_speed` says wh
 Fay-Riddell takes over, `rarefied` bridges all of them to free-molecular flow; `models` applies both.
 Fay-Riddell holds from rest on: its velocity gradient is that of Newtonian pressure in supersonic flow and that of
 potential flow in subsonic flow. A body at rest is heated as at 1 m/s: natural convection is not modelled.
-Equations: docs/equations_reference_heating.md, equations 9 to 14 and 31.
+Equations: docs/theory/equations_reference_heating.md, equations 9 to 14 and 31.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def sutton_graves_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float, 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
     nose_radius_m                    : R of the sphere [m]
     Valid for equilibrium air, 2.3 to 116 MJ/kg, which is 2 to 15 km/s. Not for use below 1 km/s.
-    Source: Sutton and Graves, NASA TR R-376 (1971); docs/equations_reference_heating.md, equation 10.
+    Source: Sutton and Graves, NASA TR R-376 (1971); docs/theory/equations_reference_heating.md, equation 10.
     """
     V = velocity_m_s
     return _over_cold_wall(SUTTON_GRAVES * math.sqrt(rho_kg_m3 / nose_radius_m) * V * V * V, V, T_inf_K)
@@ -86,7 +86,8 @@ def detra_kemp_riddell_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: fl
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K], above 100
     nose_radius_m                    : R of the sphere [m]
     Valid from 2 to 8 km/s. Not for use below 1 km/s.
-    Source: Detra, Kemp and Riddell (1957), Jet Propulsion 27, 1256; docs/equations_reference_heating.md, equation 11.
+    Source: Detra, Kemp and Riddell (1957), Jet Propulsion 27, 1256; docs/theory/equations_reference_heating.md,
+    equation 11.
     """
     V = velocity_m_s
     q = DKR_W_M2 * math.sqrt(rho_kg_m3 / (DKR_RHO_KG_M3 * nose_radius_m)) * (V / DKR_V_M_S) ** DKR_EXPONENT
@@ -116,7 +117,7 @@ def shock_density_ratio(rho_kg_m3: float, velocity_m_s: float, p_Pa: float, h_J_
 
     Secants from a strong shock: three or four of them in an entry. Where one leaves the bracket 0.01 to 0.999, or they
     do not converge to 1e-10, regula falsi (Illinois) in a shrinking bracket, never more than 40 steps.
-    Source: docs/equations_reference_heating.md, equation 13.
+    Source: docs/theory/equations_reference_heating.md, equation 13.
     """
     eps, before, f_before = STRONG_SHOCK, 0.0, 0.0
     for k in range(SECANT_STEPS):
@@ -159,7 +160,7 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
 
     Normal shock where the flow is supersonic, then isentropic compression to rest: dh = (p/rho) dln p by the
     trapezoidal rule, three passes. The free-stream pressure is rho R T of the table's own gas, for consistency.
-    Source: docs/equations_reference_heating.md, equation 13.
+    Source: docs/theory/equations_reference_heating.md, equation 13.
     """
     p = rho_kg_m3 * R_TABLE * T_inf_K
     h = air_kernel(T_inf_K, p)[0]
@@ -182,7 +183,7 @@ def stagnation_kernel(rho_kg_m3: float, velocity_m_s: float, T_inf_K: float) -> 
 def smooth_share(x: float, low: float, high: float) -> float:
     """Share 3 s^2 - 2 s^3 [-] of a blend, s the place of x between low and high: 0 and 1 with zero slope at the ends.
 
-    Source: the cubic step of docs/equations_reference_heating.md, equation 12; a choice.
+    Source: the cubic step of docs/theory/equations_reference_heating.md, equation 12; a choice.
     """
     s = min(max((x - low) / (high - low), 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)
@@ -201,7 +202,7 @@ def velocity_gradient(
     p_0, rho_0, p_inf  : stagnation pressure [Pa] and density [kg/m3], free-stream pressure [Pa]
     velocity_m_s, mach : of the free stream [m/s], [-];  radius_m : R [m];  body : SPHERE or CYLINDER
     The two cross near Mach 1.2 (sphere) and 1 (cylinder), where one gives way to the other with a continuous slope.
-    Source: docs/equations_reference_heating.md, equations 14 and 31 (Fay and Riddell 1958; White 1991).
+    Source: docs/theory/equations_reference_heating.md, equations 14 and 31 (Fay and Riddell 1958; White 1991).
     """
     K, a, b, low, high = body
     share = smooth_share(mach, low, high)
@@ -222,7 +223,8 @@ def fay_riddell_film(p_0: float, h_0: float, rho_0: float, gradient_1_s: float, 
 
     p_0, h_0, rho_0 : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3]
     gradient_1_s    : du_e/dx [1/s];  T_w_K : wall temperature [K];  lewis : Lewis number Le [-]
-    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73, eq. 63; docs/equations_reference_heating.md, equation 14.
+    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73, eq. 63; docs/theory/equations_reference_heating.md,
+    equation 14.
     """
     _, mu_0 = air_state_kernel(h_0, p_0)
     rho_w, mu_w = air_transport_kernel(T_w_K, p_0)
@@ -238,7 +240,7 @@ def mach_of_table_gas(velocity_m_s: float, T_inf_K: float) -> float:
     """Mach number V / sqrt(1.4 R T) [-] of the undissociated gas of the equilibrium table, for branches and blends.
 
     velocity_m_s, T_inf_K : of the free stream [m/s], [K]
-    Source: docs/equations_reference_heating.md, equation 2.
+    Source: docs/theory/equations_reference_heating.md, equation 2.
     """
     return velocity_m_s / math.sqrt(GAMMA * R_TABLE * T_inf_K)
 
@@ -252,7 +254,7 @@ def fay_riddell_of_state(
 
     state : stagnation pressure [Pa], enthalpy [J/kg], density [kg/m3], free-stream pressure [Pa]
     velocity_m_s, T_inf_K, nose_radius_m, T_w_K, lewis : as `fay_riddell_kernel` takes them; speed above 0
-    Source: docs/equations_reference_heating.md, equations 14 and 31.
+    Source: docs/theory/equations_reference_heating.md, equations 14 and 31.
     """
     p_0, h_0, rho_0, p = state
     mach = mach_of_table_gas(velocity_m_s, T_inf_K)
@@ -273,7 +275,8 @@ def fay_riddell_kernel(
     Stagnation state of equilibrium air behind a normal shock; viscosity of `gas.transport`; Pr = 0.71, so that
     0.763 Pr^-0.6 = 0.937. Valid for an equilibrium boundary layer (or a frozen one with a fully catalytic wall), from
     rest to 8 km/s; continued above.
-    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/equations_reference_heating.md, equations 13, 14 and 31.
+    Source: Fay and Riddell (1958), J. Aero. Sci. 25, 73; docs/theory/equations_reference_heating.md, equations 13, 14
+    and 31.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
     return fay_riddell_of_state(stagnation_kernel(rho_kg_m3, V, T_inf_K), V, T_inf_K, nose_radius_m, T_w_K, lewis)

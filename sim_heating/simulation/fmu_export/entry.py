@@ -186,7 +186,7 @@ class _EntryPacker(ImagePacker):
         block = image.add_numbers(entry.block, aligned=True)
         for first, named in ((flight, VEHICLE), (block, GUIDANCE)):
             for name, place, lower, upper, unit in named:
-                text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/equations.md"
+                text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/theory/equations.md"
                 self.add_number(name, Role.FIXED, first + place, text, unit, lower, upper)
         self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_tables(entry.tables)}
 

@@ -38,7 +38,7 @@ def export_fmu(
     fmi            : version, 2 or 3
     platforms      : keys of library.TARGETS
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
-    input_timing   : "held" or "reached", the start value of the variable `input_timing` (docs/fmu.md)
+    input_timing   : "held" or "reached", the start value of the variable `input_timing` (docs/how_to/fmu.md)
     progress       : called with the fraction done and a line of text
     raises         : InputError for an unknown name, a platform without a compiler, a place that cannot be written, a
                      file in that place that is not an unmodified export

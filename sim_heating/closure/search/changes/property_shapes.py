@@ -6,7 +6,8 @@ Tables are joined of two sources, or measured over part of their range and extra
     k = f [1 + d (S(T) - S(700 K))] k_declared,      S = s^2 (3 - 2 s),    s = (T - T_1) / (T_2 - T_1) within 0 and 1
 
 f is the factor of the effect, estimated with d; the ends of the span are searched. `conductivity` and `heat-capacity`
-have this form besides those of the effects, whose factor changes linearly (docs/effects.md, equations 7 and 11).
+have this form besides those of the effects, whose factor changes linearly (docs/reference/effects.md, equations 7 and
+11).
 """
 
 from __future__ import annotations
