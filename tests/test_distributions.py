@@ -1,0 +1,77 @@
+"""Wheel and source distribution: complete, and the same bytes wherever they are built."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+INSIDE = ("aircraft_data", "scenarios", "fmu")
+"""Folders of a checkout that a wheel has within the package."""
+LEFT = (".pyc", ".nbi", ".nbc", ".fmu")
+OUTSIDE = {"__pycache__", ".venv", ".git", ".hypothesis", ".mypy_cache", ".pytest_cache", ".ruff_cache"}
+"""What programs leave in a checkout: endings of files, and folders."""
+
+
+def build(source: Path, out: Path) -> dict[str, Path]:
+    """Build both from a folder; the files by their suffix."""
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(out)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True)
+    return {path.suffix: path for path in out.iterdir()}
+
+
+def digests(files: dict[str, Path]) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files.values()}
+
+
+def files_below(folder: Path) -> set[str]:
+    """Files of a folder of a checkout, without what programs leave there."""
+    found = (p.relative_to(folder) for p in folder.rglob("*") if p.is_file())
+    return {
+        p.as_posix() for p in found if not OUTSIDE & set(p.parts) and p.suffix not in (".pyc", ".nbi", ".nbc", ".fmu")
+    }
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return build(ROOT, tmp_path_factory.mktemp("built"))
+
+
+@pytest.fixture(scope="module")
+def unpacked(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution unpacked in another place."""
+    with tarfile.open(built[".gz"]) as archive:
+        archive.extractall(folder := tmp_path_factory.mktemp("unpacked"), filter="data")
+    (source,) = folder.iterdir()
+    return source
+
+
+def test_a_wheel_has_every_file_of_the_package_and_of_the_data_folders(built):
+    expected = {f"sim_heating/{name}" for name in files_below(ROOT / "sim_heating")}
+    for folder in INSIDE:
+        expected |= {f"sim_heating/{folder}/{name}" for name in files_below(ROOT / folder)}
+    with zipfile.ZipFile(built[".whl"]) as wheel:
+        found = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    assert found == expected
+
+
+def test_a_source_distribution_has_what_the_tests_and_pages_need(unpacked):
+    for folder in (*INSIDE, "sim_heating", "tests", "benchmarks", "examples", "docs"):
+        assert files_below(unpacked / folder) == files_below(ROOT / folder)
+    for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", ".ci/run"):
+        assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()
+
+
+def test_two_builds_in_two_folders_have_the_same_bytes(built, unpacked, tmp_path):
+    for path in unpacked.rglob("*"):
+        os.utime(path, (1e9, 1e9))
+        path.chmod(path.stat().st_mode & 0o700)
+    assert digests(build(unpacked, tmp_path)) == digests(built)
