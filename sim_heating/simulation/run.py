@@ -27,7 +27,6 @@ from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, write_heating_csv, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window, check_samples
-from sim_heating.trajectory.jsbsim import entry as jsbsim
 from sim_heating.trajectory.spec import TrajectorySpec
 
 if TYPE_CHECKING:
@@ -44,7 +43,16 @@ def fly_fmu(
     return fmu.fly(spec, vehicle, on_frame=on_frame, progress=progress)
 
 
-SOURCES = {"jsbsim": jsbsim.fly, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
+def fly_jsbsim(
+    spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
+) -> Flight:
+    """`trajectory.jsbsim.entry.fly`, imported when it is used: not every platform has JSBSim."""
+    from sim_heating.trajectory.jsbsim import entry
+
+    return entry.fly(spec, vehicle, on_frame=on_frame, progress=progress)
+
+
+SOURCES = {"jsbsim": fly_jsbsim, "entry-3dof": entry3dof.fly, "recorded": recorded.fly, "fmu": fly_fmu}
 
 MANOEUVRE_VARIABLE = {
     "popu": "alpha_deg",

@@ -59,7 +59,7 @@ def make_durable(path: str | os.PathLike[str]) -> None:
     raises : OSError that names the file, where the storage is full or fails
     """
     try:
-        handle = os.open(path, os.O_RDONLY)
+        handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes what it may write
     except PermissionError:
         if os.path.isdir(path):  # Windows opens no directories
             return

@@ -20,7 +20,6 @@ from sim_heating.planning.dispersion.flight import AERO_FACTORS, entry_with_devi
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.statistics import deviations
 from sim_heating.planning.soak import with_soak
-from sim_heating.trajectory.jsbsim import entry as jsbsim
 
 RATE_HZ, SAMPLE_S = 60.0, 1.0
 """Frames of JSBSim a second, and interval of the conditions that are kept [s]."""
@@ -76,6 +75,8 @@ def _point_mass(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
 
 def _six_dof(entry: DispersedEntry, changes: dict[str, float]) -> FloatArray:
     """(quantity, point) peaks [K], NaN where JSBSim does not complete the flight."""
+    from sim_heating.trajectory.jsbsim import entry as jsbsim  # not every platform has it
+
     vehicle, soak_s = entry.study.vehicle, entry.study.declared.soak_s
     spec = entry_with_deviations(entry.sampler.base, entry.inputs, changes)
     spec = spec.model_copy(update={"source": "jsbsim", "rate_hz": RATE_HZ, "sample_s": SAMPLE_S})

@@ -120,9 +120,13 @@ class Target:
     @property
     def native(self) -> bool:
         """Whether this is the platform of the running process."""
-        running = llvm.get_process_triple()
-        same_processor = self.triple.split("-")[0] == running.split("-")[0]
-        return same_processor and ("linux" in self.triple) == ("linux" in running)
+        return _platform(self.triple) == _platform(llvm.get_process_triple())
+
+
+def _platform(triple: str) -> tuple[str, str]:
+    """Processor and system of a name in LLVM: `x86_64-unknown-linux-gnu`, or on a Mac `arm64-apple-darwin23.6.0`."""
+    processor, _, system = triple.replace("aarch64", "arm64").replace("darwin", "macos").partition("-")
+    return processor, next((name for name in ("linux", "windows", "macos") if name in system), system)
 
 
 X86_LEVELS = ("x86-64", "x86-64-v3")

@@ -39,6 +39,8 @@ OUTPUT_LENGTH = 300
 """Characters of the FMU's last output that an error quotes."""
 NO_ANSWER = b"\0\n"
 """Written by the watch in place of an answer that will not come."""
+WINDOWS_EXCEPTION = 0x8000_0000
+"""Least exit status of a process that an exception has ended on Windows: 0xC0000005 is an access violation."""
 CONTROL_CODES = re.compile(r"\x1b\[[0-9;?]*[@-~]|[\x00-\x1f\x7f-\x9f]")
 """Control codes that a terminal would execute."""
 
@@ -178,6 +180,8 @@ class FmuSession:
         if status < 0:
             name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
             return f"the FMU crashed {when} ({name})"
+        if status >= WINDOWS_EXCEPTION:
+            return f"the FMU crashed {when} (exit status 0x{status:08X})"
         return f"the FMU ended its process {when} (exit status {status})"
 
     def _last_output(self) -> str:

@@ -18,7 +18,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jsbsim
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
@@ -26,11 +25,11 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.files.xml import read_xml
-from sim_heating.base.kernels.jit import njit
-from sim_heating.heating.atmosphere import HIGHEST_M, us76_kernel
+from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.trajectory.aero import Aero, load_aero
+from sim_heating.trajectory.dispersed_air import air_kernel, dispersion_block
+from sim_heating.trajectory.jsbsim.library import jsbsim
 from sim_heating.trajectory.jsbsim.model import control_path, write_aircraft
-from sim_heating.trajectory.schedules import pack, scheduled
 from sim_heating.trajectory.spec import Dispersions
 
 FT_M = 0.3048
@@ -41,7 +40,6 @@ RANKINE_K = 1.0 / 1.8
 LOWEST_M = -1000.0
 """Altitude below which a vehicle has hit the ground [m]."""
 
-DENSITY_FACTOR, WIND_NORTH, WIND_EAST = 0, 2, 4
 JSBSIM_ERRORS = (jsbsim.BaseError, RuntimeError, ValueError, IndexError, ArithmeticError, MemoryError)
 """What JSBSim raises: its own errors, and those that its binding makes of exceptions of the C++ library."""
 
@@ -88,20 +86,6 @@ class InitialState(NamedTuple):
     longitude_deg: float = 0.0
     alpha_deg: float = 0.0
     bank_deg: float = 0.0
-
-
-@njit
-def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float, float, float, float]:
-    """Temperature [K], pressure [Pa], density [kg/m3] and wind to north and east [m/s] at an altitude."""
-    T, p, rho = us76_kernel(altitude_m)
-    factor = scheduled(dispersions, DENSITY_FACTOR, altitude_m)
-    north, east = scheduled(dispersions, WIND_NORTH, altitude_m), scheduled(dispersions, WIND_EAST, altitude_m)
-    return T, factor * p, factor * rho, north, east
-
-
-def dispersion_block(d: Dispersions) -> FloatArray:
-    """Density factor and winds over altitude as `air_kernel` reads them."""
-    return pack((), d.schedules)
 
 
 class JSBSimHost:
