@@ -1,4 +1,4 @@
-"""The platform that an FMU is exported for and the one that runs: a C compiler of the one serves the other only if equal."""
+"""Platforms of exported FMUs: a C compiler of this machine links for the platform that runs, and for no other."""
 
 from __future__ import annotations
 
