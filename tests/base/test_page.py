@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from rich.text import Text
 
 from sim_heating.base.errors import printable
+from sim_heating.base.report.chart import Chart, Curve, Panel, Span
 from sim_heating.base.report.figure import add_grid_and_title, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Column, Table
@@ -29,9 +31,15 @@ def page() -> Page:
     add_grid_and_title(figure, hostile("title-of-a-picture"), np.array([axes]))
     column = Column(hostile("head"), hostile("key"), is_text=True)
     table = Table(hostile("caption"), [column, "number"], [[hostile("cell"), 1.0]])
+    sorted_table = replace(table, sortable=True, choices=[hostile("head")], links=[hostile("javascript:link")])
+    curve = Curve(hostile("curve"), np.arange(9.0), np.arange(9.0), "tab:blue")
+    panel = Panel(hostile("panel"), [curve])
+    spans = [Span(1.0, 2.0, hostile("span"))]
+    chart = Chart(hostile("chart"), [panel], hostile("chart-caption"), spans=spans, time=hostile("time"))
     section = Section(
-        hostile("section"), [hostile("text")], [hostile("point")], [table], [Picture(figure, hostile("alternative"))]
-    )
+        hostile("section"), [hostile("text")], [hostile("point")], [table, sorted_table],
+        [Picture(figure, hostile("alternative"))], [chart],
+    )  # fmt: skip
     conclusion = (hostile("conclusion"), hostile("explanation"))
     return Page(hostile("title"), hostile("subtitle"), [section], conclusion, [hostile("warning")])
 

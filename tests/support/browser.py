@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 import shutil
 import subprocess
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+
+from sim_heating.base.report.page import CHART_SCRIPTS, TABLE_SCRIPTS
+from tests.support.paths import ROOT
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed")
@@ -32,16 +38,23 @@ POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>\n?')
 EVERY_EVENT = """<script>
 for (const e of document.querySelectorAll("*")) {
   for (const kind of ["click", "mouseover", "focus", "load", "error"]) e.dispatchEvent(new Event(kind));
-  if (e.href) e.click();
+  if (e.href && (e.protocol !== "file:" || e.hash)) e.click();
 }
 </script>"""
-"""What a reader may do, added by a test to a page without its policy: every element is touched, every link followed."""
+"""What a reader may do, added by a test to a page without its policy: every element is touched, every link
+followed that leads to no other file."""
 CONTENT = {
     "html", "head", "meta", "title", "style", "body", "main", "header", "h1", "h2", "p", "div", "strong", "nav", "a",
     "section", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption",
-    "footer",
+    "footer", "noscript", "script",
 }  # fmt: skip
-ATTRIBUTES = {"lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv"}
+ATTRIBUTES = {
+    "lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv",
+    "type", "data-rows", "data-choice", "data-value",
+}  # fmt: skip
+
+SCRIPTS = (*CHART_SCRIPTS, *TABLE_SCRIPTS)
+"""Scripts that a page may have, in this order."""
 
 
 def hostile(where: str, without: str = "") -> str:
@@ -66,28 +79,49 @@ def shown(page: Path) -> str:
 
 
 def assert_harmless(html: str, folder: Path) -> None:
-    """Nothing runs on a page, though its own policy is taken out and all its elements are touched."""
-    assert len(POLICY.findall(html)) == 1
+    """Nothing runs on a page but its own scripts, though its policy is taken out and all its elements are touched."""
+    (policy,) = POLICY.findall(html)
+    elements = _Elements(html)
+    for script in elements.scripts:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        assert f"sha256-{digest}" in unescape(policy)
+    assert elements.scripts == [s for s in map(own_script, SCRIPTS) if s in elements.scripts]
     (folder / "unprotected.html").write_text(POLICY.sub("", html).replace("</body>", EVERY_EVENT + "</body>"))
     dom = shown(folder / "unprotected.html")
     assert re.findall(r'data-ran="([^"]*)"', dom) == []
-    assert dom.count("<script") == 1  # that of this test
-    elements = _Elements(html)
+    assert _Elements(dom).scripts == [*elements.scripts, EVERY_EVENT.split(">", 1)[1].rsplit("<", 1)[0]]
     assert elements.tags <= CONTENT
     assert elements.attributes <= ATTRIBUTES
-    assert all(re.match(r"#s\d+$|data:image/(svg\+xml|png);base64,", address) for address in elements.addresses)
+    assert all(re.match(r"#s\d+$|\./|data:image/(svg\+xml|png);base64,", address) for address in elements.addresses)
     assert not re.search("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e]", html)
 
 
 class _Elements(HTMLParser):
-    """Elements, attributes and addresses of a page."""
+    """Elements, attributes, addresses and scripts of a page; data for its scripts are none."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
         self.tags, self.attributes, self.addresses = set[str](), set[str](), list[str]()
+        self.scripts: list[str] = []
+        self._in_script = False
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
+        self._in_script = tag == "script" and ("type", "application/json") not in attrs
+        if self._in_script:
+            self.scripts.append("")
         self.attributes |= {name for name, _ in attrs}
         self.addresses += [value or "" for name, value in attrs if name in ("href", "src")]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_script = False
+
+    def handle_data(self, data: str) -> None:
+        if self._in_script:
+            self.scripts[-1] += data
+
+
+def own_script(name: str) -> str:
+    """A script of the package."""
+    return (ROOT / "sim_heating" / "base" / "report" / name).read_text()

@@ -2,29 +2,36 @@
 
     write_page(path, Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
 
-The file is complete: style and figures are embedded, nothing is loaded. Every text is escaped, and the page's own
-policy forbids scripts and addresses elsewhere: names in it come from input files, and other people open it.
+The file is complete: style, figures and scripts are embedded, nothing is loaded. Every text is escaped, and the page's
+own policy forbids addresses elsewhere and all scripts but ours, by their digests: names in it come from input files,
+and other people open it. A page has a script only for its charts (`chart.js` and uPlot) and for its sortable tables
+(`table.js`); without scripts it shows pictures and all rows.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import jinja2
 import matplotlib as mpl
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sim_heating.base.errors import printable
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
+from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
 from sim_heating.base.report.figure import explanation, picture_file
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
+CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/uPlot.min.css"
+TABLE_SCRIPTS = ("table.js",)
 RASTER_DPI = 130
 """Resolution of the rasterized parts of a figure."""
 
@@ -73,13 +80,14 @@ def _data_url(media: str, content: bytes) -> str:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with paragraphs, points, tables and pictures, in this order."""
+    """A heading with paragraphs, points, tables, charts and pictures, in this order; several charts side by side."""
 
     title: str
     text: Sequence[str] = ()
     points: Sequence[str] = ()
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture | SavedPicture] = ()
+    charts: Sequence[Chart] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +108,45 @@ class Page:
 
 def page_html(page: Page) -> str:
     """The page as text; everything in it is escaped."""
-    return _template().render(page=page, program=f"sim-heating {package_version()}")
+    charts = [c for section in page.sections for c in section.charts]
+    names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
+    scripts = [_asset(name) for name in names]
+    return _template().render(
+        page=page, program=f"sim-heating {package_version()}", scripts=scripts, policy=" ".join(map(_digest, scripts)),
+        style=_asset(CHART_STYLE) if charts else "", drawn=partial(_drawn, intervals=intervals_of(charts)),
+        has_charts=bool(charts),
+    )  # fmt: skip
+
+
+def _sortable(page: Page) -> bool:
+    return any(table.sortable for section in page.sections for table in section.tables)
+
+
+@dataclass(frozen=True)
+class _DrawnChart:
+    """A chart as the template shows it: its data, a sentence on their decimation, and the picture in its place."""
+
+    chart: Chart
+    data: Markup
+    note: str
+    picture_url: str
+
+
+def _drawn(chart: Chart, intervals: int) -> _DrawnChart:
+    data, note = chart_data(chart, intervals)
+    picture = chart.picture or Picture(chart.figure, chart.title)
+    return _DrawnChart(chart, Markup(script_json(data)), note, picture.data_url)
+
+
+@cache
+def _asset(name: str) -> Markup:
+    """A script or a style of our own, as it is."""
+    return Markup((Path(__file__).parent / name).read_text(encoding="utf-8"))
+
+
+def _digest(script: str) -> str:
+    """The digest of a script as a Content-Security-Policy names it."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def write_page(path: Path, page: Page) -> None:
@@ -113,6 +159,6 @@ def _template() -> jinja2.Template:
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        finalize=lambda value: printable(value) if isinstance(value, str) else value,
+        finalize=lambda value: printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value,
     )  # fmt: skip
     return environment.get_template(TEMPLATE)

@@ -16,6 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,14 +58,20 @@ class Column:
 class Table:
     """Rows of values under columns; a column may be given by its head alone. The first column is text.
 
-    title  : what the table shows
-    strong : indices of the highlighted rows
+    title    : what the table shows
+    strong   : indices of the highlighted rows
+    sortable : whether the reader of a page can sort its rows, and filter them by a text
+    choices  : heads of columns by whose values the rows are filtered, too
+    links    : of each row, the page that its first cell leads to, relative to the page; None for no page
     """
 
     title: str
     columns: Sequence[Column | str]
     rows: Sequence[Sequence[Any]]
     strong: Sequence[int] = ()
+    sortable: bool = False
+    choices: Sequence[str] = ()
+    links: Sequence[str | None] = ()
 
     @property
     def layout(self) -> list[Column]:
@@ -77,6 +84,17 @@ class Table:
         """The cells of each row, formatted for a reader."""
         return [[c.text(v) for c, v in zip(self.layout, row, strict=True)] for row in self.rows]
 
+    @property
+    def sort_values(self) -> list[list[str]]:
+        """What the cells of each row are sorted by: a number in full; empty for a text, and for a missing value."""
+        return [[_sort_value(value) for value in row] for row in self.rows]
+
+    @property
+    def addresses(self) -> list[str | None]:
+        """Address of the page of each row, percent-encoded and relative; None where it has none."""
+        links = [*self.links, *[None] * (len(self.rows) - len(self.links))]
+        return [None if link is None else f"./{quote(link)}" for link in links]
+
     def columns_by_key(self) -> dict[str, NDArray[Any]]:
         """One array a column, by its key; a missing number is NaN."""
         values = {c.key: [row[i] for row in self.rows] for i, c in enumerate(self.layout)}
@@ -85,3 +103,8 @@ class Table:
     def csv(self, formats: Mapping[str, str] | str | None = None, header: Mapping[str, object] | None = None) -> str:
         """The table as CSV text; formats and header as `csv_text` takes them."""
         return csv_text(self.columns_by_key(), formats, header)
+
+
+def _sort_value(value: Any) -> str:
+    number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+    return repr(float(value)) if number and math.isfinite(value) else ""
