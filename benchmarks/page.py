@@ -14,7 +14,17 @@ MARKED = re.compile(r"(<!-- results of ([\w, ]+) -->\n).*?(<!-- end -->)", re.DO
 
 def fill(page: Path, text_of: Callable[[str], str]) -> None:
     """Replace each marked part of a page by the text that belongs to its name."""
-    page.write_text(MARKED.sub(lambda found: f"{found[1]}{text_of(found[2])}{found[3]}", page.read_text()))
+    page.write_text(filled(page.read_text(), text_of))
+
+
+def filled(text: str, text_of: Callable[[str], str | None]) -> str:
+    """Text of a page with each marked part replaced by the text that belongs to its name, where that is not None."""
+
+    def replaced(found: re.Match[str]) -> str:
+        new = text_of(found[2])
+        return found[0] if new is None else f"{found[1]}{new}{found[3]}"
+
+    return MARKED.sub(replaced, text)
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -1,4 +1,4 @@
-"""Tables of docs/evidence/reliability.md from the results of the benchmarks: `python -m benchmarks.reliability`.
+"""Tables of docs/evidence/reliability.md from the results of the benchmarks, written by `benchmarks.page_figures`.
 
 A table stands between `<!-- results of NAME -->` and `<!-- end -->`. Where results/NAME.json does not exist, the page
 says which command makes it.
@@ -11,19 +11,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.measure import RESULTS
-from benchmarks.page import DOCS, fill, markdown_table
+from benchmarks.page import markdown_table
 
-PAGE = DOCS / "evidence" / "reliability.md"
+NAMES = ("mutants", "kills", "concurrency")
+"""Benchmarks that have tables here."""
 GOOD = ("accepted", "refused", "failed")
 
 
-def main() -> None:
-    """Rewrite the page."""
-    fill(PAGE, _text)
-
-
-def _text(marked: str) -> str:
+def table_of(marked: str) -> str | None:
+    """The table of a marked part of a page: `NAME`, or `NAME, PART`; None for a benchmark without tables here."""
     name, _, part = marked.partition(", ")
+    if name not in NAMES:
+        return None
     path = RESULTS / f"{name}.json"
     if not path.is_file():
         return f"Not run yet: `python -m benchmarks {name}`.\n"
@@ -86,7 +85,3 @@ def pairs(results: Mapping[str, Any]) -> str:
     ways = sorted({how for row in results["pairs"].values() for how in row})
     rows = [(name, *(row.get(how, 0) for how in ways)) for name, row in results["pairs"].items()]
     return markdown_table(("pair", *ways), rows)
-
-
-if __name__ == "__main__":
-    main()
