@@ -16,7 +16,13 @@ import click
 
 from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals
-from sim_heating.cli.console import ERRORS, show_warning
+from sim_heating.cli.console import ERRORS, show_warning, silent_console
+from sim_heating.cli.output import (
+    CommandReport,
+    name_command,
+    reporting,
+    with_common_options,
+)
 
 COMMANDS = {
     "run": "simulate",
@@ -54,7 +60,7 @@ class LazyGroup(click.Group):
         module = import_module(f"{__name__}.{COMMANDS[cmd_name]}")
         command = getattr(module, cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
-        return command
+        return with_common_options(command)
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -71,49 +77,79 @@ def cli() -> None:
         user_effect_files()  # a folder that does not exist is refused by all commands, whether they use effects or not
 
 
+with_common_options(cli)
+
+
 def main(arguments: list[str] | None = None, signals: EndingSignals | None = None) -> int:
     """Run the command; its exit status: 0 done, 1 failed, 2 bad usage or input, 130 after Ctrl-C, 143 after SIGTERM.
 
     signals : handlers of the process, where it is the command's own
     """
     signals = signals or EndingSignals()
+    given = sys.argv[1:] if arguments is None else arguments
+    with reporting(given) as report:
+        try:
+            with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
+                status = _status(given, report, signals)
+        except Exception as error:  # a fault of the program, whose traceback follows
+            report.error = {"kind": "internal", "message": one_line(repr(error)), "problems": []}
+            report.print_json(1)
+            raise
+        try:
+            report.print_json(status)
+        except OSError as error:
+            return _system_error(report, error)
+    return status
+
+
+def _status(arguments: list[str], report: CommandReport, signals: EndingSignals) -> int:
+    """Run the command, report its errors and interrupts; exit status."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = show_warning  # type: ignore[assignment]
-            status = _exit_status(arguments)
+            status = _exit_status(arguments, report)
         sys.stdout.flush()
     except (KeyboardInterrupt, click.Abort):
-        return _interrupted(signals)
+        return _interrupted(report, signals)
     except Exception as error:
         if signals.received:  # a library has made another error of the interrupt
-            return _interrupted(signals)
+            return _interrupted(report, signals)
         if not isinstance(error, OSError):
             raise
-        ERRORS.print(one_line(f"failed: {error.filename or 'system'}: {error.strerror or error}"))
-        return 1
+        return _system_error(report, error)
     return signals.exit_status if signals.received else status
 
 
-def _interrupted(signals: EndingSignals) -> int:
+def _interrupted(report: CommandReport, signals: EndingSignals) -> int:
     """Report an interrupt; exit status."""
     exec("")  # Python would end by SIGINT whatever the status, if the interrupt came within an exec() of some library
-    ERRORS.print("interrupted: nothing was left half-written")
-    return signals.exit_status
+    return _failed(report, signals.exit_status, "interrupted", "interrupted", "nothing was left half-written")
 
 
-def _exit_status(arguments: list[str] | None) -> int:
+def _system_error(report: CommandReport, error: OSError) -> int:
+    """Report an error of the system, such as a full disk; exit status."""
+    return _failed(report, 1, "failed", "system", one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
+
+
+def _exit_status(arguments: list[str], report: CommandReport) -> int:
     """Run the command, report its errors; exit status. Interrupts and errors of the system are raised."""
     try:
         cli.main(arguments, prog_name="sim-heating", standalone_mode=False)
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
-        ERRORS.print(f"error: {error.format_message()}")
-        return 2
+        name_command(getattr(error, "ctx", None))
+        return _failed(report, 2, "error", "usage", error.format_message())
     except InputError as error:
-        ERRORS.print(f"error: {error}")
-        return 2
+        return _failed(report, 2, "error", "input", *error.problems)
     except RunError as error:
-        ERRORS.print(f"failed: {error}")
-        return 1
+        return _failed(report, 1, "failed", "failed", str(error))
     return 0
+
+
+def _failed(report: CommandReport, status: int, label: str, kind: str, *problems: str) -> int:
+    """Print why a command did not succeed, and enter it in the report; its exit status."""
+    message = "\n".join(problems)
+    ERRORS.print(f"{label}: {message}")
+    report.error = {"kind": kind, "message": message, "problems": list(problems)}
+    return status

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import RunError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, print_table, print_warning, progress_line
+from sim_heating.cli.output import report_files, report_results
 
 
 @click.command()
@@ -21,6 +22,7 @@ def campaign(campaign_file: Path, out: Path, scheduler: str | None, workers: int
 
     What is finished in the directory of the results, and still current, is not done again.
     """
+    from sim_heating.base.files import all_files_written
     from sim_heating.campaign.report import totals
     from sim_heating.campaign.run import run_campaign
     from sim_heating.campaign.spec import load_campaign
@@ -30,8 +32,10 @@ def campaign(campaign_file: Path, out: Path, scheduler: str | None, workers: int
         result = run_campaign(loaded, out, scheduler=scheduler, workers=workers, progress=progress)
     print_table(totals(result))
     for line in (*result.omitted, *result.refused):
-        CONSOLE.print(line)
+        print_warning(line)
     CONSOLE.print(f"Wrote {out}: report.html, campaign.json, fits.csv, errors.csv, and a folder for each part")
+    report_files(out, all_files_written(out))
+    report_results(out / "campaign.json")
     failed = [r for r in (*result.closed, *result.fits, *result.joint) if "failed" in r]
     if failed:
         raise RunError(f"{len(failed)} parts failed; the others are done and kept")

@@ -17,8 +17,10 @@ from sim_heating.cli.console import (
     comma_list,
     print_outputs,
     print_table,
+    print_warning,
     progress_line,
 )
+from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
     from sim_heating.closure.report import Closure, ParameterEstimate
@@ -51,7 +53,7 @@ def close_loop(
     RECORDS are directories of flight records, or directories that hold such; each record is treated by itself, unless
     --joint is given: records of one control point, or of neighbouring points, then state what they have in common.
     """
-    from sim_heating.base.files import require_writable
+    from sim_heating.base.files import all_files_written, require_writable
     from sim_heating.closure.close import FILES, write_closed_loop
     from sim_heating.closure.close import close_loop as close_one
     from sim_heating.closure.several.batch import close_all, find_records, summary_row
@@ -71,7 +73,7 @@ def close_loop(
             names = write_closed_loop(closed, out)
         _print_rows([summary_row(closed.report)])
         _print_details(closed.report)
-        print_outputs(out, names)
+        print_outputs(out, names, "closure.json")
         return
     with progress_line("close-loop") as progress:
         rows = close_all(
@@ -80,8 +82,10 @@ def close_loop(
     _print_rows(rows)
     for row in rows:
         for line in row.get("fault_messages", ()):
-            CONSOLE.print(line)
+            print_warning(line)
     CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record")
+    report_files(out, all_files_written(out))
+    report_results(out / "summary.json")
     failed = [row for row in rows if "failed" in row]
     for row in failed:
         ERRORS.print(f"{row['record']}: {row['failed']}")
@@ -116,9 +120,11 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
     for line in report.statement.would_tell():
         CONSOLE.print(f"Would tell them apart: {line}")
-    for line in (*report.remarks(), *report.warnings):
+    for line in report.remarks():
         CONSOLE.print(line)
-    print_outputs(out, names)
+    for line in report.warnings:
+        print_warning(line)
+    print_outputs(out, names, "closure.json")
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
@@ -133,7 +139,7 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
 def _print_details(report: Closure) -> None:
     """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
     for fault in report.faults:
-        CONSOLE.print(fault.message)
+        print_warning(fault.message)
     CONSOLE.print(f"{report.statement.in_words()}. {report.statement.certainty()}")
     for cause in report.statement.not_effects:
         CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
@@ -146,7 +152,7 @@ def _print_details(report: Closure) -> None:
         for line in report.evidence.proposal():
             CONSOLE.print(line)
     for line in report.warnings:
-        CONSOLE.print(line)
+        print_warning(line)
     CONSOLE.print(f"Calibration: {report.false_alarm}")
 
 

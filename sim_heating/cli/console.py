@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from sim_heating.base.errors import InputError, one_line, printable
+from sim_heating.base.progress import no_progress
+from sim_heating.cli.output import current_report, report_files, report_results
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
@@ -37,9 +41,30 @@ CONSOLE = PlainConsole(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 ERRORS = PlainConsole(stderr=True, soft_wrap=True)
 
 
+@contextmanager
+def silent_console(is_silent: bool) -> Iterator[None]:
+    """Print no results within the block; errors, warnings and, without --quiet, progress are printed."""
+    before, CONSOLE.quiet = CONSOLE.quiet, is_silent
+    try:
+        yield
+    finally:
+        CONSOLE.quiet = before
+
+
 def show_warning(message: Warning | str, *_: Any) -> None:
     """Print a warning on one line, without the place in the program that Python adds."""
-    ERRORS.print(f"warning: {one_line(str(message))}")
+    line = one_line(str(message))
+    current_report().warnings.append(line)
+    ERRORS.print(f"warning: {line}")
+
+
+def print_warning(line: str) -> None:
+    """Print a warning about the results: among them in red, on standard error where they are not printed."""
+    current_report().warnings.append(line)
+    if CONSOLE.quiet:
+        ERRORS.print(f"warning: {one_line(line)}")
+    else:
+        CONSOLE.print(line, style="red")
 
 
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
@@ -91,29 +116,72 @@ ROOT = click.option(
 )
 
 
+TEXT_INTERVAL_S = 15.0
+"""Least time [s] between two lines of progress on one stage, where the output is not a terminal."""
+ESTIMATE_AFTER_S = 2.0
+"""Time [s] after which a remaining time is estimated."""
+
+
 @contextmanager
 def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
-    """A progress line on the terminal; where the output is not a terminal, one line of text for each stage."""
+    """Progress on standard error: a line that is renewed on a terminal, elsewhere a line of text for each stage.
+
+    Both state the fraction done and, from the time it took, the time that remains. A long stage has further lines of
+    text.
+    """
     title = one_line(title)
+    if current_report().is_quiet:
+        yield no_progress
+        return
+    if not ERRORS.is_terminal:
+        yield _progress_text(title)
+        return
     texts = (TextColumn(field, markup=False) for field in ("{task.description}", "{task.fields[text]}"))
-    columns = (next(texts), BarColumn(), next(texts), TimeElapsedColumn())
-    with Progress(*columns, console=ERRORS, transient=True, disable=not ERRORS.is_terminal) as bar:
+    columns = (
+        next(texts), BarColumn(), TaskProgressColumn(), next(texts), TimeElapsedColumn(), TimeRemainingColumn()
+    )  # fmt: skip
+    with Progress(*columns, console=ERRORS, transient=True) as bar:
         task = bar.add_task(title, total=1.0, text="starting")
-        last = [""]
-
-        def report_progress(fraction: float, text: str) -> None:
-            bar.update(task, completed=fraction, text=one_line(text))
-            stage = text.split(":")[0]
-            if not ERRORS.is_terminal and stage != last[0]:
-                last[0] = stage
-                ERRORS.print(f"{title}: {stage} ...")
-
-        yield report_progress
+        yield lambda fraction, text: bar.update(task, completed=fraction, text=one_line(text))
 
 
-def print_outputs(out: Path, names: list[str]) -> None:
-    """Print the names of the files written into a directory, without hidden ones."""
+def _progress_text(title: str) -> Callable[[float, str], None]:
+    """Progress as lines of text, such as `popu: flying, 40 %, about 12 s remain ...`."""
+    begun_s = time.monotonic()
+    last_stage, last_s = "", -math.inf
+
+    def report_progress(fraction: float, text: str) -> None:
+        nonlocal last_stage, last_s
+        stage, now_s = text.split(":")[0], time.monotonic()
+        if stage == last_stage and now_s - last_s < TEXT_INTERVAL_S:
+            return
+        line = title + ": " + one_line(stage if stage != last_stage else text)
+        elapsed_s = now_s - begun_s
+        if 0.0 < fraction < 1.0:
+            line += f", {100.0 * fraction:.0f} %"
+            if elapsed_s > ESTIMATE_AFTER_S:
+                line += f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
+        last_stage, last_s = stage, now_s
+        ERRORS.print(f"{line} ...")
+
+    return report_progress
+
+
+def _duration(seconds: float) -> str:
+    """A time as a person says it: seconds to two minutes, then minutes, then hours."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, Any]) -> None:
+    """Print the names of the files written into a directory, without hidden ones.
+
+    results : the JSON file among them that holds the results, or results, for --json
+    """
     names = [n for n in names if not Path(n).name.startswith(".")]
+    report_files(out, names)
+    report_results(out / results if isinstance(results, str) else results)
     pictures = [n for n in names if n.endswith(".png")]
     files = [n for n in names if not n.endswith(".png")]
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
+from sim_heating.cli.console import (
+    CONSOLE,
+    OUT,
+    PATH,
+    ROOT,
+    comma_list,
+    print_outputs,
+    print_table,
+    print_warning,
+    progress_line,
+)
 from sim_heating.cli.parameter_options import merged_settings, parameter_options
 
 if TYPE_CHECKING:
@@ -237,11 +247,11 @@ def estimate(
     for name, why in found.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
     for line in fitted.warnings:
-        CONSOLE.print(line, style="red")
+        print_warning(line)
     if fitted.innovations is not None:
         CONSOLE.print(fitted.innovations.levels.noise.summary())
     _print_errors(found)
-    print_outputs(out, names)
+    print_outputs(out, names, "estimate.json")
     if not found.converged:
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
@@ -282,8 +292,8 @@ def _estimate_trend(
     for line in found.left_out[:3]:
         CONSOLE.print(f"left out: {line}")
     for line in found.warnings:
-        CONSOLE.print(line, style="red")
-    print_outputs(out, names)
+        print_warning(line)
+    print_outputs(out, names, {"segments": len(found.segments), "left_out": found.left_out})
 
 
 def _print_errors(found: Any) -> None:
@@ -353,7 +363,7 @@ def design(
     _print_checks(found)
     for line in notes(designed):
         CONSOLE.print(line)
-    print_outputs(out, names)
+    print_outputs(out, names, "design.json")
 
 
 def _print_checks(found: dict[str, Any]) -> None:

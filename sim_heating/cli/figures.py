@@ -81,6 +81,6 @@ def figures(
             CONSOLE.print(f"    {line}")
     for number, reason in found.left_out.items():
         CONSOLE.print(f"Figure {number} is left out: {reason}")
-    print_outputs(out, names)
+    print_outputs(out, names, "figures.json")
     if not found.drawn:
         raise InputError("figures: these flights give none of them; the reasons are above")

@@ -9,6 +9,7 @@ import click
 
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.cli.console import CONSOLE, PATH, ROOT, comma_list, progress_line
+from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
     from sim_heating.simulation.fmu_export.image import Image
@@ -93,8 +94,8 @@ def export(
             loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, input_timing=input_timing,
             progress=progress,
         )  # fmt: skip
-    count = len(loaded.control_points if points is None else points)
-    _print_export(out, image, fmi, platforms, f"{count} control points, ")
+    names = list(loaded.control_points) if points is None else list(points)
+    _print_export(out, image, fmi, platforms, names)
 
 
 @fmu.command("trajectory")
@@ -123,10 +124,16 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...], 
     _print_export(out, image, fmi, platforms)
 
 
-def _print_export(out: Path, image: Image, fmi: str, platforms: tuple[str, ...], content: str = "") -> None:
-    """Print version, content, platforms and size of an FMU that was written."""
+def _print_export(
+    out: Path, image: Image, fmi: str, platforms: tuple[str, ...], points: list[str] | None = None
+) -> None:
+    """Print version, control points, platforms and size of an FMU that was written."""
     from sim_heating.simulation.fmu_export.description import variables_of
 
     count = sum(1 for _ in variables_of(image, int(fmi)))
+    content = "" if points is None else f"{len(points)} control points, "
     about = f"FMI {fmi}.0, {content}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
     CONSOLE.print(f"Wrote {out}: {about}", soft_wrap=True)
+    report_files(None, [out])
+    found = {"fmi": f"{fmi}.0", "variables": count, "platforms": platforms, "bytes": out.stat().st_size}
+    report_results(found if points is None else found | {"control_points": points})

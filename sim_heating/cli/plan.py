@@ -32,7 +32,7 @@ def plan(
             print_table(table)
         for note in result.notes:
             CONSOLE.print(note)
-    print_outputs(out, list(planned.files))
+    print_outputs(out, planned.files, "study.json")
     for name, why in planned.failed.items():
         ERRORS.print(f"{name}: {why}")
     if planned.failed:

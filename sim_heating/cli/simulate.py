@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, RunError, error_context
-from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, comma_list, print_outputs, print_table, progress_line
+from sim_heating.cli.console import (
+    CONSOLE,
+    OUT,
+    PATH,
+    ROOT,
+    comma_list,
+    print_outputs,
+    print_table,
+    print_warning,
+    progress_line,
+)
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
@@ -46,7 +56,7 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
     found = summary(result)
     _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
     _print_run_warnings(found)
-    print_outputs(out, names)
+    print_outputs(out, names, found)
 
 
 def _print_with_margins(table: Table) -> None:
@@ -64,10 +74,10 @@ def _print_run_warnings(found: dict[str, Any]) -> None:
 
     for event in found["events"]:
         if event["what"].endswith(NOT_FLOWN):
-            CONSOLE.print(event["what"], style="red")
+            print_warning(event["what"])
     _print_range_warnings(found["control_points"])
     if found["beyond_reference"]:
-        CONSOLE.print(found["beyond_reference"])
+        print_warning(found["beyond_reference"])
     difference = found["plugin_apart_K"]
     if difference:
         CONSOLE.print(
@@ -82,12 +92,12 @@ def _print_range_warnings(points: dict[str, Any]) -> None:
         for o in point["outside_table"]:
             outside.setdefault(o["variable"], []).append(name)
         if point["negative_ratio_s"] > 0.0:
-            CONSOLE.print(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
+            print_warning(f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s")
     for variable, names in outside.items():
         every = [o for n in names for o in points[n]["outside_table"] if o["variable"] == variable]
         longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
         more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-        CONSOLE.print(
+        print_warning(
             f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{more}, up to {longest:.0f} s "
             f"and {farthest:.3g} beyond; the edge value was held (details in summary.json)"
         )
@@ -115,8 +125,9 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
         names = write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())
     count = f"{len(records)} record" + ("s" if len(records) > 1 else "")
-    CONSOLE.print(f"{count}, {samples} readings, seed {loaded.declared.measurements.seed}")
-    print_outputs(out, names)
+    seed = loaded.declared.measurements.seed
+    CONSOLE.print(f"{count}, {samples} readings, seed {seed}")
+    print_outputs(out, names, {"records": sorted(records), "readings": samples, "seed": seed})
 
 
 @click.command()
@@ -144,7 +155,7 @@ def demo(out: Path) -> None:
     found = run.summary(flown)
     _print_with_margins(run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse_K))
     _print_run_warnings(found)
-    print_outputs(out, names)
+    print_outputs(out, names, {"popu": found, "sts96": {"rmse_K": rmse_K}})
 
 
 @contextmanager
@@ -253,14 +264,18 @@ def predict(
             progress(i / len(loaded), f"marching {record.name}")
             model, flow = models[i]
             predictions.append(predict_record(record, model.without_effects(absent), flow=flow))
-        for prediction, folder in zip(predictions, folders, strict=True):
-            write_prediction(prediction, folder)
+        names = [
+            (folder / name).relative_to(out)
+            for prediction, folder in zip(predictions, folders, strict=True)
+            for name in write_prediction(prediction, folder)
+        ]
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
     _print_range_warnings(summaries)
     for name, found in summaries.items():
         if found["beyond_reference"]:
-            CONSOLE.print(f"{name}: {found['beyond_reference']}")
+            print_warning(f"{name}: {found['beyond_reference']}")
     for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
         CONSOLE.print(line)
-    CONSOLE.print(f"Wrote {out}: temperatures.csv, summary.json, prediction.png for each record")
+    results = next(iter(summaries.values())) if len(summaries) == 1 else {"records": summaries}
+    print_outputs(out, map(str, names), results)

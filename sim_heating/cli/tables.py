@@ -8,6 +8,7 @@ import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
+from sim_heating.cli.output import report_files, report_results
 
 
 @click.command("update-tables")
@@ -66,12 +67,15 @@ def update_tables(
     place, made = updated.vehicle, updated.revision
     if place is None or made is None:
         CONSOLE.print("Dry run: nothing was written")
+        report_results({"revision": None, "nodes_changed": updated.nodes_changed, "errors_K": updated.errors_K})
         return
     why = revision_path(place, made.control_point, made.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
     effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
     line = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
     CONSOLE.print(line, soft_wrap=True)
+    report_files(None, [place / made.table, why])
+    report_results(why)
 
 
 def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None) -> None:
@@ -87,6 +91,7 @@ def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None
     with progress_line("update-tables") as progress, revising(vehicle_directory(vehicle), progress):
         undone, now = revert(load_vehicle(vehicle, root=root), point)
     CONSOLE.print(f"{point}: revision {undone} undone; revision {now} is in force, byte for byte")
+    report_results({"control_point": point, "undone": undone, "revision": now})
 
 
 @click.command("ratio-tables")
@@ -101,7 +106,9 @@ def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     from sim_heating.inputs.ratio_sources import write_tables
 
     for vehicle in vehicles:
-        for path in write_tables(vehicle, root=root):
+        paths = write_tables(vehicle, root=root)
+        report_files(None, paths)
+        for path in paths:
             CONSOLE.print(display_path(path), soft_wrap=True)
 
 
@@ -114,9 +121,12 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
 
     Each [[compare]] of the scenario becomes one record, named after its control point.
     """
-    from sim_heating.base.files import display_path
+    from sim_heating.base.files import display_path, files_written
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.measured_records import write_compared_records
 
-    for path in write_compared_records(load_scenario(scenario, root=root), out):
+    paths = write_compared_records(load_scenario(scenario, root=root), out)
+    report_files(out, files_written(out))
+    report_results({"records": paths})
+    for path in paths:
         CONSOLE.print(display_path(path), soft_wrap=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, PATH, ROOT
+from sim_heating.cli.output import report_results
 
 
 @click.command()
@@ -18,10 +20,16 @@ def validate(paths: tuple[Path, ...], root: Path | None) -> None:
     from sim_heating.cli.path_check import check_path
 
     problems: list[str] = []
+    checked: list[dict[str, Any]] = []
     for path in paths:
         try:
-            CONSOLE.print(f"{path}: good. {check_path(path, root).summary}", soft_wrap=True)
+            found = check_path(path, root)
         except InputError as error:
             problems.extend(error.problems)
+            checked.append({"path": path, "is_good": False, "problems": error.problems})
+        else:
+            CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
+            checked.append({"path": path, "is_good": True, "kind": found.kind, "summary": found.summary})
+    report_results({"paths": checked})
     if problems:
         raise InputError(*problems)

@@ -20,6 +20,7 @@ from sim_heating.campaign.flights import read_flights
 from sim_heating.campaign.joint import agreement
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record
+from tests.support.json_output import run_json
 from tests.support.paths import SCENARIOS
 
 TRUTH = {"ratio.scale": 0.15, "ratio.d_alpha": 4e-4}
@@ -94,7 +95,9 @@ def test_a_campaign_of_the_same_files_repeats_nothing_and_one_that_lost_a_fit_re
     assert len(flown) == 3
     lost = min(fits)
     shutil.rmtree(lost.parent)
-    assert main(["campaign", str(home / "campaign.toml"), "--out", str(out), "--workers", "1"]) == 0
+    printed = run_json(capsys, "campaign", str(home / "campaign.toml"), "--out", str(out), "--workers", "1")
+    assert printed["results"] == report
+    assert {Path(name) for name in printed["files"]} >= {*fits, *flown, out / "report.html"}
     assert {p for p, t in fits.items() if p.stat().st_mtime_ns != t} == {lost}
     assert {p: p.stat().st_mtime_ns for p in flown} == flown
     assert read_json(out / "campaign.json") == report

@@ -18,6 +18,7 @@ from sim_heating.cli import main
 from sim_heating.estimation.report.estimate_file import read_estimate
 from sim_heating.estimation.report.report import estimate_contents
 from tests.support.gliding import gliding
+from tests.support.json_output import run_json
 from tests.support.paths import ROOT
 
 PRACTICE = ROOT / "scenarios" / "records" / "practice" / "p06"
@@ -87,8 +88,12 @@ def test_from_a_scenario_to_a_better_prediction_by_commands_alone(workdir: Path,
     assert after < 0.35 * before  # of another flight, whose clock lags by 0.6 s and whose alpha mean differs
 
 
-def test_estimate_json_holds_what_the_contract_names(workdir: Path, tmp_path: Path) -> None:
-    found = estimate("first", "--reference", "alpha_deg=40", out=tmp_path / "fit")
+def test_estimate_json_holds_what_the_contract_names(
+    workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = run_json(capsys, "estimate", "first", "--reference", "alpha_deg=40", "--out", str(tmp_path / "fit"))
+    found = read_json(tmp_path / "fit" / "estimate.json")
+    assert printed["results"] == found
     assert set(found) >= CONTRACT
     assert found["format"] == "estimate/1"
     assert found["records"] == ["first"]

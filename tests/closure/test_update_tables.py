@@ -40,6 +40,7 @@ from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.predict import predict
 from sim_heating.simulation.synthesize import synthesize, write_records
 from tests.support.gliding import gliding
+from tests.support.json_output import run_json
 from tests.support.paths import ROOT
 
 POINT = "V09T9527"
@@ -364,14 +365,16 @@ def test_an_update_interrupted_while_it_writes_leaves_the_vehicle_as_it_was(
 
 def test_a_dry_run_writes_nothing(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(workdir)
-    assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--dry-run"]) == 0
-    assert "nothing was written" in capsys.readouterr().out
+    printed = run_json(capsys, "update-tables", "first.json", "--vehicle", "./orbiter", "--dry-run")
+    assert (printed["files"], printed["results"]["revision"]) == ([], None)
     assert contents(workdir) == before
 
 
-def test_out_revises_a_copy_and_leaves_the_vehicle_alone(workdir: Path) -> None:
+def test_out_revises_a_copy_and_leaves_the_vehicle_alone(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(workdir / "orbiter")
-    assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--out", "mine"]) == 0
+    printed = run_json(capsys, "update-tables", "first.json", "--vehicle", "./orbiter", "--out", "mine")
+    assert {Path(name).suffix for name in printed["files"]} == {".csv", ".json"}
+    assert printed["results"]["control_point"] == POINT
     assert contents(workdir / "orbiter") == before
     assert read_ratio_table(table_of(workdir / "mine" / "orbiter")).header["revision"] == "2"
     assert [p.name for p in (workdir / "mine").iterdir()] == ["orbiter"]

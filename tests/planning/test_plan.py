@@ -26,6 +26,7 @@ from sim_heating import cli
 from sim_heating.base import parallel as batches
 from sim_heating.planning.study import load_study
 from tests.support.browser import assert_harmless, hostile, needs_browser
+from tests.support.json_output import run_json
 from tests.support.studies import entry_3dof
 
 STUDY = f"""
@@ -112,10 +113,11 @@ def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(stu
     assert results(busy) == results(fresh)
 
 
-def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path):
+def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path, capsys):
     out = tmp_path / "out"
-    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
+    printed = run_json(capsys, "plan", str(study), "--out", str(out), "--workers", "1")
     summary, loaded = json.loads((out / "study.json").read_text()), load_study(study)
+    assert printed["results"] == summary
     assert (summary["vehicle"], summary["revision"], summary["study"]) == ("orbiter", "1", loaded.hash)
     page = (out / "report.html").read_text()
     assert loaded.stamp in page

@@ -35,6 +35,7 @@ from sim_heating.simulation.fmu_export.library import (
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.run import fly_scenario
 from tests.support.fmu_hosts import SOURCES, Host, compile_host, link_model, run_host
+from tests.support.json_output import run_json
 from tests.support.paths import ROOT, SCENARIOS, TESTS
 
 POINTS = ["V09T9527", "NOSECAP", "BODYFLAP"]
@@ -580,8 +581,10 @@ def test_vector_intrinsics_are_allowed_and_fused_multiplication_is_not():
 
 def test_command_writes_an_fmu_and_reports_its_content(tmp_path, capsys):
     out = tmp_path / "deep" / "x.fmu"
-    assert main(["fmu", "export", "orbiter", "--out", str(out), "--control-points", "NOSECAP", "--fmi", "2"]) == 0
-    assert "FMI 2.0, 1 control points" in capsys.readouterr().out
+    arguments = ("fmu", "export", "orbiter", "--out", str(out), "--control-points", "NOSECAP", "--fmi", "2")
+    printed = run_json(capsys, *arguments)
+    assert printed["files"] == [str(out)]
+    assert (printed["results"]["fmi"], printed["results"]["control_points"]) == ("2.0", ["NOSECAP"])
     assert validate_fmu(out) == []
 
 

@@ -10,6 +10,7 @@ from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.results import (
     MARKER,
+    all_files_written,
     files_written,
     json_text,
     output_directory,
@@ -46,10 +47,10 @@ from sim_heating.base.files.transaction import exclusive, replace_files, require
 
 __all__ = [
     "COLDEST_K", "DIGEST", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
-    "LocatedError", "Location", "Roots", "celsius_rule", "check", "csv_text", "digest_matches", "display_path",
-    "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name", "output_directory",
-    "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text",
-    "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_exclusive", "require_writable",
-    "results_digest", "roots_of", "settle", "suggestion", "text_digest", "toml_text", "with_digest", "write_csv",
-    "write_json", "write_own_files", "write_text_atomic",
+    "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_text", "digest_matches",
+    "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name",
+    "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json",
+    "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "require_exclusive",
+    "require_writable", "results_digest", "roots_of", "settle", "suggestion", "text_digest", "toml_text",
+    "with_digest", "write_csv", "write_json", "write_own_files", "write_text_atomic",
 ]  # fmt: skip

@@ -192,6 +192,12 @@ def files_written(directory: str | os.PathLike[str]) -> set[str]:
     return set() if found is None else set(found[1])
 
 
+def all_files_written(directory: str | os.PathLike[str]) -> list[str]:
+    """Names, with `/`, of the files that this program wrote to a directory and to those below it, from their lists."""
+    folders = sorted(path.parent.relative_to(directory) for path in Path(directory).rglob(MARKER))
+    return sorted({(folder / name).as_posix() for folder in folders for name in files_written(directory / folder)})
+
+
 def results_digest(directory: str | os.PathLike[str]) -> str | None:
     """Digest of all results in a directory; None where one is missing, was changed, or there are none."""
     try:

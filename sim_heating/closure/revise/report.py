@@ -75,10 +75,14 @@ class UpdatedTables:
     vehicle: Path | None = None
     revision: RevisionFile | None = None
 
+    @property
+    def nodes_changed(self) -> int:
+        """Number of nodes of the laminar ratio table that change."""
+        return int(np.count_nonzero(self.update.laminar.changed))
+
     def __repr__(self) -> str:
-        nodes = int(np.count_nonzero(self.update.laminar.changed))
         number = "not written" if self.revision is None else f"revision {self.revision.revision}"
-        return f"<UpdatedTables of {self.update.point.name}: {nodes} nodes changed, {number}>"
+        return f"<UpdatedTables of {self.update.point.name}: {self.nodes_changed} nodes changed, {number}>"
 
 
 def update_tables(
