@@ -146,7 +146,7 @@ def progress_line(title: str) -> Iterator[Callable[[float, str], None]]:
 
 
 def _progress_text(title: str) -> Callable[[float, str], None]:
-    """Progress as lines of text, such as `popu: flying, 40 %, about 12 s remain ...`."""
+    """Progress as lines of text, such as `popu: flying (40 %, about 12 s remain) ...`."""
     begun_s = time.monotonic()
     last_stage, last_s = "", -math.inf
 
@@ -156,11 +156,10 @@ def _progress_text(title: str) -> Callable[[float, str], None]:
         if stage == last_stage and now_s - last_s < TEXT_INTERVAL_S:
             return
         line = title + ": " + one_line(stage if stage != last_stage else text)
-        elapsed_s = now_s - begun_s
         if 0.0 < fraction < 1.0:
-            line += f", {100.0 * fraction:.0f} %"
-            if elapsed_s > ESTIMATE_AFTER_S:
-                line += f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
+            elapsed_s = now_s - begun_s
+            left = f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
+            line += f" ({100.0 * fraction:.0f} %{left if elapsed_s > ESTIMATE_AFTER_S else ''})"
         last_stage, last_s = stage, now_s
         ERRORS.print(f"{line} ...")
 
