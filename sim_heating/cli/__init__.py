@@ -29,6 +29,7 @@ COMMANDS = {
     "synthesize": "simulate",
     "predict": "simulate",
     "demo": "simulate",
+    "new": "new",
     "validate": "validate",
     "estimate": "estimate",
     "design": "estimate",

@@ -12,7 +12,7 @@ docs/theory/estimation_statistics.md.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -34,10 +34,12 @@ from sim_heating.estimation.inference.observability import (
     MAGNITUDES,
     constant_variables,
     default_names,
+    default_thermal_names,
     deviations,
     least_determined,
     mean_ratio,
     parameters_without_heating,
+    uninformed,
     unsupported_derivatives,
     without_stuck_sensors,
 )
@@ -167,7 +169,8 @@ def estimate(
 
     records   : flight records or their directories, one or several
     names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them and the
-                tables can hold them. `default` among the names stands for these
+                tables can hold them; under a lamp, without any flow, emittance and the conductivity and heat capacity
+                of each layer, as far as the records inform them. `default` among the names stands for these
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
     effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
     fixed     : name -> value of a parameter that is not estimated, in place of the declared one
@@ -205,7 +208,7 @@ def estimate(
         ties=ties,
         starts=starts,
     )
-    wanted, omitted = _wanted(names, loaded, options)
+    wanted, omitted, optional = _wanted(names, loaded, options)
     condition = joint_reference(loaded, reference)
     remaining = _remaining_names(wanted, omitted, loaded)
     options = _without(options, set(omitted), Owners(loaded))
@@ -213,8 +216,8 @@ def estimate(
     problem = FitProblem(loaded, remaining, condition, options)
     _check_samples(problem)
     begin = _first_values(problem, first)
-    while worst := _least_determined(problem, begin):
-        # one at a time: each omission lowers the bounds of the others
+    while worst := _least_determined(problem, begin) or _uninformed(problem, begin, optional):
+        # derivatives one at a time: each omission lowers the bounds of the others
         omitted |= worst
         out = {m for u in problem.unknowns if u.label in worst for m in (u.tied or (u.label,))}
         remaining = _remaining_names([n for n in remaining if n not in out], omitted, loaded)
@@ -272,8 +275,9 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
 
 def _wanted(
     names: Sequence[str] | None, records: Sequence[Record], options: FitOptions
-) -> tuple[list[str], dict[str, str]]:
-    """Labels of the parameters that are to be estimated, and of those that are left out before any march, with reasons.
+) -> tuple[list[str], dict[str, str], frozenset[str]]:
+    """Labels of the parameters that are to be estimated; of those that are left out before any march, with reasons; and
+    of those that are left out where the records do not inform them.
 
     raises : InputError where one is named and fixed
     """
@@ -283,7 +287,7 @@ def _wanted(
     both = next((n for n in named if n in fixed or n.partition(AT)[0] in fixed), None)
     if both is not None:
         raise InputError(f"{both}: is fixed, and named to be estimated; do one of the two")
-    by_default = owners.labels(default_names(records)) if names is None or DEFAULT in names else []
+    by_default = _default_labels(names, owners)
     wanted = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
     require_estimated(options, owners, wanted)
     tied = {label for tie in options.ties for label in owners.labels(tie)}
@@ -297,7 +301,18 @@ def _wanted(
         if label not in chosen:
             reasons = unsupported_derivatives([label], of) | reasons
         omitted |= reasons
-    return wanted, omitted
+    thermal = frozenset(n for n in by_default if not n.startswith("ratio.")) - chosen
+    return wanted, omitted, thermal
+
+
+def _default_labels(names: Sequence[str] | None, owners: Owners) -> list[str]:
+    """Labels of the parameters that are estimated by default: of the heating, or of the wall where there is none."""
+    if names is not None and DEFAULT not in names:
+        return []
+    of_heating = default_names(owners.records)
+    if not parameters_without_heating(of_heating, owners.records):
+        return owners.labels(of_heating)
+    return owners.labels(default_thermal_names(owners.records))
 
 
 def _without(options: FitOptions, labels: set[str], owners: Owners) -> FitOptions:
@@ -403,6 +418,16 @@ def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]
             flown[u.records] = deviations([problem.record_fits[i].record for i in u.records])
         excursion[k] = flown[u.records]
     return least_determined(labels, _information(problem, values), ratio, excursion)
+
+
+def _uninformed(problem: FitProblem, values: FloatArray, optional: Collection[str]) -> dict[str, str]:
+    """Those of the optional parameters of a problem that the records do not inform, with the reason, at a parameter
+    vector."""
+    labels = [u.label if u.label in optional else "" for u in problem.unknowns]
+    if not any(labels):
+        return {}
+    sigma = np.array([p.sigma for p in problem.parameters])
+    return uninformed(labels, _information(problem, values), sigma)
 
 
 def is_d0(parameter: Parameter) -> bool:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.parameters import AT, MODEL, SHORT_NAMES
+from sim_heating.base.parameters import AT, LAYER, MODEL, SHORT_NAMES
 from sim_heating.estimation.inference.identifiability import SINGULAR, covariance, directions
 from sim_heating.heating.ratio.lookup import table_ratios_at
-from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
 
@@ -34,6 +34,9 @@ STUCK = 10.0
 """Change of the declared model, in recorder steps or sigmas, above which a sensor with constant readings is stuck."""
 MAGNITUDES = ("ratio.scale", "ratio.d0")
 DERIVATIVES = tuple(f"ratio.d_{short}" for short in SHORT_NAMES)
+EMITTANCE = "stack.emissivity_factor"
+INFORMED_BELOW = 0.5
+"""Bound over the standard deviation of the prior below which a record says something about a thermal parameter."""
 
 
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
@@ -146,6 +149,50 @@ def parameters_without_heating(names: Sequence[str], records: Sequence[Record]) 
         return {}
     reason = "h_ref is 0 throughout, so nothing depends on a heating ratio; name parameters of stack, clock or sensors"
     return {n: reason for n in names if n.startswith("ratio.")}
+
+
+def default_thermal_names(records: Sequence[Record]) -> tuple[str, ...]:
+    """Parameters that are estimated by default where no record has aerodynamic heating, as under a lamp: emittance,
+    conductivity and heat capacity of each layer, by the layers' own names.
+
+    records : the records to be fitted jointly; what is not a parameter of all of them is left out
+    returns : names; all are factors [-] with priors, and those that the records do not inform are omitted
+              (`uninformed`)
+
+    The parameters: docs/equations_march.md, equations 9 and 10.
+    """
+    models = [point_of_record(r) for r in records]
+    layers = dict.fromkeys(name for model in models for name in model.construction.stack.layer_names)
+    factors = [f"stack.{layer}.{p.name}" for layer in layers for p in LAYER if not p.name.startswith("thickness")]
+    return tuple(n for n in (EMITTANCE, *factors) if all(model.places.get(n, -1) >= 0 for model in models))
+
+
+def uninformed(labels: Sequence[str], information: FloatArray, prior_sigma: FloatArray) -> dict[str, str]:
+    """Parameters that records say hardly more about than their priors, with the reason for omitting them.
+
+        sigma_k > 0.5 sigma_prior,k
+
+    with the others estimated; the least informed is omitted first, as each omission lowers the bounds of the others.
+
+    labels      : (parameter,) names of those that may be omitted, or empty for one that may not
+    information : (parameter, parameter) of data and priors
+    prior_sigma : (parameter,) standard deviations of the priors, each in its own unit ([-] for a factor)
+
+    Bounds: docs/estimation_statistics.md, equation 19. The limit is a rule of this program.
+    """
+    remaining, reasons = [k for k, _ in enumerate(labels)], {}
+    while remaining:
+        sigma = np.sqrt(np.abs(np.diag(covariance(information[np.ix_(remaining, remaining)]))))
+        share = np.where([bool(labels[k]) for k in remaining], sigma / prior_sigma[remaining], 0.0)
+        worst = int(np.argmax(share))
+        if not share[worst] > INFORMED_BELOW:
+            break
+        k = remaining.pop(worst)
+        reasons[labels[k]] = (
+            f"its bound {sigma[worst]:.2g} is hardly below its prior's {prior_sigma[k]:.2g}, so the record does not "
+            "inform it; name it to estimate it all the same"
+        )
+    return reasons
 
 
 def mean_ratio(record: Record) -> float:

@@ -1,0 +1,108 @@
+"""The material library: materials by the names that people use, from the general library and from all vehicles."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path, nearest_name, read_toml
+from sim_heating.inputs.vehicle import library_materials, vehicle_folders
+from sim_heating.templates.quantities import NUMBER, quantity
+from sim_heating.thermal.stack import Material
+
+FOLDER = "materials"
+"""Folder of general materials, next to those of the vehicles."""
+LAYER = re.compile(rf"\s*(.+?)[\s,:=]+({NUMBER})\s*([A-Za-zµμ\"]*)\s*")
+"""Pattern of a layer: a material, a thickness, a unit."""
+EXAMPLE = '"copper 3 mm"'
+SYNONYMS = (
+    (r"alumin(i?)um", "al"), (r"titanium", "ti"), (r"stainless", "ss"), (r"\bsteel\b", ""), (r"\b(aisi|sae|alloy)\b", ""),
+    (r"\bcu\b", "copper"), (r"\bni\b", "nickel"), (r"fused (quartz|silica)|quartz", "fusedsilica"),
+    (r"-t\d+\b", ""),
+)  # fmt: skip
+"""Words that people use for one material, and the spelling of the library; tempers of alloys are left out."""
+
+
+@dataclass(frozen=True)
+class LayerInput:
+    """A layer as a person typed it.
+
+    name        : of the material, as in the library, or of the file
+    thickness_m : [m]
+    """
+
+    name: str
+    material: Material
+    thickness_m: float
+
+
+@cache
+def material_library() -> dict[str, Material]:
+    """Materials by name: the general library, then those of all vehicles that can be loaded by name."""
+    general = {
+        path.stem: read_toml(path, Material)
+        for folder in reversed(vehicle_folders())
+        for path in sorted((folder / FOLDER).glob("*.toml"))
+    }
+    return {**library_materials(), **general}
+
+
+def _plain(name: str) -> str:
+    """A name without case, spaces and signs, in the words of the library."""
+    text = name.lower().strip()
+    for pattern, word in SYNONYMS:
+        text = re.sub(pattern, word, text)
+    return re.sub(r"[^a-z0-9]", "", text)
+
+
+def find_material(name: str) -> tuple[str, Material]:
+    """Name and properties of the material that a person means: by its name in the library, loosely, or by a file.
+
+    name    : such as `LI-900`, `aluminium 2024-T6`, `copper`, or the path of a TOML file of a material
+    raises  : InputError, one line, where there is none of this name, or several
+    """
+    if name.endswith(".toml"):
+        path = Path(name)
+        return re.sub(r"[^A-Za-z0-9_-]", "-", path.stem), read_toml(path, Material)
+    library = material_library()
+    wanted = _plain(name)
+    exact = [own for own in library if _plain(own) == wanted]
+    found = exact or [own for own in library if wanted and _plain(own).startswith(wanted)]
+    if len(found) == 1:
+        return found[0], library[found[0]]
+    if found:
+        raise InputError(f"material `{name}`: may be {', '.join(sorted(found))}; name one of them")
+    near = nearest_name(wanted, library)
+    meant = f"did you mean `{near}`? " if near else ""
+    known = ", ".join(sorted(library))
+    raise InputError(f"material `{name}`: is not in the library; {meant}known: {known}; or give a TOML file of it")
+
+
+def layer_input(text: str, option: str = "--layer") -> LayerInput:
+    """A layer from a text such as `LI-900 51 mm`; units of length: mm, m, in, mil, um and others.
+
+    raises : InputError, one line, with what is wrong
+    """
+    found = LAYER.fullmatch(text)
+    if found is None:
+        raise InputError(f"{option} `{text}`: write a material and a thickness with its unit, such as {EXAMPLE}")
+    if not found[3]:
+        raise InputError(f"{option} `{text}`: the thickness has no unit; write such as {EXAMPLE} (mm, m, in, mil, um)")
+    thickness_m = quantity(f"{found[2]} {found[3]}", "m", f"{option} `{text}`", EXAMPLE)
+    name, material = find_material(found[1])
+    return LayerInput(name, material, thickness_m)
+
+
+def describe_source(name: str, material: Material) -> str:
+    """One line on where the properties of a material come from."""
+    confidence = f", confidence {material.confidence}" if material.confidence else ""
+    return f"{name}: {material.source or 'no source stated'}{confidence}"
+
+
+def library_folders() -> list[str]:
+    """Folders of the general library, for messages."""
+    return [display_path(f / FOLDER) for f in vehicle_folders() if os.path.isdir(f / FOLDER)]

@@ -1,0 +1,103 @@
+"""Numbers with units as people type them, `0.4 mm`, `2 kW/m2`, `21 degC`, in SI units."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import pint
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import plain_number, suggestion
+
+NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
+"""Pattern of a number, with a decimal point or a decimal comma."""
+ALIASES = {
+    "mil": "thou", "mils": "thou", '"': "inch", "C": "degC", "°C": "degC", "F": "degF", "°F": "degF", "ºC": "degC",
+    "deg C": "degC", "deg F": "degF", "Celsius": "degC", "celsius": "degC", "CELSIUS": "degC", "Fahrenheit": "degF",
+    "fahrenheit": "degF", "Kelvin": "K", "kelvin": "K", "k": "K", "℃": "degC", "℉": "degF", "°K": "K", "DEGC": "degC",
+    "DEGF": "degF", "DegC": "degC", "DegF": "degF", "deg_C": "degC", "deg_F": "degF", "sec": "s", "secs": "s",
+    "seconds": "s", "Seconds": "s", "S": "s", "mins": "min", "minutes": "min", "hr": "h", "hrs": "h", "msec": "ms",
+    "BTU/ft2/s": "BTU/ft**2/s", "Btu/ft2s": "BTU/ft**2/s",
+}  # fmt: skip
+"""Spellings that pint does not know, or takes for another unit (mil: an angle; C: a charge; F: a capacity)."""
+
+
+@cache
+def _registry() -> pint.UnitRegistry[Any]:
+    return pint.UnitRegistry(cache_folder=None)
+
+
+def si_factors(unit: str, to: str) -> tuple[float, float] | None:
+    """Factor and offset that turn a number in a unit into one in an SI unit: SI = factor * value + offset.
+
+    unit, to : units by name, such as `degC` and `K`, `kW/m2` and `W/m2`
+    returns  : None where the unit is unknown, or one of another quantity
+    """
+    registry = _registry()
+    try:
+        own, target = (registry.parse_units(_pint_syntax(text)) for text in (unit, to))
+        zero, one = (float(registry.Quantity(x, own).to(target).magnitude) for x in (0.0, 1.0))
+    except Exception:  # pint raises its own, Python's tokenizer others
+        return None
+    return one - zero, zero
+
+
+def _pint_syntax(unit: str) -> str:
+    text = unit.strip()
+    text = ALIASES.get(text, text).replace("²", "2").replace("^", "").replace("*", " ").replace("·", " ")
+    if re.fullmatch(r"[A-Za-zµμ_% /()0-9]+", text) is None:
+        raise ValueError(f"`{unit}` is not a unit")
+    # `W/m2K` is W/(m2 K): everything behind the slash divides
+    text = re.sub(r"([A-Za-zµμ])(\d)", r"\1**\2", text)
+    text = re.sub(r"(\*\*\d)([A-Za-z])", r"\1*\2", text)
+    over, slash, under = text.partition("/")
+    return f"{over}/({re.sub(' +', '*', under.strip('() '))})" if slash and "/" not in under else text
+
+
+def quantity(text: str, unit: str, option: str, example: str) -> float:
+    """A number with a unit in SI units; a plain number is taken to be in the SI unit.
+
+    unit    : SI unit of the result, as `m`, `K`, `W/m2`
+    option  : what the number is of, for messages
+    example : how it may be written, for messages
+    raises  : InputError, one line, where it is no number or its unit is unknown or of another quantity
+    """
+    found = re.fullmatch(rf"\s*({NUMBER})\s*(.*?)\s*", text)
+    if found is None:
+        raise InputError(f"{option}: `{text}` is not a number with a unit; write {example}")
+    value = plain_number(found[1].replace(",", "."))
+    if not found[2]:
+        return value
+    scale = si_factors(found[2], unit)
+    if scale is None:
+        raise InputError(f"{option}: `{found[2]}` is not a unit that converts to {unit}; write {example}")
+    # rounded to what a person types: 21 degC is 294.15 K, not 294.15000000000003 K
+    return float(f"{scale[0] * value + scale[1]:.12g}")
+
+
+def named_quantities(items: tuple[str, ...], option: str, example: str) -> dict[str, str]:
+    """Values of a repeatable option `NAME=VALUE` as texts by name.
+
+    raises : InputError, one line, for an item without `=`, an empty part, or a repeated name
+    """
+    found: dict[str, str] = {}
+    for item in items:
+        name, equals, value = (part.strip() for part in item.rpartition("="))
+        if not (name and equals and value):
+            raise InputError(f"{option} {item}: write {option} {example}")
+        if name in found:
+            raise InputError(f"{option}: {name} is given twice; leave one out")
+        found[name] = value
+    return found
+
+
+def require_known(names: dict[str, str], known: list[str], option: str) -> None:
+    """Refuse names of an option that do not exist.
+
+    raises : InputError with the nearest known name
+    """
+    for name in names:
+        if name not in known:
+            raise InputError(f"{option} {name}: there is no such column{suggestion(name, known)}")

@@ -1,0 +1,372 @@
+"""A flight record from a CSV file of temperatures: the stack from the material library, the lamp as a known flux.
+
+The record is checked as a whole before it is written, so that it validates and goes through `predict`, `estimate` and
+`close-loop` as it is.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import HEATING, STATE
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import (
+    display_path,
+    output_directory,
+    read_csv_columns,
+    suggestion,
+    write_csv,
+    write_text_atomic,
+)
+from sim_heating.heating.atmosphere import us76
+from sim_heating.inputs.record import (
+    DECLARATION,
+    OPTIONAL_COLUMNS,
+    REFERENCE_COLUMNS,
+    Record,
+    load_record,
+    make_record,
+    write_record,
+)
+from sim_heating.templates.materials import LayerInput, describe_source
+from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
+from sim_heating.templates.quantities import quantity, require_known
+from sim_heating.templates.render import render
+from sim_heating.thermal.stack import PressureTable, Sensor
+
+RISE_S = 0.1
+"""Time in which a lamp that is switched on or off changes its flux [s]."""
+UNEVEN_K = 2.0
+"""Difference between the first readings of sensors from which the start is not at one temperature [K]."""
+FIRST_READINGS = 5
+SURFACE, BACK = "surface", "back"
+"""Depths by name: the outer surface, and the inner face of the last layer."""
+COMMAND = "new record"
+FLUX_EXAMPLE = "20kW/m2"
+
+
+@dataclass(frozen=True)
+class Heat:
+    """What heats the wall, in columns and constants of the conditions.
+
+    columns   : of conditions.csv, `time_s` among them
+    constants : (name, value, meaning) of [conditions]
+    reference : heating.reference of the record
+    note      : in words
+    """
+
+    columns: Mapping[str, FloatArray]
+    constants: tuple[tuple[str, float, str], ...]
+    reference: str
+    note: str
+
+
+@dataclass(frozen=True)
+class RecordInput:
+    """What a person states in addition to the CSV file; what is None is guessed, with a note.
+
+    emissivity    : of the outer surface, in place of that of its material [-]
+    initial_K, surroundings_K : temperatures of the wall before the heating, and of what the surface radiates to [K]
+    back          : cooling of the back face, keys of `back`; None for an adiabatic one
+    noise_K       : random error of all sensors [K]
+    pressure_Pa   : of the air in the insulation [Pa]
+    """
+
+    layers: Sequence[LayerInput]
+    depths_m: Mapping[str, float]
+    heat: Heat
+    title: str = ""
+    point: str = "plate"
+    measured: bool = True
+    emissivity: float | None = None
+    initial_K: float | None = None
+    surroundings_K: float | None = None
+    back: Mapping[str, float] | None = None
+    noise_K: float | None = None
+    pressure_Pa: float | None = None
+    nose_radius_m: float | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+# What is asked for ---------------------------------------------------------------------------------------------------
+
+
+def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
+    """The temperatures of a CSV file.
+
+    raises : InputError where there is none
+    """
+    found = measured.of_kind(TEMPERATURE)
+    if not found:
+        names = ", ".join(c.name for c in measured.columns if c.kind != TIME)
+        raise InputError(
+            f"{display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of {names}"
+        )
+    return found
+
+
+def depths_of(sensors: Sequence[CsvColumn], given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
+    """Depths of the sensors that a person stated [m], by column.
+
+    given  : column -> depth from the outer surface with a unit, `surface`, or `back`
+    raises : InputError, one line, for an unknown column or a depth outside the stack
+    """
+    require_known(dict(given), [s.name for s in sensors], "--depth")
+    return {name: depth_m(name, text, layers) for name, text in given.items()}
+
+
+def depth_m(name: str, text: str, layers: Sequence[LayerInput]) -> float:
+    """The depth [m] of a sensor: a length with a unit, `surface`, or `back`.
+
+    raises : InputError, one line, where it is none, or outside the stack
+    """
+    thickness = _thickness_m(layers)
+    if text.strip().lower() in (SURFACE, BACK):
+        return 0.0 if text.strip().lower() == SURFACE else thickness
+    if re.fullmatch(r"[\d.,]+", text.strip()) and float(text.replace(",", ".")) != 0.0:
+        raise InputError(f"--depth {name}={text}: has no unit; write --depth {name}=0.4mm")
+    found = quantity(text, "m", f"--depth {name}", f"--depth {name}=0.4mm, {name}={SURFACE} or {name}={BACK}")
+    if not 0.0 <= found <= thickness * (1.0 + 1e-9):
+        raise InputError(f"--depth {name}={text}: lies outside the stack, which is {thickness * 1e3:g} mm thick")
+    return min(found, thickness)
+
+
+def _thickness_m(layers: Sequence[LayerInput]) -> float:
+    return float(f"{sum(layer.thickness_m for layer in layers):.12g}")
+
+
+def lamp_heat(
+    measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | None, absorptance: float | None
+) -> Heat:
+    """The flux that the surface absorbs.
+
+    lamp        : a constant flux with a unit, a column of the CSV file, or another CSV file with a time and a flux
+    lit_s       : times at which a constant lamp was lit and put out [s]; None for lit throughout
+    absorptance : absorbed part of the flux [-]; None where it is the absorbed flux already
+    raises      : InputError, one line, where it is none of these
+    """
+    times = measured.of_kind(TIME)[0].si
+    factor = 1.0 if absorptance is None else absorptance
+    part = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
+    columns = {c.name: c for c in measured.columns}
+    if lamp in columns or Path(lamp).is_file():
+        if lit_s is not None:
+            raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
+        found = columns[lamp] if lamp in columns else None
+        where = f"column {lamp}"
+        if found is None:
+            file = read_measured_csv(Path(lamp))
+            fluxes = file.of_kind(FLUX)
+            if len(fluxes) != 1:
+                names = ", ".join(c.name for c in file.columns)
+                raise InputError(f"--lamp {lamp}: has {len(fluxes)} columns of a heat flux (of {names}); it needs one")
+            found, clock = fluxes[0], file.of_kind(TIME)[0].si
+            where = f"file {lamp}"
+            if clock[0] > times[0] or clock[-1] < times[-1]:
+                raise InputError(
+                    f"--lamp {lamp}: covers {clock[0]:g} to {clock[-1]:g} s, and the readings {times[0]:g} to "
+                    f"{times[-1]:g} s; give the flux at all of these times, on the same clock"
+                )
+        else:
+            clock = times
+        flux = found.si
+        if np.any(np.isnan(flux)):
+            raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
+        note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
+        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note)
+    hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
+    if hint or re.match(r"[A-Za-z./]", lamp):
+        known = ", ".join(c.name for c in measured.columns if c.kind != TIME)
+        raise InputError(
+            f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({known}), nor a file{hint}"
+        )
+    flux_W_m2 = float(f"{factor * quantity(lamp, 'W/m2', '--lamp', f'--lamp {FLUX_EXAMPLE}'):.12g}")
+    if lit_s is None:
+        meaning = "flux that the surface absorbs, from the first row to the last"
+        ends = {"time_s": times[[0, -1]]}
+        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{flux_W_m2:g} W/m2 throughout, {part}")
+    on, off = lit_s
+    if not times[0] <= on < off:
+        raise InputError(f"--lit {on:g},{off:g}: give two times in s, from {times[0]:g} s on, the first one earlier")
+    edges = np.round([on, on + RISE_S, off, off + RISE_S], 6)
+    clock = np.unique(np.concatenate((times[[0]], edges, np.maximum(times[[-1]], edges[-1]))))
+    flux = np.interp(clock, edges, [0.0, flux_W_m2, flux_W_m2, 0.0])
+    if on == times[0]:
+        flux[0] = flux_W_m2  # lit from the first sample on
+    note = f"{flux_W_m2:g} W/m2 from {on:g} to {off:g} s, {part}"
+    return Heat({"time_s": clock, "q_add_W_m2": flux}, (), "none", note)
+
+
+def flown_heat(path: Path, reference: str | None) -> Heat:
+    """The conditions of a flight, from a file with the columns of a record's conditions.csv.
+
+    reference : model of reference heating; None for the columns h_ref_kg_m2_s and H_r_J_kg of the file
+    raises    : InputError for columns that are missing or misspelt
+    """
+    required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "p_surface_Pa"]
+    required += REFERENCE_COLUMNS if reference is None else ()
+    table = read_csv_columns(path, required, [*STATE, *HEATING, *OPTIONAL_COLUMNS])
+    zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
+    constants = tuple((n, 0.0, "not in the file of the flight") for n in zero if n not in table.columns)
+    return Heat(table.columns, constants, reference or "columns", f"flight of {display_path(path)}")
+
+
+# The record ----------------------------------------------------------------------------------------------------------
+
+
+def write_new_record(out: str | os.PathLike[str], measured: MeasuredCsv, given: RecordInput) -> tuple[Record, list[str]]:
+    """Write a record of a test article, checked as a whole.
+
+    returns : the record, and one line for each thing that was assumed
+    raises  : InputError where something does not fit, or the directory holds files of others
+    """
+    sensors = sensor_columns(measured)
+    times = measured.of_kind(TIME)[0].si
+    initial_K, notes = _initial(given, sensors)
+    surroundings_K = given.surroundings_K
+    if surroundings_K is None:
+        surroundings_K = initial_K
+        notes.append(f"surroundings at {surroundings_K:g} K, as the wall at the start (--surroundings)")
+    if given.back is None:
+        notes.append("back face adiabatic (--back-film, --back-emissivity)")
+    materials, of_materials = _materials(given)
+    notes += of_materials
+    constants = list(given.heat.constants)
+    porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in given.layers)
+    if given.pressure_Pa is not None or (porous and "p_surface_Pa" not in given.heat.columns):
+        pressure = given.pressure_Pa if given.pressure_Pa is not None else us76(0.0)[1]
+        constants.append(("p_surface_Pa", pressure, "air pressure in the room, on which porous insulation depends"))
+        if given.pressure_Pa is None:
+            notes.append(f"air pressure {pressure:g} Pa, sea level (--pressure)")
+    hold = times[0] + np.array([0.6, 0.7]) * (times[-1] - times[0])
+    text = render(
+        "record.toml.j2",
+        title=given.title or f"{given.point}: {measured.path.name}",
+        source=measured.path.name,
+        point=given.point,
+        measured=given.measured,
+        constants=constants,
+        sensors=[_sensor(s, given) for s in sensors],
+        initial_K=initial_K,
+        surroundings_K=surroundings_K,
+        back=None if given.back is None else dict(given.back),
+        layers=given.layers,
+        materials=materials,
+        reference=given.heat.reference,
+        nose_radius_m=given.nose_radius_m,
+        first_s=float(times[0]),
+        last_s=float(times[-1]),
+        hold_s=[float(f"{x:.4g}") for x in hold],
+    )
+    readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
+    inputs = [measured.path]
+    with output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder:
+        write_text_atomic(folder / DECLARATION, text)
+        write_csv(folder / "conditions.csv", given.heat.columns)
+        write_csv(folder / "thermocouples.csv", readings)
+        record = load_record(folder)
+    return record, [f"heated by {given.heat.note}", *notes, *given.notes]
+
+
+def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
+    name = re.sub(r"\s+", "_", column.name.strip())
+    return Sensor(
+        name=column.name,
+        column=name if name.endswith("_K") else f"{name}_K",
+        depth_m=given.depths_m[column.name],
+        noise_sigma_K=given.noise_K,
+    )
+
+
+def _initial(given: RecordInput, sensors: Sequence[CsvColumn]) -> tuple[float, list[str]]:
+    """Initial temperature [K], and notes: given, or the mean of the first readings."""
+    if given.initial_K is not None:
+        return given.initial_K, []
+    first = [float(np.median(s.si[np.isfinite(s.si)][:FIRST_READINGS])) for s in sensors]
+    mean = float(f"{np.mean(first):.5g}")
+    notes = [f"wall at {mean:g} K at the start, the mean of the first readings (--initial)"]
+    if max(first) - min(first) > UNEVEN_K:
+        apart = max(first) - min(first)
+        notes.append(f"the first readings differ by {apart:.1f} K: state initial_profile in [stack] where that is real")
+    return mean, notes
+
+
+def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:
+    """Tables of the materials, the outermost with its emittance, and notes on sources."""
+    outer = given.layers[0]
+    found: dict[str, Any] = {}
+    notes = []
+    for layer in given.layers:
+        if layer.name not in found:
+            found[layer.name] = layer.material.model_dump(exclude_unset=True, exclude_none=True)
+            notes.append(describe_source(layer.name, layer.material))
+    if given.emissivity is not None:
+        found[outer.name]["emissivity"] = [[300.0, given.emissivity]]
+    elif outer.material.emissivity is None:
+        raise InputError(
+            f"--layer {outer.name}: the outermost layer needs an emittance, and the library has none for this material; "
+            "give --emissivity, such as 0.9 for black paint"
+        )
+    else:
+        low, high = (f([e for _, e in outer.material.emissivity]) for f in (min, max))
+        span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        notes.append(f"emittance {span}: that of {outer.name} in the library, an oxidised surface as a rule (--emissivity)")
+    return found, notes
+
+
+def like_record(
+    out: str | os.PathLike[str],
+    like: str | os.PathLike[str],
+    measured: MeasuredCsv,
+    depths: Mapping[str, str],
+    title: str = "",
+    noise_K: float | None = None,
+) -> tuple[Record, list[str]]:
+    """Write a record with the stack, flight and heating of another one, and the temperatures of a CSV file.
+
+    depths : column -> depth as a person types it; a column of the other record's sensor has that of the sensor, and so
+             has a single column where that record has a single sensor
+    raises : InputError where a depth is missing, or the result is no record
+    """
+    model = load_record(like)
+    declared, columns = model.declared, sensor_columns(measured)
+    known = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
+    if len(columns) == 1 and len(model.sensors) == 1:
+        known.setdefault(columns[0].name, model.sensors[0])
+    layers = [
+        LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
+        for layer in declared.stack.layer
+    ]
+    given = depths_of(columns, depths, layers)
+    absent = [c.name for c in columns if c.name not in given and c.name not in known]
+    if absent:
+        raise InputError(
+            f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
+            f"{', '.join(s.column for s in model.sensors)}; write --depth {absent[0]}=0.4mm"
+        )
+    sensors, notes = [], []
+    for column in columns:
+        name = re.sub(r"\s+", "_", column.name)
+        depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
+        noise = noise_K if noise_K is not None or column.name not in known else known[column.name].noise_sigma_K
+        sensors.append(Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise))
+        notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
+    thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
+    update = {"thermocouples": thermocouples, "title": title or f"{measured.path.name} on {declared.title}", "measured": True}
+    times = measured.of_kind(TIME)[0].si
+    readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
+    record = make_record(
+        declared.model_copy(update=update), model.conditions, readings, model.ratio_table, out, model.turbulent
+    )
+    comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
+    write_record(record, out, comment=comment)
+    return record, [*notes, f"stack, flight and heating of {display_path(Path(like))}"]

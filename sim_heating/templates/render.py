@@ -1,0 +1,34 @@
+"""Text of the templates in this folder, with values written as TOML."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import jinja2
+import tomlkit
+
+from sim_heating.base.files import toml_text
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    loader = jinja2.PackageLoader("sim_heating.templates", ".")
+    environment = jinja2.Environment(
+        loader=loader, undefined=jinja2.StrictUndefined, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"toml": _toml_value, "tables": toml_text}
+    return environment
+
+
+def _toml_value(value: Any) -> str:
+    return tomlkit.item(value).as_string()
+
+
+def render(template: str, **values: Any) -> str:
+    """The text of a template.
+
+    template : name of its file in this folder
+    values   : of its variables; one that is missing is an error of the program
+    """
+    return _environment().get_template(template).render(**values)
