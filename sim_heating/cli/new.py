@@ -63,41 +63,119 @@ def _interactive() -> bool:
 
 
 @new.command("record")
-@click.option("--csv", "csv_file", type=PATH, required=True, help="file of temperatures: a time and one column a thermocouple")
+@click.option(
+    "--csv", "csv_file", type=PATH, required=True, help="file of temperatures: a time and one column a thermocouple"
+)
 @OUT
-@click.option("--layer", "layers", multiple=True, metavar='"MATERIAL THICKNESS"',
-              help='a layer, outermost first, such as "LI-900 51 mm"; repeat for more; the material is one of the library, '
-              "or a TOML file")  # fmt: skip
-@click.option("--depth", "depths", multiple=True, metavar="COLUMN=DEPTH",
-              help="depth of a thermocouple from the heated surface, such as TC1=0.4mm, or `surface`, or `back`; repeat")  # fmt: skip
-@click.option("--lamp", metavar="FLUX|COLUMN|FILE",
-              help="what heats the wall: a flux such as 20kW/m2, a column of the CSV file, or a CSV file with a time and a flux")  # fmt: skip
-@click.option("--lit", callback=_two_times, metavar="ON,OFF", help="times in s at which a constant lamp was lit; default: throughout")
-@click.option("--absorptance", type=float, callback=_fraction, help="absorbed part of the flux; default: it is the absorbed flux")
-@click.option("--emissivity", type=float, callback=_fraction, help="emittance of the heated surface; default: of its material")
-@click.option("--initial", callback=quantity_option("K", "21degC"), metavar="T", help="temperature at the start; default: the first readings")
-@click.option("--surroundings", callback=quantity_option("K", "21degC"), metavar="T", help="what the surface radiates to; default: as --initial")
-@click.option("--back-film", callback=quantity_option("W/m2K", "8W/m2K"), metavar="H", help="film coefficient behind the wall; default: adiabatic")
-@click.option("--back-temperature", callback=quantity_option("K", "21degC"), metavar="T", help="temperature behind the wall; default: as --surroundings")
-@click.option("--back-emissivity", type=float, callback=_fraction, help="emittance of the back face; default: adiabatic")
-@click.option("--pressure", callback=quantity_option("Pa", "1013hPa"), metavar="P", help="air pressure, for porous insulation; default: sea level")
-@click.option("--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV with the columns of conditions.csv")
-@click.option("--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg")
-@click.option("--nose-radius", callback=quantity_option("m", "0.3m"), metavar="R", help="radius of the reference sphere")
-@click.option("--like", type=PATH, metavar="RECORD", help="stack, flight and heating of this record, in place of --layer and --lamp")
+@click.option(
+    "--layer",
+    "layers",
+    multiple=True,
+    metavar='"MATERIAL THICKNESS"',
+    help='a layer, outermost first, such as "LI-900 51 mm"; repeat for more; a material of the library, or a '
+    "TOML file of one",
+)
+@click.option(
+    "--depth",
+    "depths",
+    multiple=True,
+    metavar="COLUMN=DEPTH",
+    help="depth of a thermocouple below the heated surface, TC1=0.4mm, or `surface`, or `back`; repeat",
+)
+@click.option(
+    "--lamp",
+    metavar="FLUX|COLUMN|FILE",
+    help="what heats the wall: a flux such as 20kW/m2, a column of the CSV file, or a CSV file of its own",
+)
+@click.option(
+    "--lit",
+    callback=_two_times,
+    metavar="ON,OFF",
+    help="times in s at which a constant lamp was lit; default: throughout",
+)
+@click.option(
+    "--absorptance", type=float, callback=_fraction, help="absorbed part of the flux; default: it is the absorbed flux"
+)
+@click.option(
+    "--emissivity", type=float, callback=_fraction, help="emittance of the heated surface; default: of its material"
+)
+@click.option(
+    "--initial",
+    callback=quantity_option("K", "21degC"),
+    metavar="T",
+    help="temperature at the start; default: the first readings",
+)
+@click.option(
+    "--surroundings",
+    callback=quantity_option("K", "21degC"),
+    metavar="T",
+    help="what the surface radiates to; default: as --initial",
+)
+@click.option(
+    "--back-film",
+    callback=quantity_option("W/m2K", "8W/m2K"),
+    metavar="H",
+    help="film coefficient behind the wall; default: adiabatic",
+)
+@click.option(
+    "--back-temperature",
+    callback=quantity_option("K", "21degC"),
+    metavar="T",
+    help="temperature behind the wall; default: as --surroundings",
+)
+@click.option(
+    "--back-emissivity", type=float, callback=_fraction, help="emittance of the back face; default: adiabatic"
+)
+@click.option(
+    "--pressure",
+    callback=quantity_option("Pa", "1013hPa"),
+    metavar="P",
+    help="air pressure, for porous insulation; default: sea level",
+)
+@click.option(
+    "--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV with the columns of conditions.csv"
+)
+@click.option(
+    "--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg"
+)
+@click.option(
+    "--nose-radius", callback=quantity_option("m", "0.3m"), metavar="R", help="radius of the reference sphere"
+)
+@click.option(
+    "--like",
+    type=PATH,
+    metavar="RECORD",
+    help="stack, flight and heating of this record, in place of --layer and --lamp",
+)
 @click.option("--time", "time", metavar="COLUMN", help="column of the time, where the guess is wrong")
 @click.option("--time-unit", metavar="UNIT", help="its unit: s, ms, min, h")
-@click.option("--period", callback=quantity_option("s", "0.1s"), metavar="T", help="time between rows, where there is no column of it")
-@click.option("--temperature", "temperatures", multiple=True, metavar="COLUMN", help="column of a temperature; repeat; others are left out")
+@click.option(
+    "--period",
+    callback=quantity_option("s", "0.1s"),
+    metavar="T",
+    help="time between rows, where there is no column of it",
+)
+@click.option(
+    "--temperature",
+    "temperatures",
+    multiple=True,
+    metavar="COLUMN",
+    help="column of a temperature; repeat; others are left out",
+)
 @click.option("--temperature-unit", metavar="UNIT", help="unit of the temperatures: K, degC, degF")
-@click.option("--noise", callback=quantity_option("K", "0.5K"), metavar="SIGMA", help="random error of the thermocouples in K; default: estimated")
+@click.option(
+    "--noise",
+    callback=quantity_option("K", "0.5K"),
+    metavar="SIGMA",
+    help="random error of the thermocouples in K; default: estimated",
+)
 @click.option("--point", default="plate", show_default=True, help="name of the place that was measured")
 @click.option("--title", default="", help="title of the record")
 @click.option("--synthetic", is_flag=True, help="the temperatures are computed, not measured")
 def record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: tuple[str, ...], **given: Any) -> None:
     """Make a flight record from a CSV file of temperatures, of a lamp test, a heated plate, or a flight.
 
-    Columns, units and separators are recognised and shown with the reason; each guess has an option. A lamp or plate test:
+    Columns, units and separators are recognised and shown with the reason; each guess has an option. A lamp test:
 
     \b
       sim-heating new record --csv temps.csv --layer "copper 3 mm" --depth TC1=back \\
@@ -117,9 +195,13 @@ def record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: tuple[str
         raise InputError("--period: must be above 0")
     lamp = given["lamp"]
     measured = read_measured_csv(
-        csv_file, time=given["time"], time_unit=given["time_unit"], temperatures=given["temperatures"],
-        temperature_unit=given["temperature_unit"], period_s=given["period"],
-    )  # fmt: skip
+        csv_file,
+        time=given["time"],
+        time_unit=given["time_unit"],
+        temperatures=given["temperatures"],
+        temperature_unit=given["temperature_unit"],
+        period_s=given["period"],
+    )
     print_table(measured.table())
     stated = named_quantities(depths, "--depth", "TC1=0.4mm")
     if given["like"] is not None:
@@ -170,13 +252,18 @@ def _stack(layers: Sequence[str]) -> list[LayerInput]:
 
     if not layers and _interactive():
         CONSOLE.print(f"Materials: {', '.join(sorted(material_library()))}")
-        asked = []
-        while text := click.prompt(f"Layer {len(asked) + 1}, such as copper 3 mm (empty: no more)", default="", show_default=False):
+        asked: list[str] = []
+        while text := click.prompt(
+            f"Layer {len(asked) + 1}, such as copper 3 mm (empty: no more)", default="", show_default=False
+        ):
             asked.append(text)
         layers = asked
     if not layers:
         known = ", ".join(sorted(material_library()))
-        raise InputError(f'--layer: is missing; give the layers from the heated surface inward, as --layer "copper 3 mm"; materials: {known}')
+        raise InputError(
+            "--layer: is missing; give the layers from the heated surface inward, as "
+            f'--layer "copper 3 mm"; materials: {known}'
+        )
     return [layer_input(text) for text in layers]
 
 
@@ -187,7 +274,8 @@ def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput]) -> dict[str
     if names and not _interactive():
         options = " ".join(f"--depth {name}=0.4mm" if " " not in name else f'--depth "{name}=0.4mm"' for name in names)
         raise InputError(
-            f"--depth: is missing for {', '.join(names)}; give the depth from the heated surface, `surface` or `back`: {options}"
+            f"--depth: is missing for {', '.join(names)}; give the depth from the heated surface, `surface` or `back`: "
+            f"{options}"
         )
     return {
         name: depth_m(name, click.prompt(f"Depth of {name} from the heated surface (0.4mm, surface, back)"), stack)

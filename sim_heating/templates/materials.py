@@ -20,7 +20,8 @@ LAYER = re.compile(rf"\s*(.+?)[\s,:=]+({NUMBER})\s*([A-Za-zµμ\"]*)\s*")
 """Pattern of a layer: a material, a thickness, a unit."""
 EXAMPLE = '"copper 3 mm"'
 SYNONYMS = (
-    (r"alumin(i?)um", "al"), (r"titanium", "ti"), (r"stainless", "ss"), (r"\bsteel\b", ""), (r"\b(aisi|sae|alloy)\b", ""),
+    (r"alumin(i?)um", "al"), (r"titanium", "ti"), (r"stainless", "ss"), (r"\bsteel\b", ""),
+    (r"\b(aisi|sae|alloy)\b", ""),
     (r"\bcu\b", "copper"), (r"\bni\b", "nickel"), (r"fused (quartz|silica)|quartz", "fusedsilica"),
     (r"-t\d+\b", ""),
 )  # fmt: skip
@@ -72,6 +73,8 @@ def find_material(name: str) -> tuple[str, Material]:
     wanted = _plain(name)
     exact = [own for own in library if _plain(own) == wanted]
     found = exact or [own for own in library if wanted and _plain(own).startswith(wanted)]
+    if not found and re.fullmatch(r"\d{3,}", wanted):  # a number of an alloy: AISI 304
+        found = [own for own in library if _plain(own).endswith(wanted)]
     if len(found) == 1:
         return found[0], library[found[0]]
     if found:

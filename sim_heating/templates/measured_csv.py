@@ -3,7 +3,8 @@ of each guess.
 
 Read are: comma, semicolon, tab and blank separated cells; decimal points and decimal commas; UTF-8 with and without a
 byte-order mark, UTF-16 and Windows text; lines before the names; names with units, and units in a line of their own;
-time in s, ms, min, h, as hh:mm:ss or as a date; temperatures in K, degC and degF; cells without a number as lost samples.
+time in s, ms, min, h, as hh:mm:ss or as a date; temperatures in K, degC and degF. Cells without a number are lost
+samples.
 """
 
 from __future__ import annotations
@@ -26,13 +27,20 @@ from sim_heating.templates.quantities import NUMBER, si_factors
 TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 HEADS = (
-    (TIME, r"(?i)^(time|zeit|elapsed|timestamp|clock|date|datum|seconds?|secs?|minutes?)([^a-z].*)?$|^t$|^t[_ ]?(s|sec|ms|min)$"),
+    (TIME, r"(?i)^(time|zeit|elapsed|timestamp|clock|date|datum|seconds?|secs?|minutes?)([^a-z].*)?$"),
+    (TIME, r"^t$"),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|channel|pyro|^k\d+$")
-    ,
+    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|channel|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )  # fmt: skip
 """Patterns of the names of columns, without their units; the first that fits holds."""
+NAME_AND_UNIT = (
+    r"(.*?)\s*[\[(<]\s*([^\])>]*)\s*[\])>]\s*", r"(.*\S)\s*/\s*(\S+)", r"(.*\S)\s*,\s*(\S+)", r"(.+)_([^_]+)",
+    r"(.*\S)\s+(\S+)",
+)  # fmt: skip
+"""Patterns of a name with its unit: in brackets, behind a slash, a comma, `_` or a blank."""
+DAYS, CLOCKS = ("%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d"), ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M")
+"""Forms of dates and times of day that are read, in addition to ISO 8601."""
 DURATIONS = ("s", "ms", "min", "h", "us")
 LOST_SHARE = 0.5
 """Share of cells without a number from which a column is no measurement."""
@@ -178,7 +186,10 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[str], list[list[str]]
     split = [(i, [_with_point(c, decimal) for c in cells]) for i, cells in split]
     width = Counter(len(cells) for _, cells in split).most_common(1)[0][0]
     while split and all(cells[-1] == "" for _, cells in split if len(cells) == width) and width > 1:
-        split, width = [(i, c[:-1] if len(c) == width else c) for i, c in split], width - 1  # a separator ends each line
+        split, width = (
+            [(i, c[:-1] if len(c) == width else c) for i, c in split],
+            width - 1,
+        )  # a separator ends each line
     first = next((k for k, (_, c) in enumerate(split) if len(c) == width and _is_data(c)), None)
     if first is None or width < 1:
         raise InputError(f"{file}: no rows of numbers were found; give a CSV file with a time and temperatures")
@@ -193,8 +204,13 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[str], list[list[str]]
     else:
         heads, units = above[-1], [""] * width
     words = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}[sign]
-    named = f"names in line {split[first - 1][0] if units == [''] * width else split[first - 2][0]}" if above else "no names"
-    layout = f"cells separated by {words}, decimal {'comma' if decimal == ',' else 'point'}, {named}, {len(split) - first} rows"
+    named = (
+        f"names in line {split[first - 1][0] if units == [''] * width else split[first - 2][0]}"
+        if above
+        else "no names"
+    )
+    point = "comma" if decimal == "," else "point"
+    layout = f"cells separated by {words}, decimal {point}, {named}, {len(split) - first} rows"
     return heads, units, [cells for _, cells in split[first:]], [i for i, _ in split[first:]], layout
 
 
@@ -233,9 +249,8 @@ def _names(heads: list[str], units: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _name_and_unit(head: str) -> tuple[str, str]:
-    """`TC1 [degC]`, `TC1 (C)`, `Time/s`, `TC1_K`, `Temp, C` -> name and unit; the unit is empty where there is none."""
-    for pattern in (r"(.*?)\s*[\[(<]\s*([^\])>]*)\s*[\])>]\s*", r"(.*\S)\s*/\s*(\S+)", r"(.*\S)\s*,\s*(\S+)", r"(.+)_([^_]+)",
-                    r"(.*\S)\s+(\S+)"):  # fmt: skip
+    """Name and unit of `TC1 [degC]`, `TC1 (C)`, `Time/s`, `TC1_K`, `Temp, C`; the unit is empty where there is none."""
+    for pattern in NAME_AND_UNIT:
         found = re.fullmatch(pattern, head)
         if found and found[1] and any(si_factors(found[2], si) for si in SI_UNITS.values()):
             return found[1], found[2]
@@ -266,8 +281,7 @@ def _date_s(cell: str) -> float:
         return math.nan
     from datetime import datetime
 
-    forms = ("%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S",
-             "%m/%d/%Y %H:%M", "%d/%m/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S")  # fmt: skip
+    forms = (f"{day} {clock}" for day in DAYS for clock in CLOCKS)
     for read in (datetime.fromisoformat, *((lambda text, form=form: datetime.strptime(text, form)) for form in forms)):
         try:
             return read(cell).replace(tzinfo=None).timestamp()
@@ -302,7 +316,7 @@ def _column(name: str, unit: str, cells: list[str]) -> CsvColumn:
 def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
     """Index of a column that an option names, with or without its unit."""
     for k, column in enumerate(columns):
-        if name in (column.name, _name_and_unit(name)[0]) or column.name == _name_and_unit(name)[0]:
+        if column.name in (name, _name_and_unit(name)[0]):
             return k
     hint = suggestion(name, [c.name for c in columns])
     raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
@@ -313,7 +327,11 @@ def _as_chosen(
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
     chosen = list(columns)
-    wanted = [(TIME, "--time", time), (FLUX, "--lamp", flux), *((TEMPERATURE, "--temperature", t) for t in temperatures)]
+    wanted = [
+        (TIME, "--time", time),
+        (FLUX, "--lamp", flux),
+        *((TEMPERATURE, "--temperature", t) for t in temperatures),
+    ]
     if temperatures:
         chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TEMPERATURE else c for c in chosen]
     if time is not None:
@@ -332,17 +350,24 @@ def _flux_unit(column: CsvColumn) -> CsvColumn:
     return replace(column, unit=unit, reason=f"{column.reason}; no unit, values {why}: {unit}")
 
 
-def _with_time(path: Path, columns: list[CsvColumn], unit: str | None, period_s: float | None, rows: int) -> list[CsvColumn]:
+def _with_time(
+    path: Path, columns: list[CsvColumn], unit: str | None, period_s: float | None, rows: int
+) -> list[CsvColumn]:
     """Columns with one time: the named one, else the first that may be it."""
     if period_s is not None:
         others = [replace(c, kind=UNUSED, reason="--period is given") if c.kind == TIME else c for c in columns]
-        clock = CsvColumn("time", TIME, "s", np.round(period_s * np.arange(rows), 9), f"--period {period_s:g} s, from row 1")
+        clock = CsvColumn(
+            "time", TIME, "s", np.round(period_s * np.arange(rows), 9), f"--period {period_s:g} s, from row 1"
+        )
         return [clock, *others]
     times = [k for k, c in enumerate(columns) if c.kind == TIME]
     reason = ""
     if not times:
         rising = (k for k, c in enumerate(columns) if c.kind == UNUSED and np.all(np.diff(c.values) > 0.0))
-        times, reason = [k for k in (next(rising, None),) if k is not None], "no column is called time; this one increases"
+        times, reason = (
+            [k for k in (next(rising, None),) if k is not None],
+            "no column is called time; this one increases",
+        )
     if not times:
         raise InputError(f"{display_path(path)}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
     at = times[0]
@@ -353,7 +378,10 @@ def _with_time(path: Path, columns: list[CsvColumn], unit: str | None, period_s:
         found = replace(found, unit=unit, reason=f"{found.reason}; --time-unit")
     elif not found.unit:
         found = replace(found, unit="s", reason=f"{found.reason}; no unit: s assumed")
-    others = [replace(c, kind=UNUSED, reason=f"`{found.name}` is the time") if k in times else c for k, c in enumerate(columns)]
+    others = [
+        replace(c, kind=UNUSED, reason=f"`{found.name}` is the time") if k in times else c
+        for k, c in enumerate(columns)
+    ]
     return [found if k == at else c for k, c in enumerate(others)]
 
 
@@ -375,7 +403,9 @@ def _with_unit(path: Path, column: CsvColumn, unit: str | None) -> CsvColumn:
         unit = "degF"
     else:
         file = display_path(path)
-        raise InputError(f"{file}, column {column.name}: begins at {start:g}, in no unit that is known; give --temperature-unit")
+        raise InputError(
+            f"{file}, column {column.name}: begins at {start:g}, in no unit that is known; give --temperature-unit"
+        )
     return replace(column, unit=unit, reason=f"{column.reason}; begins at {start:g}: {unit} assumed")
 
 

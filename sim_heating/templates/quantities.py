@@ -19,7 +19,6 @@ ALIASES = {
     "fahrenheit": "degF", "Kelvin": "K", "kelvin": "K", "k": "K", "℃": "degC", "℉": "degF", "°K": "K", "DEGC": "degC",
     "DEGF": "degF", "DegC": "degC", "DegF": "degF", "deg_C": "degC", "deg_F": "degF", "sec": "s", "secs": "s",
     "seconds": "s", "Seconds": "s", "S": "s", "mins": "min", "minutes": "min", "hr": "h", "hrs": "h", "msec": "ms",
-    "BTU/ft2/s": "BTU/ft**2/s", "Btu/ft2s": "BTU/ft**2/s",
 }  # fmt: skip
 """Spellings that pint does not know, or takes for another unit (mil: an angle; C: a charge; F: a capacity)."""
 

@@ -144,9 +144,7 @@ def _thickness_m(layers: Sequence[LayerInput]) -> float:
     return float(f"{sum(layer.thickness_m for layer in layers):.12g}")
 
 
-def lamp_heat(
-    measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | None, absorptance: float | None
-) -> Heat:
+def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | None, absorptance: float | None) -> Heat:
     """The flux that the surface absorbs.
 
     lamp        : a constant flux with a unit, a column of the CSV file, or another CSV file with a time and a flux
@@ -161,7 +159,7 @@ def lamp_heat(
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
-        found = columns[lamp] if lamp in columns else None
+        found = columns.get(lamp)
         where = f"column {lamp}"
         if found is None:
             file = read_measured_csv(Path(lamp))
@@ -223,7 +221,9 @@ def flown_heat(path: Path, reference: str | None) -> Heat:
 # The record ----------------------------------------------------------------------------------------------------------
 
 
-def write_new_record(out: str | os.PathLike[str], measured: MeasuredCsv, given: RecordInput) -> tuple[Record, list[str]]:
+def write_new_record(
+    out: str | os.PathLike[str], measured: MeasuredCsv, given: RecordInput
+) -> tuple[Record, list[str]]:
     """Write a record of a test article, checked as a whole.
 
     returns : the record, and one line for each thing that was assumed
@@ -243,7 +243,7 @@ def write_new_record(out: str | os.PathLike[str], measured: MeasuredCsv, given: 
     constants = list(given.heat.constants)
     porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in given.layers)
     if given.pressure_Pa is not None or (porous and "p_surface_Pa" not in given.heat.columns):
-        pressure = given.pressure_Pa if given.pressure_Pa is not None else us76(0.0)[1]
+        pressure = given.pressure_Pa if given.pressure_Pa is not None else float(us76(0.0)[1])
         constants.append(("p_surface_Pa", pressure, "air pressure in the room, on which porous insulation depends"))
         if given.pressure_Pa is None:
             notes.append(f"air pressure {pressure:g} Pa, sea level (--pressure)")
@@ -313,13 +313,15 @@ def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:
         found[outer.name]["emissivity"] = [[300.0, given.emissivity]]
     elif outer.material.emissivity is None:
         raise InputError(
-            f"--layer {outer.name}: the outermost layer needs an emittance, and the library has none for this material; "
-            "give --emissivity, such as 0.9 for black paint"
+            f"--layer {outer.name}: the outermost layer needs an emittance, and the library has none for this "
+            "material; give --emissivity, such as 0.9 for black paint"
         )
     else:
         low, high = (f([e for _, e in outer.material.emissivity]) for f in (min, max))
         span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        notes.append(f"emittance {span}: that of {outer.name} in the library, an oxidised surface as a rule (--emissivity)")
+        notes.append(
+            f"emittance {span}: that of {outer.name} in the library, an oxidised surface as a rule (--emissivity)"
+        )
     return found, notes
 
 
@@ -358,10 +360,16 @@ def like_record(
         name = re.sub(r"\s+", "_", column.name)
         depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
         noise = noise_K if noise_K is not None or column.name not in known else known[column.name].noise_sigma_K
-        sensors.append(Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise))
+        sensors.append(
+            Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise)
+        )
         notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
-    update = {"thermocouples": thermocouples, "title": title or f"{measured.path.name} on {declared.title}", "measured": True}
+    update = {
+        "thermocouples": thermocouples,
+        "title": title or f"{measured.path.name} on {declared.title}",
+        "measured": True,
+    }
     times = measured.of_kind(TIME)[0].si
     readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
     record = make_record(

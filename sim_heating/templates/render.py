@@ -15,7 +15,11 @@ from sim_heating.base.files import toml_text
 def _environment() -> jinja2.Environment:
     loader = jinja2.PackageLoader("sim_heating.templates", ".")
     environment = jinja2.Environment(
-        loader=loader, undefined=jinja2.StrictUndefined, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters |= {"toml": _toml_value, "tables": toml_text}
     return environment

@@ -81,7 +81,8 @@ def test_thickness_and_heat_capacity_of_a_coating_are_not_separable_with_a_lamp(
 
 def test_a_ground_test_has_no_heating_ratio_to_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_record(lit_plug(50e3), tmp_path / "test")
-    assert main(["estimate", str(tmp_path / "test"), "--out", str(tmp_path / "out")]) == 2
+    arguments = ["estimate", str(tmp_path / "test"), "--parameters", "ratio.d0", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
     errors = capsys.readouterr().err
     assert "h_ref is 0 throughout" in errors
     assert not (tmp_path / "out").exists()

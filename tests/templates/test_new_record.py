@@ -1,0 +1,269 @@
+"""`sim-heating new record`: from the CSV file of a data logger to a record that goes through every command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from scipy.integrate import solve_ivp
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_toml
+from sim_heating.cli import cli
+from sim_heating.inputs.record import load_record
+from sim_heating.templates.materials import find_material, layer_input, material_library
+from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, read_measured_csv
+from sim_heating.templates.quantities import quantity
+from sim_heating.thermal.stack import Material
+from tests.support.paths import AIRCRAFT, RECORDS
+
+SIGMA = 5.670374419e-8
+FLUX_W_M2, ON_S, OFF_S, ROOM_K = 18e3, 10.0, 130.0, 293.15
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def refused(*arguments: str) -> str:
+    """The one line with which a command refuses its input."""
+    result = run(*arguments)
+    assert isinstance(result.exception, InputError), result.output
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
+
+
+def plate_K(time_s: np.ndarray, heat_capacity: float = 1.0, emittance: float = 0.8) -> np.ndarray:
+    """Temperature of a copper plate of 3 mm under a lamp: thin, so that it has one temperature.
+
+    rho c(T) L dT/dt = q - eps sigma (T^4 - T_room^4), integrated without this program
+    """
+    copper = material_library()["copper"]
+    T_table, c_table = np.array(copper.specific_heat_J_kgK).T
+
+    def rate(t: float, T: np.ndarray) -> np.ndarray:
+        q = np.interp(t, [ON_S, ON_S + 0.1, OFF_S, OFF_S + 0.1], [0.0, FLUX_W_M2, FLUX_W_M2, 0.0])
+        stored = copper.density_kg_m3 * heat_capacity * np.interp(T, T_table, c_table) * 3e-3
+        return (q - emittance * SIGMA * (T**4 - ROOM_K**4)) / stored
+
+    found = solve_ivp(rate, (0.0, time_s[-1]), [ROOM_K], t_eval=time_s, max_step=1.0, rtol=1e-8, atol=1e-6)
+    return found.y[0]
+
+
+def write_logger_file(path: Path, time_s: np.ndarray, T_K: np.ndarray) -> None:
+    """A spreadsheet of a Windows data logger: a line before the names, semicolons, decimal commas, degC in a line."""
+    rows = [f"{t:.1f};{T - 273.15:.2f};OK" for t, T in zip(time_s, T_K, strict=True)]
+    text = "\r\n".join(["Test 12, copper plate", "Time;TC 1;Status", "s;°C;", *rows]).replace(".", ",")
+    path.write_bytes(text.encode("cp1252"))
+
+
+PLATE = (
+    "--layer",
+    "copper 3 mm",
+    "--depth",
+    "TC 1=back",
+    "--lamp",
+    "18 kW/m2",
+    "--lit",
+    "10,130",
+    "--emissivity",
+    "0.8",
+)
+
+
+def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit() -> None:
+    """A plate with 6 % more heat capacity than the library's copper: every command runs, and finds the 6 %."""
+    time_s = np.arange(0.0, 301.0, 3.0)
+    noise = np.random.default_rng(3).normal(0.0, 0.3, len(time_s))
+    write_logger_file(Path("temps.csv"), time_s, plate_K(time_s, heat_capacity=1.06) + noise)
+    made = run("new", "record", "--csv", "temps.csv", *PLATE, "--out", "plate")
+    assert made.exit_code == 0, made.exception
+    for shown in ("semicolons, decimal comma", "TC 1", "degC", "most cells hold no number", "copper: Incropera"):
+        assert shown in made.output.replace("°C", "degC")
+    assert "good" in run("validate", "plate").output
+
+    assert run("predict", "plate", "--out", "predicted").exit_code == 0
+    assert run("estimate", "plate", "--out", "fit").exit_code == 0
+    fit = json.loads(Path("fit/estimate.json").read_text())
+    for name, true in (("stack.copper.heat_capacity_factor", 1.06), ("stack.emissivity_factor", 1.0)):
+        found = fit["parameters"][name]
+        assert abs(found["value"] - true) < 3.0 * found["sigma"] + 0.002
+    assert "does not inform it" in fit["not_estimated"]["stack.copper.conductivity_factor"]
+    assert fit["fit"]["rmse_K"] == pytest.approx(0.3, rel=0.25)
+
+    assert run("close-loop", "plate", "--out", "closed").exit_code == 0
+    closed = json.loads(Path("closed/closure.json").read_text())
+    named = {closed["effect"]["name"], *(name for names in closed["alternatives"] for name in names)}
+    assert "heat-capacity" in named
+    assert closed["after"]["fit"]["rmse_K"] < 0.2 * closed["before"]["fit"]["rmse_K"]
+
+
+@pytest.mark.parametrize(
+    ("text", "last_s", "last_K"),
+    [
+        ("time_s,TC_K\n0,293.15\n1,294.15\n2,295.15\n", 2.0, 295.15),
+        ("\ufefft [ms]\tT_plate [°C]\n0\t20\n500\t21\n1000\t22\n", 1.0, 295.15),
+        ("Time (min);Temp (F)\n0;68,0\n0,5;86,0\n", 30.0, 303.15),
+        ("clock,plate\n10:00:00,20.0\n10:00:30,25\n10:01:00,30\n", 60.0, 303.15),
+        ("2024-05-01T10:00:00,20.0\n2024-05-01T10:00:30,25\n", 30.0, 298.15),
+        ("# logger\n# 2 channels\nElapsed time/s, TC1/K\n0, 300\n0.1, 301\n", 0.1, 301.0),
+        ("Date Time,Temp\n5/1/2024 10:00:00,70\n5/1/2024 10:00:01,88\n", 1.0, 304.26111111111),
+        ("0 293.15\n1 294.15\n2 295.15\n", 2.0, None),
+    ],
+)
+def test_separators_units_and_clocks_of_loggers_are_recognised(text: str, last_s: float, last_K: float | None) -> None:
+    Path("t.csv").write_text(text, encoding="utf-8")
+    found = read_measured_csv(Path("t.csv"), temperatures=("column2",) if last_K is None else ())
+    assert found.of_kind(TIME)[0].si[-1] == pytest.approx(last_s)
+    if "2024-05" not in text:
+        assert found.of_kind(TEMPERATURE)[0].si[-1] == pytest.approx(last_K or 295.15)
+
+
+def test_a_guess_is_shown_with_its_reason_and_an_option_prevails() -> None:
+    Path("t.csv").write_text("t,plate,q\n0,70,0.0\n1,71,20.0\n2,72,20.0\n")
+    guessed = {c.name: c for c in read_measured_csv(Path("t.csv")).columns}
+    assert (guessed["plate"].unit, guessed["q"].unit, guessed["t"].unit) == ("degF", "kW/m2", "s")
+    assert "begins at 71: degF assumed" in guessed["plate"].reason
+    stated = read_measured_csv(Path("t.csv"), time_unit="min", temperature_unit="degC")
+    assert stated.of_kind(TEMPERATURE)[0].si[0] == 343.15
+    assert stated.of_kind(TIME)[0].si[-1] == 120.0
+    assert stated.of_kind(FLUX)[0].si[-1] == 20e3
+    assert read_measured_csv(Path("t.csv"), period_s=0.5).of_kind(TIME)[0].si[-1] == 1.0
+
+
+def test_samples_without_a_number_are_lost_samples_and_not_zeros() -> None:
+    Path("t.csv").write_text("time_s,TC1_K\n0,300\n1,Open TC\n2,\n3,303\n")
+    column = read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0]
+    assert np.isnan(column.si).tolist() == [False, True, True, False]
+    assert "2 lost samples (Open TC)" in column.reason
+
+
+def test_a_lamp_may_be_a_column_of_the_file_or_a_file_of_its_own() -> None:
+    Path("t.csv").write_text("time_s,TC_K,heat flux [kW/m2]\n0,300,0\n10,300,20\n20,310,20\n")
+    arguments = (
+        "--csv",
+        "t.csv",
+        "--layer",
+        "stainless steel 304 2mm",
+        "--depth",
+        "TC=surface",
+        "--absorptance",
+        "0.9",
+    )
+    assert run("new", "record", *arguments, "--out", "a").exit_code == 0
+    assert load_record("a").conditions["q_add_W_m2"][-1] == pytest.approx(18e3)
+    Path("lamp.csv").write_text("time_s,flux_W_m2\n-5,0\n5,1000\n30,1000\n")
+    assert run("new", "record", *arguments, "--lamp", "lamp.csv", "--out", "b").exit_code == 0
+    assert load_record("b").conditions["q_add_W_m2"][-1] == pytest.approx(900.0)
+    Path("short.csv").write_text("time_s,flux_W_m2\n0,1000\n5,1000\n")
+    assert "covers 0 to 5 s" in refused("new", "record", *arguments, "--lamp", "short.csv", "--out", "c")
+
+
+def test_a_tile_on_the_ground_takes_its_materials_from_the_library() -> None:
+    """Porous insulation conducts by its pressure: that of the room, as a constant and no column."""
+    Path("t.csv").write_text("time_s,T1_K,T2_K\n0,290,290\n60,700,300\n120,900,320\n")
+    made = run(
+        "new", "record", "--csv", "t.csv", "--layer", "RCG 0.38 mm", "--layer", "LI-900 2 in",
+        "--layer", "Al 2024 0.1 in",
+        "--depth", "T1=surface", "--depth", "T2=2.015in", "--lamp", "50kW/m2", "--out", "tile",
+    )  # fmt: skip
+    assert made.exit_code == 0, made.exception
+    record = load_record("tile")
+    assert [layer.material for layer in record.declared.stack.layer] == ["rcg", "li900", "al2024"]
+    assert record.declared.stack.layer[1].thickness_m == 0.0508
+    assert record.conditions["p_surface_Pa"][0] == pytest.approx(101325.0)
+    assert record.conditions["q_add_W_m2"][0] == 50e3
+    assert record.conditions.columns.keys() >= {"alpha_deg", "elevon_deg"}  # of a wall at rest, in no file
+
+
+def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
+    """Stack, flight, heating and noise of a shipped record; one CSV file and no other edit."""
+    flown = load_record(RECORDS / "sts96_480")
+    T_C = flown.thermocouples["STS96_480_surface_K"] - 270.0
+    rows = [f"{t:g};{T:.1f}" for t, T in zip(flown.time_s, T_C, strict=True)]
+    Path("mine.csv").write_text("\n".join(["time [s];my tile [C]", *rows]))
+    made = run("new", "record", "--csv", "mine.csv", "--like", RECORDS / "sts96_480", "--out", "mine")
+    assert made.exit_code == 0, made.exception
+    record = load_record("mine")
+    assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, 6.0)]
+    assert record.thermocouples["my_tile_K"][0] == pytest.approx(T_C[0] + 273.15, abs=0.06)
+    assert record.declared.heating == flown.declared.heating
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--depth", "TC=1mm"), "--layer: is missing"),
+        (("--layer", "coper 3 mm", "--depth", "TC=1mm"), "did you mean `copper`?"),
+        (("--layer", "inconel 3 mm", "--depth", "TC=1mm"), "may be inconel-x, inconel625"),
+        (("--layer", "copper 3", "--depth", "TC=1mm"), "the thickness has no unit"),
+        (("--layer", "copper 3 kg", "--depth", "TC=1mm"), "`kg` is not a unit that converts to m"),
+        (("--layer", "copper 3 mm"), "--depth TC=0.4mm"),
+        (("--layer", "copper 3 mm", "--depth", "TC=4mm"), "outside the stack, which is 3 mm thick"),
+        (("--layer", "copper 3 mm", "--depth", "TC=1"), "has no unit"),
+        (("--layer", "copper 3 mm", "--depth", "TD=1mm"), "there is no such column; known: `TC`"),
+        (("--layer", "copper 3 mm", "--depth", "TC=1mm"), "--lamp: is missing"),
+        (("--layer", "copper 3 mm", "--depth", "TC=1mm", "--lamp", "20K"), "`K` is not a unit that converts to W/m2"),
+        (("--layer", "copper 3 mm", "--depth", "TC=1mm", "--lamp", "flx"), "neither a flux"),
+        (("--layer", "al2024 3 mm", "--depth", "TC=1mm", "--lamp", "2kW/m2"), "give --emissivity"),
+        (("--temperature", "TX"), "--temperature TX: there is no such column"),
+        (("--time-unit", "mm"), "is not a unit of time"),
+        (("--like", "x", "--lamp", "1kW/m2"), "--lamp: comes from the record of --like"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_said_in_one_line(arguments: tuple[str, ...], message: str) -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    assert message in refused("new", "record", "--csv", "t.csv", *arguments, "--out", "out")
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,TC_K\n0,300\n1,301\n1,302\n", "row 4, column time: does not come after"),
+        ("a,b\nx,y\n", "no rows of numbers"),
+        ("time_s,TC_K\n0,300\n1,301,5\n2,302\n", "row 3: does not have 2 cells"),
+        ("u,v\n1,1\n1,2\n0,1\n", "no column is a time"),
+        ("time_s,v\n1,1\n2,2\n3,1\n", "no column is a temperature"),
+        ("time_s,TC\n1,-120\n2,-119\n3,-90\n", "in no unit that is known"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_refused_with_its_row(text: str, message: str) -> None:
+    Path("t.csv").write_text(text)
+    assert message in refused("new", "record", "--csv", "t.csv", "--layer", "copper 3 mm", "--out", "out")
+
+
+def test_materials_are_found_by_the_names_that_people_use() -> None:
+    for name, own in (
+        ("Copper", "copper"), ("LI-900", "li900"), ("RCG", "rcg"), ("aluminium 2024-T6", "al2024"),
+        ("Aluminum 6061", "al6061"), ("kaowool", "kaowool-pm"),
+        ("Stainless Steel 304", "ss304"), ("AISI 304", "ss304"), ("Inconel 625", "inconel625"),
+        ("titanium 6Al-4V", "ti-6al-4v"),
+    ):  # fmt: skip
+        assert find_material(name)[0] == own, name
+    assert layer_input('copper 0.125"').thickness_m == pytest.approx(3.175e-3)
+    assert layer_input("LI-900, 15 mil").thickness_m == pytest.approx(3.81e-4)
+
+
+def test_every_general_material_states_its_source_and_can_be_an_outermost_layer() -> None:
+    files = sorted((AIRCRAFT / "materials").glob("*.toml"))
+    assert len(files) >= 8
+    for file in files:
+        material = read_toml(file, Material)
+        assert material.source, file.name
+        assert material.confidence in ("A", "B", "C"), file.name
+        assert material.emissivity, file.name
+
+
+def test_a_quantity_has_the_digits_that_were_typed() -> None:
+    assert quantity("21 degC", "K", "--initial", "21degC") == 294.15
+    assert quantity("0,4 mm", "m", "--depth", "0.4mm") == 4e-4
+    assert quantity("1 BTU/ft2/s", "W/m2", "--lamp", "1kW/m2") == pytest.approx(11356.5, rel=1e-5)
