@@ -1,6 +1,6 @@
 """Figures that pages quote from benchmarks/results: checked, or written again after a benchmark has run.
 
-python -m benchmarks.page_figures            # lists the figures that differ from their results; exit status 1 if any does
+python -m benchmarks.page_figures            # lists figures that differ from their results; exit status 1 if any does
 python -m benchmarks.page_figures --write    # writes them into the pages
 
 A figure stands between two comments, which a forge and the site do not show, in a sentence or in a cell of a table:
