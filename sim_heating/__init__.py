@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from sim_heating.inputs.vehicle import load_vehicle as load_vehicle
     from sim_heating.planning.plan import plan as plan
     from sim_heating.simulation.fmu_export.export import export_fmu as export_fmu
+    from sim_heating.simulation.fmu_export.ssp import export_ssp as export_ssp
     from sim_heating.simulation.plugin import HeatingPlugin as HeatingPlugin
     from sim_heating.simulation.plugin_jsbsim import JSBSimHeating as JSBSimHeating
     from sim_heating.simulation.predict import predict as predict
@@ -68,6 +69,7 @@ _HOME = {
     "predict": "simulation.predict",
     "HeatingPlugin": "simulation.plugin",
     "export_fmu": "simulation.fmu_export.export",
+    "export_ssp": "simulation.fmu_export.ssp",
     # any aircraft of JSBSim, with the heating alongside
     "JSBSimHost": "trajectory.jsbsim.host",
     "JSBSimHeating": "simulation.plugin_jsbsim",

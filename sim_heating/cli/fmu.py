@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,25 +13,33 @@ from sim_heating.cli.console import CONSOLE, PATH, ROOT, comma_list, progress_li
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
+    from sim_heating.inputs.vehicle import Vehicle
     from sim_heating.simulation.fmu_export.image import Image
 
 
-def _fmu_file(_: click.Context, __: click.Parameter, value: Path) -> Path:
-    """Value of --out; a file that cannot be written is refused before any work."""
-    from sim_heating.base.files import require_exclusive
-    from sim_heating.simulation.fmu_export.archive import require_replaceable
+def _archive(option: str, suffix: str, text: str, required: bool = False) -> Callable[..., Callable[..., None]]:
+    """An option for a file to write, of this suffix; one that cannot be written is refused before any work."""
 
-    if value.suffix != ".fmu":
-        raise InputError(f"--out {value}: name a file that ends in .fmu")
-    if value.is_dir():
-        raise InputError(f"--out {value}: is a directory; name a file that ends in .fmu")
-    with error_context("--out"):
-        require_replaceable(value)
-    require_exclusive(value.parent)
-    return value
+    def check(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
+        from sim_heating.base.files import require_exclusive
+        from sim_heating.simulation.fmu_export.archive import require_replaceable
+
+        if value is None:
+            return None
+        if value.suffix != suffix:
+            raise InputError(f"{option} {value}: name a file that ends in {suffix}")
+        if value.is_dir():
+            raise InputError(f"{option} {value}: is a directory; name a file that ends in {suffix}")
+        with error_context(option):
+            require_replaceable(value)
+        require_exclusive(value.parent)
+        return value
+
+    return click.option(
+        option, required=required, type=PATH, callback=check, help=f"{text}, a file that ends in {suffix}"
+    )
 
 
-FMU_OUT = click.option("--out", required=True, type=PATH, callback=_fmu_file, help="the FMU, a file that ends in .fmu")
 FMI = click.option(
     "--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard"
 )
@@ -50,7 +59,9 @@ def fmu() -> None:
 
 @fmu.command("export")
 @click.argument("vehicle")
-@FMU_OUT
+@_archive("--out", ".fmu", "the FMU")
+@_archive("--ssp", ".ssp", "the heating with the trajectory that drives it, as one system (SSP 1.0, FMI 2)")
+@click.option("--trajectory", type=PATH, help='with --ssp: scenario with source = "entry-3dof", whose trajectory it is')
 @click.option(
     "--control-points", "points", callback=comma_list, help="names, separated by commas; default: all of the vehicle's"
 )
@@ -73,7 +84,9 @@ def fmu() -> None:
 @ROOT
 def export(
     vehicle: str,
-    out: Path,
+    out: Path | None,
+    ssp: Path | None,
+    trajectory: Path | None,
     points: tuple[str, ...] | None,
     fmi: str,
     platforms: tuple[str, ...],
@@ -81,26 +94,89 @@ def export(
     input_timing: str,
     root: Path | None,
 ) -> None:
-    """The heating plug-in of a vehicle as a co-simulation FMU."""
+    """The heating plug-in of a vehicle as a co-simulation FMU, or with a trajectory as a system of two FMUs."""
     from sim_heating.inputs.vehicle import load_vehicle
     from sim_heating.simulation.fmu_export.export import export_fmu, targets_of
 
-    targets_of(platforms, int(fmi))
+    _require_what_to_write(out, ssp, trajectory, reference)
+    if out is not None:
+        targets_of(platforms, int(fmi))
+    loaded, found = load_vehicle(vehicle, root=root), {}
+    if ssp is not None and trajectory is not None:
+        found["system"] = _export_system(loaded, ssp, trajectory, points, platforms, input_timing, root)
+    if out is not None:
+        with progress_line("fmu export") as progress:
+            progress(0.1, "compiling, unless compiled before")
+            image = export_fmu(
+                loaded, out, points, fmi=int(fmi), platforms=platforms, columns=reference == "columns",
+                input_timing=input_timing, progress=progress,
+            )  # fmt: skip
+        found |= _print_export(out, image, fmi, platforms, _names(loaded, points))
+    report_results(found)
+
+
+def _require_what_to_write(out: Path | None, ssp: Path | None, trajectory: Path | None, reference: str) -> None:
+    """raises : InputError for options of `fmu export` that do not go together"""
+    if out is None and ssp is None:
+        raise InputError("fmu export: give --out FILE.fmu, --ssp FILE.ssp, or both")
+    if ssp is not None and trajectory is None:
+        raise InputError(
+            '--ssp: also give --trajectory SCENARIO.toml, a scenario with source = "entry-3dof" that drives the heating'
+        )
+    if ssp is None and trajectory is not None:
+        raise InputError("--trajectory: goes with --ssp FILE.ssp; for the trajectory alone use `fmu trajectory`")
+    if ssp is not None and reference == "columns":
+        raise InputError("--reference columns: no trajectory gives h_ref and H_r; leave it out with --ssp")
+
+
+def _export_system(
+    vehicle: Vehicle,
+    out: Path,
+    scenario: Path,
+    points: tuple[str, ...] | None,
+    platforms: tuple[str, ...],
+    input_timing: str,
+    root: Path | None,
+) -> dict[str, Any]:
+    """Write the heating of a vehicle and the trajectory of a scenario as one system; what --json states of it."""
+    from sim_heating.base.files import display_path
+    from sim_heating.inputs.scenario import load_scenario
+    from sim_heating.simulation.fmu_export.entry import require_entry_source
+    from sim_heating.simulation.fmu_export.export import targets_of
+    from sim_heating.simulation.fmu_export.ssp import FMI, export_ssp
+
+    flown = load_scenario(scenario, root=root)
+    with error_context(f"{display_path(scenario)}, [trajectory]"):
+        require_entry_source(flown.declared.trajectory)
+    if flown.vehicle.directory.resolve() != vehicle.directory.resolve():
+        own = flown.vehicle.name
+        raise InputError(
+            f"{display_path(scenario)}: flies `{own}`, not `{vehicle.name}`; export the heating of `{own}`"
+        )
+    targets_of(platforms, FMI)
     with progress_line("fmu export") as progress:
         progress(0.1, "compiling, unless compiled before")
-        loaded = load_vehicle(vehicle, root=root)
-        columns = reference == "columns"
-        image = export_fmu(
-            loaded, out, points, fmi=int(fmi), platforms=platforms, columns=columns, input_timing=input_timing,
-            progress=progress,
+        system = export_ssp(
+            vehicle, flown.declared.trajectory, out, points, title=flown.title, platforms=platforms,
+            input_timing=input_timing, progress=progress,
         )  # fmt: skip
-    names = list(loaded.control_points) if points is None else list(points)
-    _print_export(out, image, fmi, platforms, names)
+    about = f"SSP 1.0, 2 FMUs (FMI {FMI}.0), {len(system.connections)} connections, {', '.join(platforms)}"
+    end = f"the scenario ends at {system.stop_s:.6g} s"
+    CONSOLE.print(f"Wrote {out}: {about}, {out.stat().st_size / 1e6:.2f} MB; {end}", soft_wrap=True)
+    report_files(None, [out])
+    return {
+        "ssp": "1.0", "fmi": f"{FMI}.0", "connections": system.connections, "platforms": platforms,
+        "stop_time_s": system.stop_s, "bytes": out.stat().st_size, "control_points": _names(vehicle, points),
+    }  # fmt: skip
+
+
+def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:
+    return list(vehicle.control_points) if points is None else list(points)
 
 
 @fmu.command("trajectory")
 @click.argument("scenario", type=PATH)
-@FMU_OUT
+@_archive("--out", ".fmu", "the FMU", required=True)
 @FMI
 @PLATFORMS
 @ROOT
@@ -121,13 +197,13 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...], 
         image = export_entry(
             spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
         )
-    _print_export(out, image, fmi, platforms)
+    report_results(_print_export(out, image, fmi, platforms))
 
 
 def _print_export(
     out: Path, image: Image, fmi: str, platforms: tuple[str, ...], points: list[str] | None = None
-) -> None:
-    """Print version, control points, platforms and size of an FMU that was written."""
+) -> dict[str, Any]:
+    """Print version, control points, platforms and size of an FMU that was written; what --json states of it."""
     from sim_heating.simulation.fmu_export.description import variables_of
 
     count = sum(1 for _ in variables_of(image, int(fmi)))
@@ -136,4 +212,4 @@ def _print_export(
     CONSOLE.print(f"Wrote {out}: {about}", soft_wrap=True)
     report_files(None, [out])
     found = {"fmi": f"{fmi}.0", "variables": count, "platforms": platforms, "bytes": out.stat().st_size}
-    report_results(found if points is None else found | {"control_points": points})
+    return found if points is None else found | {"control_points": points}

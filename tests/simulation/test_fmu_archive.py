@@ -79,8 +79,8 @@ def test_a_file_that_is_not_an_unmodified_export_is_refused_before_any_work(kind
     assert main(["fmu", "export", "no-such-vehicle", "--out", str(out)]) == 2
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 1
-    assert "x.fmu: exists and is not an unmodified FMU that sim-heating wrote" in error[0]
-    with pytest.raises(InputError, match="is not an unmodified FMU"):
+    assert "x.fmu: exists and is not an unmodified export of sim-heating" in error[0]
+    with pytest.raises(InputError, match="is not an unmodified export"):
         export_fmu("capsule", out, ["FACE"])
     assert os.path.lexists(out)
     assert before is None or out.read_bytes() == before
@@ -105,7 +105,7 @@ def test_a_trajectory_is_not_written_over_a_users_file(tmp_path, capsys):
     out = tmp_path / "notes.fmu"
     out.write_text("notes\n")
     assert main(["fmu", "trajectory", "no-such-scenario.toml", "--out", str(out)]) == 2
-    assert "is not an unmodified FMU" in capsys.readouterr().err
+    assert "is not an unmodified export" in capsys.readouterr().err
     assert out.read_text() == "notes\n"
 
 

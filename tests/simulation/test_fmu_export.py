@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import zipfile
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,8 +17,9 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
+from lxml import etree
 
-from sim_heating.base.conditions import FRAME, Conditions
+from sim_heating.base.conditions import FRAME, RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
@@ -524,6 +526,96 @@ def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkey
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(own, given))
 
 
+# Sampled maps --------------------------------------------------------------------------------------------------------
+
+STRUCT = "org.fmi-standard.fmi-ls-struct"
+MANIFEST = """<?xml version="1.0"?>
+<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:ls="http://fmi-standard.org/fmi-ls-manifest">
+  <xs:import namespace="http://fmi-standard.org/fmi-ls-manifest" schemaLocation="fmi3LayeredStandardManifest.xsd"/>
+  <xs:element name="fmiLayeredStandardManifest">
+    <xs:complexType>
+      <xs:attribute ref="ls:fmi-ls-name" use="required" fixed="org.fmi-standard.fmi-ls-struct"/>
+      <xs:attribute ref="ls:fmi-ls-version" use="required" fixed="1.0.0-rc.1"/>
+      <xs:attribute ref="ls:fmi-ls-description" use="required" fixed="Layered standard for structuring of variables"/>
+    </xs:complexType>
+  </xs:element>
+</xs:schema>
+"""
+"""The table of attributes in section 2 of FMI-LS-STRUCT 1.0.0-rc.1 as a schema, over that of FMI 3.0 for manifests."""
+
+
+def sampled_maps(fmu: Path) -> dict[str, list[tuple[str, str]]]:
+    """Members of each terminal for a sampled map, as a tool for calibration reads them: kind and name of the variable."""
+    with zipfile.ZipFile(fmu) as archive:
+        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+    kind = f"{STRUCT}.map."
+    return {
+        terminal.get("name"): [(m.get("variableKind").removeprefix(kind), m.get("variableName")) for m in terminal]
+        for terminal in root.iter("Terminal")
+        if terminal.get("terminalKind") == f"{kind}rectilinearGrid"
+    }
+
+
+def test_manifest_and_terminals_are_valid_and_go_with_fmi_3_alone(fmus):
+    """FMPy ships the schemas of FMI 3.0."""
+    schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
+    manifest = etree.XMLSchema(etree.fromstring(MANIFEST.encode(), base_url=f"{schemas}/"))
+    terminals = etree.XMLSchema(etree.parse(schemas / "fmi3TerminalsAndIcons.xsd"))
+    with zipfile.ZipFile(fmus[3]) as archive:
+        manifest.assertValid(etree.fromstring(archive.read(f"extra/{STRUCT}/fmi-ls-manifest.xml")))
+        terminals.assertValid(etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml")))
+    with zipfile.ZipFile(fmus[2]) as archive:
+        assert not [name for name in archive.namelist() if name.startswith(("extra/", "terminalsAndIcons/"))]
+
+
+def test_a_tool_reads_the_ratio_table_of_each_point_as_a_sampled_map(fmus, vehicle):
+    variables = {v.name: v for v in fmpy.read_model_description(fmus[3]).modelVariables}
+    maps = sampled_maps(fmus[3])
+    assert list(maps) == [f"{point}.ratio_table" for point in POINTS]
+    with Host(fmus[3]) as host:
+        for point, members in zip(POINTS, maps.values(), strict=True):
+            assert [kind for kind, _ in members] == ["domain", "domainInput"] * 5 + ["codomain"]
+            axes, inputs, values = [n for _, n in members[:-1:2]], [n for _, n in members[1::2]], members[-1][1]
+            table = vehicle.control_point(point).ratio
+            assert inputs == list(RATIO_VARIABLES)
+            assert all(variables[n].variability == "constant" for n in axes)
+            assert variables[values].causality == "parameter"
+            assert [d.start for d in variables[values].dimensions] == [len(axis) for axis in table.axes]
+            for name, own in zip([*axes, values], [*table.axes, table.ratio], strict=True):
+                found = host.fmu.getFloat64([host.refs[name]], nValues=own.size)
+                np.testing.assert_array_equal(np.reshape(found, own.shape), own)
+
+
+def test_values_set_through_a_sampled_map_act_as_an_updated_table_in_the_plug_in(fmus, revised, flown):
+    given, members = frames(flown, 1.0, 400.0), sampled_maps(fmus[3])["NOSECAP.ratio_table"]
+    table = load_vehicle(revised).control_point("NOSECAP").ratio
+    with Host(fmus[3]) as host:
+        host.fmu.setFloat64([host.refs[members[-1][1]]], table.ratio.ravel().tolist())
+        found = fmu_temperatures(host, given)
+        operating_point = host.get(*(name for kind, name in members if kind == "domainInput"))
+    np.testing.assert_array_equal(found, plugin_temperatures(load_vehicle(revised), given))
+    at_end = flown.at([given[-1]["time_s"]])
+    expected = [float(at_end[name][0]) for name in RATIO_VARIABLES]
+    np.testing.assert_allclose(operating_point, expected, rtol=0.0, atol=1e-9)
+
+
+def test_the_reynolds_number_of_an_instance_is_its_own(fmus, flown):
+    """Two instances in turn, at the entry interface and 300 s later; a state brings it back."""
+    early, late = frames(flown, 1.0, 300.0)[0], frames(flown, 1.0, 300.0)[-1]
+    with Host(fmus[3]) as first, Host(fmus[3], like=first) as second:
+        first.start(early)
+        second.start(late)
+        (thin,), (dense,) = first.get("log10_re"), second.get("log10_re")
+        assert dense > thin + 1.0
+        state = first.save()
+        first.step({**late, "time_s": early["time_s"] + 1.0})
+        assert first.get("log10_re")[0] == dense
+        first.restore(state, early["time_s"])
+        assert first.get("log10_re")[0] == thin
+        assert second.get("log10_re")[0] == dense
+        first.drop(state)
+
+
 # The library ---------------------------------------------------------------------------------------------------------
 
 
@@ -771,8 +863,10 @@ def test_initial_outputs_change_only_with_what_they_are_declared_to_depend_on(fm
 def test_state_dependent_outputs_are_declared_to_depend_on_no_input(fmus, fmi):
     depends = declared(fmus[fmi], initial=False)
     direct = {name for name, known in depends.items() if known}
-    assert direct == {f"{p}.heating.{what}" for p in POINTS for what in ("ratio", "convected_W_m2", "absorbed_W_m2")}
-    assert all({"altitude_m", "rho_kg_m3", "q_add_W_m2"} < depends[name] for name in direct)
+    heating = {f"{p}.heating.{what}" for p in POINTS for what in ("ratio", "convected_W_m2", "absorbed_W_m2")}
+    assert direct == heating | {"log10_re"}
+    assert all({"altitude_m", "rho_kg_m3", "q_add_W_m2"} < depends[name] for name in heating)
+    assert depends["log10_re"] == {"altitude_m", "velocity_m_s", "rho_kg_m3"}
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -1,4 +1,4 @@
-"""The archive of an FMU: its files in one zip, with a record of their digests by which an export is recognised."""
+"""The archive of an FMU or of a system of FMUs: one zip, with a record of digests by which an export is recognised."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LARGEST_BYTES = 1 << 30
 
 
 def archive_bytes(files: dict[str, bytes]) -> bytes:
-    """The FMU of these files, and of their record; all are readable by everybody, libraries executable.
+    """The archive of these files, and of their record; all are readable by everybody, libraries executable.
 
     files : content by the name of the entry
     """
@@ -42,7 +42,7 @@ def archive_bytes(files: dict[str, bytes]) -> bytes:
 
 
 def is_unmodified_export(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is an FMU that this package wrote and nobody has changed since: each entry has its digest.
+    """Whether a file is an export that this package wrote and nobody has changed since: each entry has its digest.
 
     path : any path; False for a directory, a symbolic link, a file that is no archive, and where nothing is
     """
@@ -73,12 +73,12 @@ def _is_unmodified(archive: zipfile.ZipFile) -> bool:
 
 
 def require_replaceable(path: str | os.PathLike[str]) -> None:
-    """Refuse to write an FMU in place of a file that is not an unmodified export of this package.
+    """Refuse to write an export in place of a file that is not an unmodified export of this package.
 
     raises : InputError naming the file
     """
     if os.path.lexists(path) and not is_unmodified_export(path):
         raise InputError(
-            f"{display_path(path)}: exists and is not an unmodified FMU that sim-heating wrote; it is not replaced: "
+            f"{display_path(path)}: exists and is not an unmodified export of sim-heating; it is not replaced: "
             "choose another name, or remove it first"
         )

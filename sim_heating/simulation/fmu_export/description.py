@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from sim_heating.base.files.package import package_version
+from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
 
 BASE_UNITS: dict[str, dict[str, float]] = {
@@ -19,13 +20,15 @@ BASE_UNITS: dict[str, dict[str, float]] = {
     "W/m2": {"kg": 1, "s": -3}, "W/(m2 K)": {"kg": 1, "s": -3, "K": -1}, "W/(m K)": {"kg": 1, "m": 1, "s": -3, "K": -1},
     "1/K": {"K": -1}, "1/s": {"s": -1}, "deg": {"rad": 1}, "1/deg": {"rad": -1}, "1/deg2": {"rad": -2},
     "deg/s": {"rad": 1, "s": -1}, "m/s2": {"m": 1, "s": -2}, "m2": {"m": 2}, "kg": {"kg": 1},
-    "N": {"kg": 1, "m": 1, "s": -2}, "W/m": {"kg": 1, "m": 1, "s": -3},
+    "N": {"kg": 1, "m": 1, "s": -2}, "W/m": {"kg": 1, "m": 1, "s": -3}, "standard_gravity": {"m": 1, "s": -2},
 }  # fmt: skip
-"""Exponents of the SI base units; units with degrees also have a factor."""
+"""Exponents of the SI base units."""
+FACTORS = {"rad": np.pi / 180.0, "standard_gravity": G0_M_S2}
+"""Size of a degree, whose exponent is that of a radian, and of units that are multiples of SI units."""
 CAUSALITY = {
     Role.INDEPENDENT: ("independent", "continuous"), Role.INPUT: ("input", "continuous"),
     Role.TUNABLE: ("parameter", "tunable"), Role.FIXED: ("parameter", "fixed"),
-    Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "fixed"),
+    Role.OUTPUT: ("output", "continuous"), Role.CONSTANT: ("local", "constant"),
 }  # fmt: skip
 NUMBERS = (Kind.NUMBER, Kind.SHARED)
 CATEGORIES = (("logStatusError", "why a call was refused"),)
@@ -41,14 +44,23 @@ def variables_of(image: Image, fmi: int) -> Iterator[tuple[int, Variable]]:
     return ((i, v) for i, v in enumerate(image.variables) if fmi == 3 or not v.shape)
 
 
-def _number(value: float) -> str:
+def number_text(value: float) -> str:
+    """A number in XML, from which it is read back to the last bit."""
     return repr(float(value))
 
 
-def _generation_time() -> datetime:
+def generation_time() -> str:
     """Now, or the second since 1970 of SOURCE_DATE_EPOCH, with which equal models give equal files."""
     given = os.environ.get("SOURCE_DATE_EPOCH", "")
-    return datetime.fromtimestamp(int(given), UTC) if given.isdecimal() else datetime.now(UTC)
+    time = datetime.fromtimestamp(int(given), UTC) if given.isdecimal() else datetime.now(UTC)
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def base_unit(unit: str) -> dict[str, str]:
+    """Exponents of the SI base units of a unit, and its factor where it is not 1, as attributes in FMI and in SSP."""
+    exponents = {name: str(n) for name, n in BASE_UNITS[unit].items()}
+    factor = FACTORS["rad"] ** BASE_UNITS[unit].get("rad", 0) * FACTORS.get(unit, 1.0)
+    return exponents | ({"factor": number_text(factor)} if factor != 1.0 else {})
 
 
 def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element:
@@ -57,7 +69,7 @@ def _root(image: Image, token: str, version: str, token_name: str) -> ET.Element
         {
             "fmiVersion": version, "modelName": image.name, token_name: token, "description": image.title,
             "version": package_version(), "generationTool": f"sim-heating {package_version()}",
-            "generationDateAndTime": _generation_time().strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "generationDateAndTime": generation_time(),
             "variableNamingConvention": "structured" if all(v.name.isascii() for v in image.variables) else "flat",
         },
     )  # fmt: skip
@@ -69,26 +81,26 @@ def _units(root: ET.Element, image: Image, fmi: int) -> None:
     for unit in used:
         element = ET.SubElement(parent, "Unit", name=unit)
         if unit in BASE_UNITS:
-            exponents = {name: str(n) for name, n in BASE_UNITS[unit].items()}
-            degrees = BASE_UNITS[unit].get("rad", 0)
-            factor = {"factor": _number((np.pi / 180.0) ** degrees)} if degrees else {}
-            ET.SubElement(element, "BaseUnit", exponents | factor)
+            ET.SubElement(element, "BaseUnit", base_unit(unit))
 
 
 def _limits(v: Variable) -> dict[str, str]:
     """Attributes min, max, nominal and unit, as far as the variable has them."""
     limits = {"min": v.lower, "max": v.upper, "nominal": v.nominal}
-    attributes = {name: _number(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
+    attributes = {name: number_text(x) for name, x in limits.items() if x is not None and np.isfinite(x)}
     return attributes | ({} if v.unit == "1" or v.kind not in NUMBERS else {"unit": v.unit})
 
 
 def _has_start(v: Variable) -> bool:
-    return v.role in (Role.INPUT, Role.TUNABLE, Role.FIXED)
+    return v.role is not Role.OUTPUT and v.role is not Role.INDEPENDENT
 
 
-def _start(image: Image, v: Variable) -> str:
+def start_text(image: Image, v: Variable) -> str:
+    """Start value of a variable in XML; numbers of an array in their order."""
     value = image.value(v)
-    return value if isinstance(value, str) else str(value) if isinstance(value, int) else " ".join(map(_number, value))
+    return (
+        value if isinstance(value, str) else str(value) if isinstance(value, int) else " ".join(map(number_text, value))
+    )
 
 
 def _integer_limits(v: Variable) -> dict[str, str]:
@@ -108,7 +120,7 @@ def _categories_and_experiment(root: ET.Element, image: Image) -> None:
     categories = ET.SubElement(root, "LogCategories")
     for name, text in CATEGORIES:
         ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=_number(image.step_s))
+    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="100.0", stepSize=number_text(image.step_s))
 
 
 def _attributes(i: int, v: Variable) -> dict[str, str]:
@@ -123,7 +135,8 @@ NOT_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 """Characters that XML cannot hold."""
 
 
-def _text(root: ET.Element) -> bytes:
+def xml_bytes(root: ET.Element) -> bytes:
+    """A document of XML, indented, in UTF-8; characters that XML cannot hold become blanks."""
     for element in root.iter():
         for name, value in element.items():
             # Titles and names come from files of the user and may hold characters that no XML parser accepts.
@@ -158,7 +171,7 @@ def _fmi3(image: Image, token: str) -> bytes:
             if v.role is Role.OUTPUT:
                 needed = _dependencies(v, known, kind == "InitialUnknown")
                 ET.SubElement(structure, kind, valueReference=str(i), dependencies=needed)
-    return _text(root)
+    return xml_bytes(root)
 
 
 def _items(parent: ET.Element, v: Variable) -> None:
@@ -170,19 +183,19 @@ def _variable3(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
     attributes = _attributes(i, v)
     if v.role is Role.INPUT:
         attributes["intermediateUpdate"] = "true"
-    if v.role in (Role.OUTPUT, Role.CONSTANT):
+    if v.role is Role.OUTPUT:
         attributes["initial"] = "calculated"
     if v.kind is Kind.TABLE:
-        ET.SubElement(ET.SubElement(parent, "String", attributes), "Start", value=_start(image, v))
+        ET.SubElement(ET.SubElement(parent, "String", attributes), "Start", value=start_text(image, v))
         return
     if v.kind is Kind.INTEGER and not v.choices:
         # Of the integer types of FMI 3 the one that hosts of FMI 2 know as Integer.
-        ET.SubElement(parent, "Int32", attributes | _integer_limits(v), start=_start(image, v))
+        ET.SubElement(parent, "Int32", attributes | _integer_limits(v), start=start_text(image, v))
         return
     if v.kind is Kind.INTEGER:
-        ET.SubElement(parent, "Enumeration", attributes, declaredType=f"{v.name}_type", start=_start(image, v))
+        ET.SubElement(parent, "Enumeration", attributes, declaredType=f"{v.name}_type", start=start_text(image, v))
         return
-    start = {"start": _start(image, v)} if _has_start(v) else {}
+    start = {"start": start_text(image, v)} if _has_start(v) else {}
     element = ET.SubElement(parent, "Float64", attributes | _limits(v) | start)
     for n in v.shape:
         ET.SubElement(element, "Dimension", start=str(n))
@@ -218,7 +231,7 @@ def _fmi2(image: Image, token: str) -> bytes:
             if v.role is Role.OUTPUT:
                 needed = _dependencies(v, known, kind == "InitialUnknowns")
                 ET.SubElement(unknowns, "Unknown", index=str(index), dependencies=needed)
-    return _text(root)
+    return xml_bytes(root)
 
 
 def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
@@ -226,7 +239,7 @@ def _variable2(parent: ET.Element, image: Image, i: int, v: Variable) -> None:
     if v.role is Role.OUTPUT:
         attributes["initial"] = "calculated"
     element = ET.SubElement(parent, "ScalarVariable", attributes)
-    start = {"start": _start(image, v)} if _has_start(v) else {}
+    start = {"start": start_text(image, v)} if _has_start(v) else {}
     if v.kind is Kind.TABLE:
         ET.SubElement(element, "String", start)
     elif v.kind is Kind.INTEGER and not v.choices:

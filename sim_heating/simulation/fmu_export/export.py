@@ -14,9 +14,10 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.archive import archive_bytes, require_replaceable
 from sim_heating.simulation.fmu_export.description import description
-from sim_heating.simulation.fmu_export.heating import compiling_objects, heating_image, heating_units
+from sim_heating.simulation.fmu_export.heating import HeatingModel, compiling_objects, heating_image, heating_units
 from sim_heating.simulation.fmu_export.image import Image
 from sim_heating.simulation.fmu_export.library import TARGETS, CompilationUnit, Target, shared_library
+from sim_heating.simulation.fmu_export.sampled_maps import map_files
 
 
 def export_fmu(
@@ -49,14 +50,30 @@ def export_fmu(
     ...     image = sh.export_fmu("capsule", f"{folder}/capsule.fmu", ["FACE"])
     """
     require_replaceable(out)
+    targets = targets_of(platforms, fmi)
+    model = heating_model(vehicle, control_points, targets, columns=columns, input_timing=input_timing)
+    write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
+    return model.image
+
+
+def heating_model(
+    vehicle: Vehicle | str | os.PathLike[str],
+    control_points: Sequence[str] | None,
+    targets: Sequence[Target],
+    *,
+    columns: bool = False,
+    input_timing: str = "held",
+) -> HeatingModel:
+    """The heating plug-in of a vehicle as an image; the object files for the targets are compiled meanwhile.
+
+    raises : as export_fmu
+    """
     vehicle = load_vehicle(vehicle)
     for name in control_points or ():
         vehicle.control_point(name)
     # Packing the vehicle overlaps with the compilation in a second process.
-    with compiling_objects(targets_of(platforms, fmi)):
-        model = heating_image(vehicle, control_points, columns=columns, input_timing=input_timing)
-    write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
-    return model.image
+    with compiling_objects(targets):
+        return heating_image(vehicle, control_points, columns=columns, input_timing=input_timing)
 
 
 def targets_of(platforms: Sequence[str], fmi: int) -> list[Target]:
@@ -83,22 +100,45 @@ def write_fmu(
 ) -> None:
     """Write an image and the libraries of its functions as an FMU.
 
-    units    : as `library` takes them
-    progress : called with the fraction done and a line of text
-    raises   : InputError where `out` is a file that is not an unmodified export
+    units, fmi, platforms, progress : as `fmu_bytes` takes them
+    raises : InputError where `out` is a file that is not an unmodified export
     """
     require_replaceable(out)
+    write_archive(out, fmu_bytes(image, units, fmi, platforms, progress))
+
+
+def fmu_bytes(
+    image: Image,
+    units: Sequence[CompilationUnit],
+    fmi: int,
+    platforms: Sequence[str],
+    progress: Progress = no_progress,
+) -> bytes:
+    """The FMU of an image and the libraries of its functions.
+
+    units    : as `library` takes them
+    progress : called with the fraction done and a line of text
+    """
     targets = targets_of(platforms, fmi)
     # The token follows from the content, so that equal models are recognised as equal by a host.
     token = "{" + hashlib.sha256(image.binary("")).hexdigest()[:32] + "}"
     files = {"modelDescription.xml": description(image, token, fmi), "resources/model.bin": image.binary(token)}
+    if fmi == 3:
+        files |= map_files(image)
     for k, (platform, target) in enumerate(zip(platforms, targets, strict=True)):
         first = "" if target.native else "; ziglang builds its C library the first time"
         progress(0.5 * (1.0 + k / len(targets)), f"library for {platform}{first}")
         folder = target.fmi2 if fmi == 2 else target.fmi3
         path = shared_library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = path.read_bytes()
-    data = archive_bytes(files)
+    return archive_bytes(files)
+
+
+def write_archive(out: Path, data: bytes) -> None:
+    """Write an export whole or not at all.
+
+    raises : InputError where `out` is a file that is not an unmodified export
+    """
     with exclusive(out.parent):
         # Again: another process may have put a file there meanwhile.
         require_replaceable(out)

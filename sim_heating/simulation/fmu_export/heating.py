@@ -28,6 +28,7 @@ from sim_heating.base.kernels.block import (
     INTS_PER_NODE,
     IS_FACE,
     LANES,
+    LOG10_RE,
     N_CONDITIONS,
     N_NODES,
     N_PARAMETERS,
@@ -58,7 +59,7 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
-from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, Variable, identifier
+from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, SampledMap, Variable, identifier
 from sim_heating.simulation.fmu_export.library import (
     INPUTS_NEXT,
     INPUTS_NOW,
@@ -120,6 +121,11 @@ OUTPUTS = (
     ("limit.bondline_margin_K", "K", -np.inf, 100.0, "limit of the bondline less its temperature"),
 )
 """Outputs of each control point, in the order of the kernel: name, unit, least and nominal value, meaning."""
+REYNOLDS = RATIO_VARIABLES[2]
+"""The variable of a ratio table that no host gives."""
+TABLE_TEXT = (
+    "heating ratio before corrections and effects: multilinear between the nodes, that of the nearest edge outside them"
+)
 NO_LIMIT_K = 1e5
 """Stands for a limit that is not declared [K]."""
 
@@ -278,6 +284,7 @@ class _HeatingPacker(ImagePacker):
             k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
         }  # fmt: skip
+        self._name_reynolds_number()
         self._keep_blocks()
         self._pack_host()
         self._pack_points()
@@ -287,6 +294,14 @@ class _HeatingPacker(ImagePacker):
             image.problems += [Problem(name, LIMITS[name][2], first + i) for i, name in enumerate(self.inputs)]
         image.problems += [Problem(m.name, "its thermal step did not converge; take shorter ones") for m in e.models]
         assert len(image.problems) == 2 * n + len(e.models)
+
+    def _name_reynolds_number(self) -> None:
+        """Add the one variable of the ratio tables that is no input; all points have the same one."""
+        place = self.head[k.VECTORS] + LOG10_RE
+        # Computed in a step, like all vectors, but read between two steps: another instance may have used them then.
+        self.image.kept_numbers.append((place, 1))
+        text = "base-10 logarithm of the freestream Reynolds number on the vehicle's length, at the end of a step"
+        self.add_number(REYNOLDS, Role.OUTPUT, place, text, depends=("altitude_m", "velocity_m_s", "rho_kg_m3"))
 
     def _keep_blocks(self) -> None:
         """Declare the rows of the blocks, and the flags of the groups, that are the state of an instance."""
@@ -498,3 +513,8 @@ class _HeatingPacker(ImagePacker):
             at += len(axis)
         text = f"heating ratio at the nodes, {' x '.join(RATIO_VARIABLES)}"
         self.add_array(f"{name}.ratio", Role.FIXED, at, text, "1", shape, -1e3, 1e3)
+        self.image.maps.append(
+            SampledMap(
+                name, TABLE_TEXT, tuple(f"{name}.{v}" for v in RATIO_VARIABLES), RATIO_VARIABLES, f"{name}.ratio"
+            )
+        )

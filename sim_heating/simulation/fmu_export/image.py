@@ -101,6 +101,24 @@ class Problem:
     place: int = -1
 
 
+@dataclass(frozen=True)
+class SampledMap:
+    """A function sampled on a rectilinear grid, by the names of its variables.
+
+    name            : of the map, unique in its image
+    text            : its meaning, with interpolation and extrapolation
+    axes            : of each dimension, name of the array of its nodes
+    operating_point : of each dimension, name of the variable at whose value the function is evaluated
+    values          : name of the array of the values at the nodes, one dimension an axis
+    """
+
+    name: str
+    text: str
+    axes: tuple[str, ...]
+    operating_point: tuple[str, ...]
+    values: str
+
+
 @dataclass
 class Image:
     """An image, to which numbers, integers, variables and problems are added.
@@ -110,6 +128,7 @@ class Image:
     step_s    : communication step recommended to hosts [s]
     variables : in the order of their value references
     problems  : in the order of the outcomes of the model
+    maps      : functions whose nodes and values are arrays among the variables
     kept_numbers, kept_integers : (place, count) of the runs of R and of N that are the state of an instance
     """
 
@@ -118,6 +137,7 @@ class Image:
     step_s: float
     variables: list[Variable] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+    maps: list[SampledMap] = field(default_factory=list)
     _R: list[NDArray[np.float64]] = field(default_factory=list)
     _N: list[NDArray[np.int64]] = field(default_factory=list)
     _T: list[NDArray[np.float64]] = field(default_factory=list)
