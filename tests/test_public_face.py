@@ -18,7 +18,7 @@ from tests.support.paths import ROOT
 
 NAMES = (
     "load_vehicle", "load_scenario", "load_record", "run", "synthesize", "predict", "estimate", "close_loop",
-    "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "Effect", "effects", "InputError", "RunError",
+    "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "export_ssp", "Effect", "effects", "InputError", "RunError",
     "__version__",
 )  # fmt: skip
 """Names that every release keeps."""

@@ -545,7 +545,7 @@ MANIFEST = """<?xml version="1.0"?>
 
 
 def sampled_maps(fmu: Path) -> dict[str, list[tuple[str, str]]]:
-    """Members of each terminal for a sampled map, as a tool for calibration reads them: kind and name of the variable."""
+    """Kind and name of the members of each terminal that is a sampled map, as a tool for calibration reads them."""
     with zipfile.ZipFile(fmu) as archive:
         root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
     kind = f"{STRUCT}.map."

@@ -24,6 +24,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.trajectory import entry3dof
+from tests.support.json_output import run_json
 from tests.support.paths import ROOT, SCENARIOS
 
 POINTS = ["V09T9527", "NOSECAP"]
@@ -272,3 +273,13 @@ def test_command_leaves_a_file_that_it_did_not_write(tmp_path: Path, capsys: pyt
     assert main([*EXPORT, "--ssp", str(other)]) == 2
     assert "exists and is not an unmodified export of sim-heating" in capsys.readouterr().err
     assert other.read_bytes() == b"a user's notes"
+
+
+def test_json_names_both_files_and_what_is_in_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fmu, ssp = tmp_path / "heating.fmu", tmp_path / "entry.ssp"
+    found = run_json(capsys, *EXPORT, "--out", str(fmu), "--ssp", str(ssp))
+    assert {Path(name) for name in found["files"]} == {fmu, ssp}
+    assert found["results"]["fmi"] == "3.0"
+    inside = found["results"]["system"]
+    assert (inside["ssp"], inside["fmi"], inside["control_points"]) == ("1.0", "2.0", POINTS)
+    assert inside["connections"] == [name for name in FRAME if name != "time_s"]
