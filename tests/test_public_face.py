@@ -18,8 +18,8 @@ from tests.support.paths import ROOT
 
 NAMES = (
     "load_vehicle", "load_scenario", "load_record", "run", "synthesize", "predict", "estimate", "close_loop",
-    "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "export_ssp", "Effect", "effects", "InputError", "RunError",
-    "__version__",
+    "update_tables", "plan", "design", "HeatingPlugin", "export_fmu", "export_ssp", "Effect", "effects", "InputError",
+    "RunError", "__version__",
 )  # fmt: skip
 """Names that every release keeps."""
 FUNCTIONS = sorted(n for n in sh.__all__ if n.islower() and callable(getattr(sh, n)))
