@@ -20,6 +20,37 @@ STATE = (
 HEATING = ("p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg")
 """Columns that the heating of one control point needs in addition to STATE."""
 
+DESCRIPTIONS = {
+    "time_s": "time in s",
+    "altitude_m": "altitude in m",
+    "velocity_m_s": "speed relative to the air in m/s",
+    "mach": "speed over the local speed of sound",
+    "alpha_deg": "angle of attack in degrees",
+    "beta_deg": "sideslip in degrees",
+    "log10_re": "base-10 logarithm of the Reynolds number of the reference length",
+    "elevon_deg": "elevon deflection in degrees, positive trailing edge down",
+    "bodyflap_deg": "body-flap deflection in degrees, positive trailing edge down",
+    "rho_kg_m3": "density of the air in kg/m3",
+    "T_inf_K": "temperature of the air in K",
+    "p_inf_Pa": "pressure of the air in Pa",
+    "p_surface_Pa": "pressure at the surface of the control point in Pa; the conductivity of insulation depends on it",
+    "h_ref_kg_m2_s": "reference film coefficient, enthalpy based, in kg/(m2 s)",
+    "H_r_J_kg": "recovery enthalpy in J/kg, zero at 0 K",
+    "q_add_W_m2": "added absorbed heat flux, as of a lamp, in W/m2",
+    "jets": "reaction jets that fire, 0 to 1",
+    "T_surroundings_K": "temperature that the surface radiates to in K",
+    "T_back_K": "temperature behind the wall in K",
+    "q_Pa": "dynamic pressure in Pa, in place of `rho_kg_m3`",
+    "qbar_Pa": "dynamic pressure in Pa",
+    "bank_deg": "bank angle of the velocity relative to the air in degrees",
+    "gamma_deg": "path angle of the velocity relative to the air in degrees",
+    "heading_deg": "heading of the velocity relative to the air in degrees",
+    "latitude_deg": "latitude in degrees",
+    "longitude_deg": "longitude in degrees",
+    "axial_accel_g": "sensed acceleration along the body axis in g, positive aft",
+}
+"""What each column of a file of conditions holds, for pages and schemas."""
+
 DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 

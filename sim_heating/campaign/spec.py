@@ -87,7 +87,10 @@ STANDARD = ManoeuvreSettings(before_s=20.0, after_s=40.0, start="profile")
 
 
 class SelectedFit(ManoeuvreSettings):
-    """Settings of the fits of one flight, control point or manoeuvre; of all where it is absent."""
+    """Settings of the fits of one flight, control point or manoeuvre; of all where it is absent.
+
+    flight : name of the flight
+    """
 
     flight: str | None = None
     control_point: str | None = None
@@ -107,7 +110,11 @@ class Joint(Declared):
 
 
 class CampaignFile(Declared):
-    """Contents of a campaign file."""
+    """Contents of a campaign file.
+
+    close_loop : false: no search for missing effects
+    update_tables : false: the tables stay as they are
+    """
 
     format: str = Field(pattern="^campaign/1$", description='"campaign/1"')
     title: str

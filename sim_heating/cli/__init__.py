@@ -31,6 +31,7 @@ COMMANDS = {
     "demo": "simulate",
     "new": "new",
     "validate": "validate",
+    "formats": "formats",
     "estimate": "estimate",
     "design": "estimate",
     "close-loop": "close_loop",

@@ -45,6 +45,7 @@ class ModifiedNewtonian(Declared):
     inclination_deg : slope of the local surface against the vehicle's x axis [deg], -90 to 90
     elevon_factor   : part of the elevon deflection that turns the surface [-], -1 to 1
     bodyflap_factor : part of the body-flap deflection that turns the surface [-], -1 to 1
+    model : "modified-newtonian"
     """
 
     model: Literal["modified-newtonian"]
@@ -61,6 +62,7 @@ class FractionOfStagnation(Declared):
     """Pressure of a leeward or shadowed surface: a constant fraction of the rise at the stagnation point.
 
     fraction : part of the stagnation pressure rise [-], 0 to 1 (docs/theory/equations.md, equation 31)
+    model : "fraction-of-stagnation"
     """
 
     model: Literal["fraction-of-stagnation"]

@@ -70,7 +70,10 @@ FORMATS = dict.fromkeys(RATIO_VARIABLES, "g") | {"ratio": ".5g", "sigma": ".2g"}
 
 
 class Curve(Declared):
-    """A piecewise linear function of one variable."""
+    """A piecewise linear function of one variable.
+
+    variable : variable that it is over
+    """
 
     quantities: ClassVar = {"points": ("variable", "ratio_factor")}
 
@@ -99,13 +102,20 @@ class SigmaCurve(Curve):
 
 
 class CurveFactor(Curve):
-    """A factor given by a curve."""
+    """A factor given by a curve.
+
+    kind : "curve"
+    """
 
     kind: Literal["curve"]
 
 
 class DeflectionFactor(Declared):
-    """A factor for the Newtonian pressure on a deflected surface, `tunnel_to_flight.deflection_factor`."""
+    """A factor for the Newtonian pressure on a deflected surface, `tunnel_to_flight.deflection_factor`.
+
+    kind : "newtonian-deflection"
+    variable : deflection that it is over
+    """
 
     kind: Literal["newtonian-deflection"]
     variable: Literal["elevon_deg", "bodyflap_deg"]
@@ -117,6 +127,8 @@ class FileBase(Declared):
 
     Linear between the nodes of the file and constant beyond them, except below the lowest alpha, where the windward
     trend sin(alpha) sqrt(cos(alpha)) continues.
+
+    column : column of the file with the ratio
     """
 
     file: FileOfFolder = Field(description="CSV next to the source, with columns alpha_deg, log10_re and `column`")
@@ -144,6 +156,8 @@ class TheoryBase(Declared):
 
     Evaluated at the table's angles of attack, plus the control point's `local_angle_deg`, and at the flight states;
     between these linear in log10_re and constant beyond them (`tunnel_to_flight.theoretical_ratio`).
+
+    theory : heating of a flat plate
     """
 
     theory: Literal["eckert-laminar", "eckert-turbulent"]
@@ -191,7 +205,10 @@ def _base_kind(value: Any) -> str:
 
 
 class RatioSource(Declared):
-    """Contents of ratio_sources/<NAME>.toml."""
+    """Contents of ratio_sources/<NAME>.toml.
+
+    revision : revision of the tables that are made from it
+    """
 
     format: Literal["ratio-source/1"]
     control_points: list[Annotated[str, Field(pattern=f"^{NAME}$", description="name of a control point")]] = Field(

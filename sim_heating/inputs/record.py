@@ -84,14 +84,18 @@ class FileReference(Declared):
 class Thermocouples(FileReference):
     """The measurements and their sensors."""
 
-    file: FileOfRecord = Field(default="thermocouples.csv", min_length=1)
+    file: FileOfRecord = Field(
+        default="thermocouples.csv", min_length=1, description="a file name in the record's directory"
+    )
     sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
 
 
 class ConditionsFile(FileReference):
     """The flight conditions: a file of columns, and constants in place of columns, by their names."""
 
-    file: FileOfRecord = Field(default="conditions.csv", min_length=1)
+    file: FileOfRecord = Field(
+        default="conditions.csv", min_length=1, description="a file name in the record's directory"
+    )
     altitude_m: float | None = None
     velocity_m_s: float | None = None
     mach: float | None = None

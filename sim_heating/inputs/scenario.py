@@ -97,7 +97,11 @@ class HeatingOptions(Declared):
 
 
 class ScenarioEffect(Declared):
-    """An effect at the named control points, at all where none is named."""
+    """An effect at the named control points, at all where none is named.
+
+    name : name of an effect
+    parameters : values by name; absent ones are nominal
+    """
 
     quantities: ClassVar = {"parameters": None}
 
@@ -107,7 +111,10 @@ class ScenarioEffect(Declared):
 
 
 class SensorFault(Declared):
-    """A sensor's offset, gain error, drift, and a lag that is not the declared one."""
+    """A sensor's offset, gain error, drift, and a lag that is not the declared one.
+
+    sensor : name of the sensor
+    """
 
     sensor: str
     bias_K: float = 0.0
@@ -164,7 +171,10 @@ class Truth(Declared):
 
 
 class Compare(Declared):
-    """A measured surface-temperature history of a control point: CSV with time_s, temperature_K and sigma_K."""
+    """A measured surface-temperature history of a control point: CSV with time_s, temperature_K and sigma_K.
+
+    label : name of the history in pictures and tables
+    """
 
     control_point: str
     file: str = Field(description="CSV relative to the vehicle's directory")
@@ -175,7 +185,10 @@ class Compare(Declared):
 
 
 class DesignVariable(Declared):
-    """A number of a manoeuvre that a design may change, between `low` and `high`."""
+    """A number of a manoeuvre that a design may change, between `low` and `high`.
+
+    low, high : least and greatest value, in the unit of the key
+    """
 
     quantities: ClassVar = {"low": "key", "high": "key"}
 

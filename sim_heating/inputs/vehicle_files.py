@@ -22,7 +22,10 @@ NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 
 
 class ReferenceHeating(Declared):
-    """Reference heating of a ratio: a model, its nose radius, and the enthalpy of air at the wall."""
+    """Reference heating of a ratio: a model, its nose radius, and the enthalpy of air at the wall.
+
+    reference : model of the reference film coefficient
+    """
 
     reference: Literal[
         "sutton-graves", "detra-kemp-riddell", "fay-riddell", "eckert-laminar", "eckert-turbulent", "swept-cylinder"
@@ -46,7 +49,11 @@ class ReferenceHeating(Declared):
 
 
 class VehicleFile(Declared):
-    """Contents of vehicle.toml."""
+    """Contents of vehicle.toml.
+
+    name : name of the directory
+    revision : revision of the vehicle
+    """
 
     format: Literal["vehicle/1"]
     name: str = Field(min_length=1)

@@ -44,7 +44,12 @@ HASH_LENGTH = 12
 
 
 class StudyFile(Declared):
-    """Contents of a study file."""
+    """Contents of a study file.
+
+    revision : revision of the vehicle's tables
+    scenario : scenario file of the base entry, relative to the study
+    optimal : keys of an optimal entry (`optimal-entry/1`) for the cross-range
+    """
 
     format: str = Field(pattern="^study/1$", description='"study/1"')
     title: str

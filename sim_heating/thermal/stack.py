@@ -136,6 +136,8 @@ class Material(Declared):
     Only the outermost layer needs an emissivity. `conductivity_sigma` and `heat_capacity_sigma` are relative standard
     deviations from one part to another, that of the heat capacity with density. `source` and `confidence` are kept with
     the values. The limits of a solid are not those of a gas: a layer of gas, such as a gap, declares kind = "gas".
+
+    kind : "solid", or "gas" for a layer of gas
     """
 
     quantities: ClassVar = {
@@ -286,7 +288,10 @@ def _is_back(value: Any) -> str:
 
 
 class Stack(Declared):
-    """Layers from the outermost inward, with the initial temperature and the surroundings of the two faces."""
+    """Layers from the outermost inward, with the initial temperature and the surroundings of the two faces.
+
+    initial : "uniform" at `initial_K`, or "profile" as `initial_profile`
+    """
 
     quantities: ClassVar = {"initial_profile": ("depth_m", "T_K")}
 
@@ -384,7 +389,11 @@ LEAST_DEPTH_M, LEAST_NOISE_K = 1e-6, 1e-5
 
 
 class Sensor(Declared):
-    """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/theory/equations.md, 5)."""
+    """A thermocouple: its depth [m], and what its recorder does to the temperature (docs/theory/equations.md, 5).
+
+    name : name of the sensor
+    used : false: held back, never fitted, only reported
+    """
 
     name: str = Field(min_length=1)
     column: str = Field(min_length=1, description="column of the measurements, ending in _K")

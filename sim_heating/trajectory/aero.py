@@ -60,7 +60,10 @@ SCHEDULE_SOUND_M_S = 300.0
 
 
 class Reference(Convertible):
-    """Reference quantities of the coefficients; the moment reference is a fraction of the length, from the nose."""
+    """Reference quantities of the coefficients; the moment reference is a fraction of the length, from the nose.
+
+    moment_reference_fraction : reference point of the moments [-]
+    """
 
     area_m2: Positive
     chord_m: Positive
@@ -83,7 +86,11 @@ class Reference(Convertible):
 
 
 class Mass(Convertible):
-    """Mass, centre of gravity (fraction of the length from the nose) and inertia, which scales with mass."""
+    """Mass, centre of gravity (fraction of the length from the nose) and inertia, which scales with mass.
+
+    cg_fraction : centre of gravity [-]
+    cg_range : foremost and aftmost centre of gravity [-]
+    """
 
     mass_kg: Positive
     cg_fraction: Fraction
@@ -96,7 +103,11 @@ class Mass(Convertible):
 
 
 class FileOfFolders(Convertible):
-    """Files of the tables below the folder `aero`; absent for a vehicle without elevon or body flap."""
+    """Files of the tables below the folder `aero`; absent for a vehicle without elevon or body flap.
+
+    longitudinal : CSV of CN, CA and Cm over Mach number and angle of attack
+    elevon, bodyflap : CSV of their increments for a deflection
+    """
 
     longitudinal: FileOfFolder
     elevon: FileOfFolder | None = None
@@ -115,7 +126,10 @@ class Surface(Convertible):
 
 
 class CmShift(Convertible):
-    """Pitching-moment increment found in flight: 0 below mach[0], linear between, Cm above mach[1]."""
+    """Pitching-moment increment found in flight: 0 below mach[0], linear between, Cm above mach[1].
+
+    Cm : increment [-]
+    """
 
     Cm: float = 0.0
     mach: tuple[Positive, Positive] = (5.0, 12.0)
@@ -130,7 +144,12 @@ class Lateral(Convertible):
 
 
 class Damping(Convertible):
-    """Rate derivatives per radian of q c / 2V, p b / 2V and r b / 2V."""
+    """Rate derivatives per radian of q c / 2V, p b / 2V and r b / 2V.
+
+    Cmq : pitch damping [1/rad]
+    Clp : roll damping [1/rad]
+    Cnr : yaw damping [1/rad]
+    """
 
     Cmq: float = 0.0
     Clp: float = 0.0

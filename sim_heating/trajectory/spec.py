@@ -134,6 +134,7 @@ class VehicleState(Convertible):
     bodyflap_deg: body flap [[mach or velocity_m_s, deg]]; by default the one that trims the vehicle along the
                   angle-of-attack schedule with the elevon at its own scheduled deflection
     cm_shift    : flight-derived hypersonic pitching-moment shift: true for the vehicle's own value, or a number
+    bodyflap_against : what the body-flap schedule is over
     """
 
     quantities: ClassVar = {"bodyflap_deg": ("bodyflap_against", "bodyflap_deg")}
@@ -150,6 +151,7 @@ class Approach(Convertible):
 
     qbar_Pa : reference dynamic pressure [[mach, Pa]]
     bank_deg: bank magnitude (a turn that ends where the heading error is zero, or steady without a target)
+    damping : damping ratio of the law of dynamic pressure [-]
     """
 
     quantities: ClassVar = {"qbar_Pa": ("at_mach", "qbar_Pa")}
@@ -180,7 +182,10 @@ class Guidance(Convertible):
     start_drag_m_s2 : bank is `initial.bank_deg` below this drag
     reversals_m_s   : velocities at which bank changes sign (or `target`, on heading error)
     bank_limits_deg : magnitude of bank, smallest and largest
-    frequency_rad_s, damping, scale_height_m : the altitude-rate law of `guidance.py`
+    frequency_rad_s, damping : natural frequency [rad/s] and damping ratio [-] with which drag follows its reference
+    scale_height_m : of the density, in the altitude-rate law
+    alpha_against : what the schedule of the angle of attack is over
+    first_bank : side of the first bank
     """
 
     quantities: ClassVar = {"alpha_deg": ("alpha_against", "alpha_deg"), "drag_m_s2": ("velocity_m_s", "drag_m_s2")}
@@ -214,20 +219,24 @@ def _with_optional_fields(model: type[BaseModel]) -> Any:
     for name, field in model.model_fields.items():
         kind: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
         fields[name] = (kind | None, None)
-    return create_model(f"Optional{model.__name__}", __base__=Convertible, **fields)
+    return create_model(f"Optional{model.__name__}", __base__=Convertible, __doc__=model.__doc__, **fields)
 
 
 _OptionalGuidance: Any = _with_optional_fields(Guidance)
 
 
 class GuidanceChanges(_OptionalGuidance):
-    """The keys of Guidance that a scenario replaces; all optional."""
+    """Keys of the vehicle's guidance.toml that a scenario replaces."""
 
     quantities: ClassVar = Guidance.quantities
 
 
 class Dispersions(Convertible):
-    """Differences of the atmosphere from US76: a density factor and a steady wind, over altitude."""
+    """Differences of the atmosphere from US76: a density factor and a steady wind, over altitude.
+
+    density_factor : density over that of US76, [[altitude_m, factor], ...]
+    wind_north_m_s, wind_east_m_s : wind over altitude, [[altitude_m, m/s], ...]
+    """
 
     quantities: ClassVar = {
         "density_factor": ("altitude_m", "density_factor"),
@@ -277,6 +286,7 @@ class Popu(_Triggered):
 
     first  : "down" (STS-2) or "up" (STS-4: the pull-up first)
     hold_s : time at the pushed-over and at the pulled-up angle; `hold_down_s`, `hold_up_s` replace it for one of them
+    kind : "popu"
     """
 
     kind: Literal["popu"]
@@ -290,7 +300,12 @@ class Popu(_Triggered):
 
 
 class _SurfacePulse(_Triggered):
-    """A control surface goes by `amplitude_deg` (sign kept), holds, returns, `count` times with `pause_s` between."""
+    """A control surface goes by `amplitude_deg` (sign kept), holds, returns, `count` times with `pause_s` between.
+
+    count : number of pulses
+    alternate : true: every second pulse goes the other way
+    alpha : "held": the angle of attack is held during the manoeuvre; "free": it follows the surface
+    """
 
     amplitude_deg: float
     rate_deg_s: Positive
@@ -302,21 +317,30 @@ class _SurfacePulse(_Triggered):
 
 
 class ElevonPulse(_SurfacePulse):
-    """Elevon pulse about the trimmed value; `alpha = "held"`: jets hold the angle, "free": the pitch loop is open."""
+    """Elevon pulse about the trimmed value; `alpha = "held"`: jets hold the angle, "free": the pitch loop is open.
+
+    kind : "elevon-pulse"
+    """
 
     kind: Literal["elevon-pulse"]
     rate_deg_s: Positive = 10.0
 
 
 class BodyflapPulse(_SurfacePulse):
-    """Body-flap pulse about the scheduled value; with `alpha = "held"` the elevon takes up the moment."""
+    """Body-flap pulse about the scheduled value; with `alpha = "held"` the elevon takes up the moment.
+
+    kind : "bodyflap-pulse"
+    """
 
     kind: Literal["bodyflap-pulse"]
     rate_deg_s: Positive = 1.5
 
 
 class _SurfaceSweep(_Triggered):
-    """A control surface goes to `from_deg`, sweeps to `to_deg` at `rate_deg_s`, holds, and returns; all relative."""
+    """A control surface goes to `from_deg`, sweeps to `to_deg` at `rate_deg_s`, holds, and returns; all relative.
+
+    alpha : "held": the angle of attack is held during the manoeuvre; "free": it follows the surface
+    """
 
     from_deg: float = 0.0
     to_deg: float
@@ -326,21 +350,30 @@ class _SurfaceSweep(_Triggered):
 
 
 class ElevonSweep(_SurfaceSweep):
-    """Slow elevon sweep about the trimmed value, jets holding the angle of attack."""
+    """Slow elevon sweep about the trimmed value, jets holding the angle of attack.
+
+    kind : "elevon-sweep"
+    """
 
     kind: Literal["elevon-sweep"]
     rate_deg_s: Positive = 1.0
 
 
 class BodyflapSweep(_SurfaceSweep):
-    """Slow body-flap sweep about the scheduled value, the elevon following in trim."""
+    """Slow body-flap sweep about the scheduled value, the elevon following in trim.
+
+    kind : "bodyflap-sweep"
+    """
 
     kind: Literal["bodyflap-sweep"]
     rate_deg_s: Positive = 1.0
 
 
 class SideslipDoublet(_Triggered):
-    """Sideslip to +amplitude, hold, to -amplitude, hold, and back."""
+    """Sideslip to +amplitude, hold, to -amplitude, hold, and back.
+
+    kind : "sideslip-doublet"
+    """
 
     quantities: ClassVar = {"amplitude_deg": "sideslip_amplitude_deg"}
 
@@ -351,7 +384,12 @@ class SideslipDoublet(_Triggered):
 
 
 class JetFiring(_Triggered):
-    """Reaction jets on at `level` (0 to 1) for `on_s`, `count` times with `off_s` between; `rise_s` to full thrust."""
+    """Reaction jets on at `level` (0 to 1) for `on_s`, `count` times with `off_s` between; `rise_s` to full thrust.
+
+    level : part of the jets that fire [-]
+    count : number of firings
+    kind : "jet-firing"
+    """
 
     kind: Literal["jet-firing"]
     level: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -368,14 +406,20 @@ Manoeuvre = Annotated[
 
 
 class FmuVariable(Convertible):
-    """A variable of an FMU and its unit, by default the one that the FMU declares."""
+    """A variable of an FMU and its unit, by default the one that the FMU declares.
+
+    variable : name of the variable in the FMU
+    """
 
     variable: str
     unit: str | None = None
 
 
 class FmuValue(Convertible):
-    """A start value with its unit."""
+    """A start value with its unit.
+
+    value : the value, in `unit`
+    """
 
     value: float
     unit: str
@@ -388,6 +432,8 @@ class FmuInput(Convertible):
     """Source of an input of an FMU: a command of guidance and manoeuvres, or a schedule [[time_s, value], ...].
 
     unit : unit of the schedule, or of the input where the FMU declares none; a command is converted from its own
+    command : a command of guidance and manoeuvres
+    schedule : values over time, [[time_s, value], ...]
     """
 
     quantities: ClassVar = {"schedule": None}
@@ -441,11 +487,13 @@ class FmuSource(Convertible):
 
 
 class TrajectorySpec(Convertible):
-    """The [trajectory] table of a scenario.
+    """How a flight comes about: flown by guidance, read from a file, or by an FMU.
 
+    source  : "jsbsim": six degrees of freedom in JSBSim; "entry-3dof": the built-in entry; "recorded": a CSV; "fmu"
     rate_hz : integration frames a second (communication steps of an FMU); default 60, 4 for the 3-DOF entry
     sample_s: interval of the stored conditions
-    file    : recorded CSV or FMU; the reader of a scenario makes it relative to the scenario
+    file    : recorded CSV or FMU, relative to the scenario
+    manoeuvre : what is flown besides guidance; `kind` names the manoeuvre
     """
 
     source: Literal["jsbsim", "entry-3dof", "recorded", "fmu"]

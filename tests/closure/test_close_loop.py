@@ -26,6 +26,7 @@ from sim_heating.closure.search.search import search_effects, search_round
 from sim_heating.closure.search.trials.candidates import LAG_EFFECT, SENSOR_EFFECT, candidates
 from sim_heating.closure.search.trials.trial_fit import MAX_STEP_S, base_trial, fitted_values, thinned_indices
 from sim_heating.estimation.fit import estimate
+from sim_heating.formats.catalogue import format_named
 from sim_heating.heating.effects import EffectUse, effects, use
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
@@ -148,6 +149,7 @@ def test_report_and_files_of_one_record(tmp_path: Path) -> None:
     assert set(files_written(out)) <= set(FILES)
     found = json.loads((out / "closure.json").read_text())
     assert found["format"] == "closure-report/2"
+    assert {*found, "effects"} == set(format_named("closure").keys), "what docs/reference/formats/closure.md lists"
     assert found["finding"] == "found"
     assert found["alternatives"] == [["impingement-onset"]]
     assert found["adequacy"]["p_value"] > 0.01

@@ -19,6 +19,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files.schema import documented
 from sim_heating.base.files.text import (
     abbreviated,
     as_builtin,
@@ -49,6 +50,10 @@ class Declared(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     quantities: ClassVar[Mapping[str, str | tuple[str | None, ...] | None]] = {}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: Any) -> dict[str, Any]:
+        return documented(handler.resolve_ref_schema(handler(core_schema)), cls, cls.quantities)
 
     @model_validator(mode="after")
     def _check_plausible(self, info: ValidationInfo) -> Self:

@@ -173,7 +173,10 @@ class WrittenEffect(Declared):
 
 
 class HeldErrors(Declared):
-    """How well the tables hold the fit of one record; keys as in `errors.HeldFit`."""
+    """How well the tables hold the fit of one record; keys as in `errors.HeldFit`.
+
+    not_held : name of what is not held -> its effect on the temperatures [K]
+    """
 
     noise_floor_K: float
     fit_K: float

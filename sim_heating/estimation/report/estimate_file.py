@@ -80,14 +80,20 @@ class EstimatedParameter(Extensible):
 
 
 class FixedParameter(Extensible):
-    """A parameter that was not estimated, at a value that is not the declared one."""
+    """A parameter that was not estimated, at a value that is not the declared one.
+
+    value : the value, in `unit`
+    """
 
     value: float
     unit: str
 
 
 class FitErrors(Extensible):
-    """Pooled residuals [K] of the plain march at the estimated parameters, and their number."""
+    """Pooled residuals [K] of the plain march at the estimated parameters, and their number.
+
+    n : number of readings
+    """
 
     rmse_K: float = Field(ge=0.0)
     max_abs_K: float = Field(ge=0.0)
@@ -131,7 +137,10 @@ class ReferenceCondition(Extensible):
 
 
 class Excursion(Extensible):
-    """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-])."""
+    """Least and greatest value of a variable over the fitted samples ([deg], log10 Re [-]).
+
+    min, max : least and greatest value
+    """
 
     min: float
     max: float
@@ -141,6 +150,8 @@ class FittedEffect(Extensible):
     """An effect of the fitted model with all its values, estimated or fixed.
 
     control_point : to which it belongs, in a fit of several
+    name : name of the effect
+    parameters : value of each of its parameters
     """
 
     name: str

@@ -50,7 +50,12 @@ LARGEST_SIGMAS = 5.0
 
 
 class DispersedInput(Declared):
-    """One uncertain input: normal with `sigma`, or uniform from `low` to `high`; both as deviations."""
+    """One uncertain input: normal with `sigma`, or uniform from `low` to `high`; both as deviations.
+
+    name : an input of a flight, as `mass` or `air.density`, or a dotted parameter of a control point
+    low, high : ends of a uniform deviation, in the unit of the input
+    over : profile of the deviation, [[altitude_m, factor], ...]
+    """
 
     quantities: ClassVar = {"over": ("altitude_m", None)}
 
@@ -118,10 +123,14 @@ class Dispersion(Declared):
     sampling      : "sobol": scrambled Sobol' sequences; "random": independent flights
     scrambles     : independent scrambles, each with the same number of flights
     index_flights : N of the sensitivity indices, which cost N (inputs + 2) flights; 0 omits them
-    quantiles     : of peak temperatures;  confidence : of their bounds and of the bounds of probabilities
+    quantiles     : quantiles of peak temperatures that are reported
+    confidence    : of the bounds of quantiles and probabilities
     tables        : factor on the sigma of the ratio tables; 0 disperses none
-    step_s        : of the flight [s];  thermal_step_s : of the thermal march [s], a multiple of step_s
+    step_s        : step of the flight [s]
+    thermal_step_s : step of the thermal march [s], a multiple of step_s
     spot_checks   : flights that are also flown in six degrees of freedom (JSBSim)
+    flights : number of dispersed flights
+    seed : of the random numbers
     """
 
     flights: int = Field(default=1024, ge=8, le=10_000_000)

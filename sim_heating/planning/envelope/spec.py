@@ -63,7 +63,12 @@ def _require_rising(name: str, values: Values, fewest: int) -> None:
 
 
 class EnvelopeMap(Declared):
-    """Peaks and margins of every control point over one axis or two, with other variables `fixed`."""
+    """Peaks and margins of every control point over one axis or two, with other variables `fixed`.
+
+    axes : one or two axes with their values
+    fixed : values of other axes
+    one_sided : true: the elevon of one side alone is deflected
+    """
 
     quantities: ClassVar = {"axes": None, "fixed": None}
 
@@ -92,6 +97,11 @@ class EnvelopeBoundary(Declared):
 
     inside   : place on `across` about which the interval is sought; by default the value of the base entry
     greatest : "cross_range_km": the greatest cross-range within the interval, in place of the interval itself
+    along, at : an axis, and its values
+    across, values : the axis on which the interval is sought, and values that are flown on it
+    family, of : a third axis, and its values; a boundary for each
+    fixed : values of other axes
+    one_sided : true: the elevon of one side alone is deflected
     """
 
     quantities: ClassVar = {"fixed": None}
@@ -138,6 +148,7 @@ class Envelope(Declared):
     bodyflap_above_mach : Mach number down to which a changed body flap is held
     elevon_arm_m        : distance of the elevons from the plane of symmetry [m]
     refinements         : rounds in which flights are added at the edges that were found
+    before : an earlier revision of the tables to compare with
     """
 
     sigmas: float = Field(default=1.0, gt=0.0, le=5.0)
@@ -160,7 +171,10 @@ class Envelope(Declared):
 
 
 class ManoeuvreCandidate(Declared):
-    """Manoeuvres that may be flown together on the next flight, and the control points whose thermocouples are read."""
+    """Manoeuvres that may be flown together on the next flight, and the control points whose thermocouples are read.
+
+    name : name of the candidate
+    """
 
     name: str
     control_points: list[str] = Field(min_length=1)

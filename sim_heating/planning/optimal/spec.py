@@ -48,10 +48,13 @@ class Limit(Declared):
 class OptimalStudyFile(Declared):
     """Contents of a study file.
 
-    alpha_limits_deg, bank_limits_deg : negative is bank to the left; cross-range is sought on the side with more bank
+    alpha_limits_deg : lowest and highest angle of attack [deg]
+    bank_limits_deg : lowest and highest bank [deg], negative to the left; cross-range is sought on the side with more
+    duration_s  : shortest and longest entry [s]
     soak_s      : length of the soak after the end, without heating from outside [s]
     tolerance_K : largest margin at which an active limit is met [K]
-    intervals   : of the first mesh;  mesh_tolerance : error of an interval over the typical size of a state
+    intervals   : number of intervals of the first mesh
+    mesh_tolerance : error of an interval over the typical size of a state
     """
 
     format: str = Field(pattern="^optimal-entry/1$", description='"optimal-entry/1"')

@@ -1,0 +1,247 @@
+"""The formats of files that people write, read or exchange: what each is for, its model or its columns, an example.
+
+The keys of a format are those of the model that reads it; the schemas (`schema_files`) and the pages (`page`) are made
+from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from sim_heating.base.conditions import DESCRIPTIONS, HEATING, RATIO_VARIABLES, STATE
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import suggestion
+from sim_heating.inputs.record import OPTIONAL_COLUMNS
+from sim_heating.trajectory.recorded import OPTIONAL, REQUIRED
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A format.
+
+    name    : short name, as `record`; of its page and its schema
+    file    : name of such a file, or its pattern
+    title   : one line
+    about   : paragraphs of the page
+    example : path of a shipped file below the repository
+    """
+
+    name: str
+    file: str
+    title: str
+    about: str = ""
+    example: str | None = None
+
+
+@dataclass(frozen=True)
+class ModelFormat(FileFormat):
+    """A TOML or JSON file with the keys of a model.
+
+    model : `module:Class` of the package
+    files : patterns of shipped files, below the repository
+    """
+
+    model: str = ""
+    files: tuple[str, ...] = ()
+
+    @property
+    def language(self) -> str:
+        """`toml` or `json`."""
+        return self.file.rpartition(".")[2]
+
+    def load(self) -> Any:
+        """The model of pydantic that reads the file."""
+        module, _, name = self.model.partition(":")
+        return getattr(import_module(f"sim_heating.{module}"), name)
+
+
+@dataclass(frozen=True)
+class ColumnFormat(FileFormat):
+    """A CSV file: columns that it must have and columns that it may have, with what each holds."""
+
+    required: Mapping[str, str] = field(default_factory=dict)
+    optional: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class KeyFormat(FileFormat):
+    """A JSON file that the program writes: its keys with what each holds; `a.b` is the key b of the object a."""
+
+    keys: Mapping[str, str] = field(default_factory=dict)
+
+
+def _columns(*names: str) -> dict[str, str]:
+    return {n: DESCRIPTIONS[n] for n in names}
+
+
+FORMATS: tuple[FileFormat, ...] = (
+    ModelFormat(
+        "record", "record.toml", "flight record: what was flown, on what, and what was measured",
+        "A record is a directory: `record.toml`, [`conditions.csv`](conditions.md), "
+        "[`thermocouples.csv`](thermocouples.md) and, where the heating is known before, "
+        "[`ratio_table.csv`](ratio_table.md). A test on the ground with `reference = \"none\"` needs no column but "
+        "`time_s`; a constant may stand in `[conditions]` in place of a column.\n\n"
+        "**Segments.** `fit` and `holdout` in `[segments]` are lists of `[start_s, end_s]`, both ends included. What "
+        "is also in `holdout` is taken out of `fit`. Samples held out are never fitted, and errors over them are "
+        "reported by themselves. Without `[segments]` all samples are fitted.",
+        "scenarios/records/practice/p08/record.toml",
+        "inputs.record:RecordFile", ("scenarios/records/*/record.toml", "scenarios/records/practice/*/record.toml"),
+    ),
+    ColumnFormat(
+        "conditions", "conditions.csv", "flight conditions of a record, one row a sample",
+        "Conditions are linear in time between rows. `rho_kg_m3` may be left out where `q_Pa` is given. "
+        "`h_ref_kg_m2_s` and `H_r_J_kg` are needed with `reference = \"columns\"` alone; otherwise the reference "
+        "heating that `[heating]` names is computed. With `reference = \"none\"` only `time_s` is needed. Further "
+        "columns of numbers are kept; `axial_accel_g` serves as independent evidence.",
+        "scenarios/records/practice/p08/conditions.csv",
+        _columns(*STATE, "p_surface_Pa"),
+        _columns(*HEATING[1:], *OPTIONAL_COLUMNS, "axial_accel_g"),
+    ),
+    ColumnFormat(
+        "thermocouples", "thermocouples.csv", "measured temperatures of a record, one column a sensor",
+        "An empty cell is a lost sample. Times need not be those of the conditions, nor uniform. Temperatures are in "
+        "kelvin: a column below 150 K is refused, since it looks like degrees Celsius.",
+        "scenarios/records/practice/p08/thermocouples.csv",
+        {**_columns("time_s"), "NAME_K": "temperature in K that a sensor indicates; the name is its `column` in "
+         "`[[thermocouples.sensor]]`"},
+    ),
+    ColumnFormat(
+        "ratio_table", "ratio_table.csv", "heating ratios of a control point over five variables",
+        "First optional lines `# key: value` (`source`, `confidence`, `revision`, `reference`: the reference heating "
+        "that the ratio is over, `recovery`), then one row a node. The nodes form a full rectangular grid; an axis may "
+        "have one value. Multilinear inside, constant outside.",
+        "aircraft_data/orbiter/ratio_tables/V09T9527.csv",
+        {**_columns(*RATIO_VARIABLES), "ratio": "film coefficient over the reference film coefficient"},
+        {"sigma": "one standard deviation of the ratio"},
+    ),
+    ColumnFormat(
+        "trajectory", "FLIGHT.csv", "recorded trajectory of a scenario with source = \"recorded\"",
+        "Times in seconds, angles in degrees. What is left out is derived: temperature and pressure from the standard "
+        "atmosphere, Mach and Reynolds number from them. Columns are compared with each other, so that a speed in ft/s "
+        "or a 'Mach' that is V / 1000 ft/s is refused.",
+        "scenarios/data/sts107_early_entry.csv",
+        _columns(*REQUIRED),
+        _columns(*OPTIONAL),
+    ),
+    ModelFormat(
+        "scenario", "SCENARIO.toml", "scenario: a flight with its manoeuvres, measurements and truth",
+        "Read by `run`, `synthesize`, `design`, `figures` and `fmu trajectory`. A manoeuvre begins when speed or Mach "
+        "falls through a value, or at a time: exactly one of `at_velocity_m_s`, `at_mach`, `at_time_s`.",
+        "scenarios/popu_mach20.toml", "inputs.scenario:ScenarioFile",
+        ("scenarios/*.toml", "examples/entry_fmu.toml", "examples/shock_passage.toml"),
+    ),
+    ModelFormat(
+        "vehicle", "vehicle.toml", "vehicle: its reference length, reference heating, transition and catalysis",
+        "A vehicle is a directory with `vehicle.toml`, [`control_points/*.toml`](control_point.md), "
+        "[`materials/*.toml`](material.md) and [`ratio_tables/*.csv`](ratio_table.md); with [`aero/`](aero.md) and "
+        "[`guidance.toml`](guidance.md) it can be flown.",
+        "aircraft_data/capsule/vehicle.toml", "inputs.vehicle_files:VehicleFile", ("aircraft_data/*/vehicle.toml",),
+    ),
+    ModelFormat(
+        "control_point", "control_points/NAME.toml", "control point: one place of the heat shield with its stack",
+        "", "aircraft_data/capsule/control_points/FACE.toml",
+        "inputs.vehicle_files:ControlPointFile", ("aircraft_data/*/control_points/*.toml",),
+    ),
+    ModelFormat(
+        "material", "materials/NAME.toml", "material of a layer",
+        "The keys of `[materials.NAME]` in a record. With `based_on` it is a [derived material](derived_material.md).",
+        "aircraft_data/capsule/materials/al2219.toml",
+        "thermal.stack:Material", ("aircraft_data/*/materials/*.toml",),
+    ),
+    ModelFormat(
+        "derived_material", "materials/NAME.toml", "material that is derived from another one",
+        "", "aircraft_data/orbiter/materials/li2200.toml", "inputs.vehicle_files:DerivedMaterial", (),
+    ),
+    ModelFormat(
+        "ratio_source", "ratio_sources/NAME.toml", "source of ratio tables: a curve, a file or a theory with factors",
+        "`sim-heating ratio-tables VEHICLE` writes the tables from these files.",
+        "aircraft_data/capsule/ratio_sources/face.toml",
+        "inputs.ratio_sources:RatioSource", ("aircraft_data/*/ratio_sources/*.toml",),
+    ),
+    ModelFormat(
+        "aero", "aero/aero.toml", "aerodynamics and mass of a vehicle",
+        "", "aircraft_data/capsule/aero/aero.toml", "trajectory.aero:AeroFile", ("aircraft_data/*/aero/aero.toml",),
+    ),
+    ModelFormat(
+        "guidance", "guidance.toml", "entry guidance of a vehicle",
+        "A scenario replaces single keys in `[trajectory.guidance]`.",
+        "aircraft_data/capsule/guidance.toml",
+        "trajectory.guidance:GuidanceFile", ("aircraft_data/*/guidance.toml",),
+    ),
+    ModelFormat(
+        "fit_settings", "FIT.toml", "what `estimate --settings` estimates, and what is known of the parameters before",
+        "", "examples/fit_settings.toml", "inputs.fit_settings:FitSettings", ("examples/fit_settings.toml",),
+    ),
+    ModelFormat(
+        "campaign", "CAMPAIGN.toml", "campaign: all manoeuvres of many flights, and the tables that they revise",
+        "", "scenarios/campaigns/sts2_sts4.toml", "campaign.spec:CampaignFile", ("scenarios/campaigns/*.toml",),
+    ),
+    ModelFormat(
+        "study", "STUDY.toml", "study: dispersed entries, envelopes, the next flight's manoeuvres",
+        "Read by `plan`. Exactly one of `scenario` and `[trajectory]` gives the base entry.",
+        "scenarios/studies/small_envelope.toml", "planning.study:StudyFile", ("scenarios/studies/*.toml",),
+    ),
+    ModelFormat(
+        "optimal_entry", "STUDY.toml", "study of the entry with the greatest cross-range within temperature limits",
+        "Read by `plan`.", "scenarios/studies/optimal_entry.toml",
+        "planning.optimal.spec:OptimalStudyFile", ("scenarios/studies/optimal_*.toml",),
+    ),
+    ModelFormat(
+        "estimate", "estimate.json", "result of `estimate`: parameters with bounds, errors, correlations",
+        "`update-tables` and `campaign` read it. Values are in the unit that each parameter states; `sigma` is one "
+        "standard deviation, corrected for coloured residuals.", None,
+        "estimation.report.estimate_file:Estimate", (),
+    ),
+    KeyFormat(
+        "closure", "closure.json", "result of `close-loop`: the missing effect, the error before and after",
+        "The format is `closure-report/2`. Errors are `{rmse_K, max_abs_K, n}`, pooled over the used sensors; "
+        "`holdout` is null where the record declares none. A parameter is `{value, sigma, unit}`.", None,
+        {
+            "format": "`closure-report/2`",
+            "records": "directories of the records",
+            "sensors": "names of the sensors that were fitted",
+            "predicted": "errors with the declared tables, nothing fitted: `fit`, `holdout`",
+            "before": "errors with the declared model, its derivatives fitted",
+            "after": "errors with the effect added and everything fitted again",
+            "noise_floor_K": "root mean square of noise and rounding over the fitted samples in K",
+            "reference_condition": "conditions that the derivatives are about",
+            "effect": "the effect named first: `name`, `posterior`, `parameters`; `none` or `unknown` where nothing is",
+            "effects": "all effects in the order in which they were added, where there is more than one",
+            "finding": "`found`, `one of`, `partly`, `unknown` or `none`",
+            "alternatives": "for each thing found, the names that this record cannot tell apart, the likeliest first",
+            "adequacy": "whether the model with what was named explains the record: `p_value`, `chi2_fit`, "
+                        "`chi2_holdout`, `lag1`",
+            "probability": "calibrated probability that the named effect is missing; null where none is stated",
+            "not_effects": "causes that no name of an effect covers, as a wrong material or a clock that jumps",
+            "converged": "whether the last fit converged",
+            "would_tell_apart": "what to measure or fly so that the alternatives differ",
+            "candidates": "of the first round: `name`, `delta_bic`, `fit_rmse_K`, `holdout_rmse_K`",
+            "residual_heating": "name of the CSV with the residual as a heating ratio: `time_s, delta_ratio, sigma`",
+            "curve": "file and variable of the curve that an unexplained residual follows, else null",
+            "estimated": "all parameters of the last fit",
+            "residual": "size and bandwidth of the residual heating before the effects",
+            "residual_after": "of the residual heating after them",
+            "evidence": "what the residual correlates with, and the effect that this proposes",
+            "data_faults": "errors of the record itself: `kind`, `message`",
+            "false_alarm": "chance of naming an effect where nothing is missing",
+            "warnings": "on the fit and its residual",
+            "program": "name and version of the program",
+        },
+    ),
+)  # fmt: skip
+
+
+def formats_with_schema() -> Iterator[ModelFormat]:
+    """The formats that have a JSON Schema."""
+    return (f for f in FORMATS if isinstance(f, ModelFormat))
+
+
+def format_named(name: str) -> FileFormat:
+    """A format by its name; InputError with the nearest known name where there is none."""
+    found = {f.name: f for f in FORMATS}
+    if name not in found:
+        raise InputError(f"there is no format `{name}`{suggestion(name, found)}")
+    return found[name]

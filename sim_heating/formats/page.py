@@ -1,0 +1,224 @@
+"""A page for each format in Markdown: its keys or columns with units, ranges and defaults, and a complete example."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sim_heating.base.errors import InputError
+from sim_heating.formats.catalogue import FORMATS, ColumnFormat, FileFormat, KeyFormat, ModelFormat
+from sim_heating.formats.schema_files import schema
+
+EXAMPLE_LINES = 40
+"""Most lines of an example that is a CSV file."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a table: what its value is, its default, and what it means; `required` where there is no default."""
+
+    name: str
+    value: str
+    default: str
+    required: bool
+    description: str
+
+
+@dataclass(frozen=True)
+class KeyTable:
+    """A table of a file: its heading in the file, what it is, and its keys."""
+
+    heading: str
+    about: str
+    keys: tuple[Key, ...]
+
+
+def key_tables(declared: FileFormat) -> list[KeyTable]:
+    """The tables of a format, or one table with its columns or its keys."""
+    if isinstance(declared, ColumnFormat):
+        rows = [Key(n, "", "", True, text) for n, text in declared.required.items()]
+        rows += [Key(n, "", "", False, text) for n, text in declared.optional.items()]
+        return [KeyTable("", "", tuple(rows))]
+    if isinstance(declared, KeyFormat):
+        return [KeyTable("", "", tuple(Key(n, "", "", True, text) for n, text in declared.keys.items()))]
+    assert isinstance(declared, ModelFormat)
+    js = schema(declared)
+    return list(_Walk(js.get("$defs", {}), declared.language).tables("", js, js))
+
+
+class _Walk:
+    """Tables of a JSON Schema in the order of its keys, each model once."""
+
+    def __init__(self, models: Mapping[str, Any], language: str) -> None:
+        self.models, self.language = models, language
+        self.seen: set[str] = set()
+
+    def tables(self, heading: str, js: Mapping[str, Any], root: Mapping[str, Any]) -> Iterator[KeyTable]:
+        required, below = js.get("required", []), []
+        keys = []
+        for name, value in js.get("properties", {}).items():
+            keys.append(Key(name, self._value(value), _default(value), name in required, self._description(value)))
+            below += [(place, model) for place, model in self._below(f"{heading}.{name}".lstrip("."), value)]
+        about = "" if js is root else str(js.get("description", ""))
+        yield KeyTable(self._heading(heading), about, tuple(keys))
+        for place, model in below:
+            if model not in self.seen:
+                self.seen.add(model)
+                yield from self.tables(place, self.models[model], root)
+
+    def _heading(self, place: str) -> str:
+        if self.language == "json" or not place:
+            return place
+        return f"[[{place[:-2]}]]" if place.endswith("[]") else f"[{place}]"
+
+    def _below(self, place: str, js: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+        """Models below a key, each with its place in the file; `place[]` is an entry of a list of tables."""
+        if "$ref" in js:
+            yield place, _name(js["$ref"])
+        if isinstance(js.get("items"), Mapping):
+            yield from self._below(f"{place}[]", js["items"])
+        if isinstance(js.get("additionalProperties"), Mapping):
+            yield from self._below(f"{place}.NAME", js["additionalProperties"])
+        for branch in (*js.get("anyOf", []), *js.get("oneOf", [])):
+            yield from self._below(place, branch)
+
+    def _description(self, js: Mapping[str, Any]) -> str:
+        if "description" in js:
+            return str(js["description"])
+        models = list(self._below("", js))
+        return str(self.models[models[0][1]].get("description", "")) if len(models) == 1 else ""
+
+    def _value(self, js: Mapping[str, Any]) -> str:
+        """What a value may be, in words."""
+        if "$ref" in js:
+            return "table"
+        if "const" in js:
+            return f"`{json.dumps(js['const'])}`"
+        if "enum" in js:
+            return ", ".join(f"`{json.dumps(v)}`" for v in js["enum"])
+        branches = [*js.get("anyOf", []), *js.get("oneOf", [])]
+        if branches:
+            return " or ".join(dict.fromkeys(self._value(b) for b in branches))
+        kind = js.get("type")
+        if kind in ("number", "integer"):
+            return {"number": "number", "integer": "whole number"}[kind] + _range(js)
+        if kind == "array":
+            return self._list(js)
+        if kind == "object":
+            inner = js.get("additionalProperties")
+            return "table" if not isinstance(inner, Mapping) or "$ref" in inner else f"table of {self._value(inner)}"
+        return {"string": "text", "boolean": "true or false", "null": "null"}.get(str(kind), "any")
+
+    def _list(self, js: Mapping[str, Any]) -> str:
+        if "prefixItems" in js:
+            return "[" + ", ".join(self._value(i) for i in js["prefixItems"]) + "]"
+        items = js.get("items", {})
+        return "list of tables" if "$ref" in items or "oneOf" in items else f"list of {self._value(items)}"
+
+
+def _name(reference: str) -> str:
+    return reference.rpartition("/")[2]
+
+
+def _range(js: Mapping[str, Any]) -> str:
+    """` (0 to 45)` or ` (above 0)`; empty without a limit."""
+    low, over = js.get("minimum"), js.get("exclusiveMinimum")
+    high, under = js.get("maximum"), js.get("exclusiveMaximum")
+    top = high if high is not None else under
+    least = low if low is not None else over
+    start = "" if least is None else f"{'above ' if low is None else ''}{least:g}"
+    end = "" if top is None else f"{'below ' if high is None else ''}{top:g}"
+    if start and end:
+        return f" ({start} to {end})"
+    if start:
+        return f" ({start})" if low is None else f" ({start} or more)"
+    return f" ({end if high is None else f'up to {end}'})" if end else ""
+
+
+def _default(js: Mapping[str, Any]) -> str:
+    value = js.get("default")
+    return "" if value is None or value in ("", [], {}) or isinstance(value, dict) else f"`{json.dumps(value)}`"
+
+
+def format_page(declared: FileFormat, read: Mapping[str, str]) -> str:
+    """The page of a format in Markdown.
+
+    read : path below the repository -> contents, for the examples
+    """
+    lines = [f"# {declared.file}", "", _sentence(declared.title), ""]
+    if declared.about:
+        lines += [declared.about, ""]
+    if isinstance(declared, ModelFormat):
+        lines += _schema_words(declared)
+    for table in key_tables(declared):
+        lines += [f"## {table.heading}" if table.heading else f"## {_first_heading(declared)}", ""]
+        lines += [] if not table.about else [table.about, ""]
+        lines += _markdown(table, declared)
+    lines += _example(declared, read)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _first_heading(declared: FileFormat) -> str:
+    return "Columns" if isinstance(declared, ColumnFormat) else "Keys"
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:] + "."
+
+
+def _schema_words(declared: ModelFormat) -> list[str]:
+    words = [
+        f"JSON Schema: `sim_heating/schemas/{declared.name}.schema.json`, printed by `sim-heating formats "
+        f"{declared.name} --schema`."
+    ]
+    if declared.language == "toml":
+        words.append(
+            "Editors that know TOML complete and check a file whose first line is `#:schema PATH`. An unknown key is "
+            "an error that names the nearest known one."
+        )
+    return [" ".join(words), ""]
+
+
+def _markdown(table: KeyTable, declared: FileFormat) -> list[str]:
+    if not table.keys:
+        return []
+    if isinstance(declared, KeyFormat):
+        return ["| key | |", "|---|---|", *(f"| `{k.name}` | {_cell(k.description)} |" for k in table.keys), ""]
+    if isinstance(declared, ColumnFormat):
+        rows = [f"| `{k.name}` | {'yes' if k.required else 'no'} | {_cell(k.description)} |" for k in table.keys]
+        return ["| column | required | |", "|---|---|---|", *rows, ""]
+    rows = [
+        f"| `{k.name}` | {_cell(k.value)} | {'**required**' if k.required else k.default} | {_cell(k.description)} |"
+        for k in table.keys
+    ]
+    return ["| key | value | default | |", "|---|---|---|---|", *rows, ""]
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("|", "\\|").split())
+
+
+def _example(declared: FileFormat, read: Mapping[str, str]) -> list[str]:
+    if declared.example is None:
+        return []
+    if declared.example not in read:
+        raise InputError(f"{declared.example}: is not at hand; run this in a checkout")
+    lines = read[declared.example].splitlines()
+    cut = isinstance(declared, ColumnFormat) and len(lines) > EXAMPLE_LINES
+    shown = lines[:8] if cut else lines
+    rest = [f"The first of its {len(lines)} lines."] if cut else []
+    language = "text" if isinstance(declared, ColumnFormat) else "toml"
+    return ["## Example", "", f"`{declared.example}`:", "", f"```{language}", *shown, "```", "", *rest]
+
+
+def index_page() -> str:
+    """The page that lists all formats."""
+    rows = [f"| [`{f.file}`]({f.name}.md) | {f.title} |" for f in FORMATS]
+    text = (
+        "# File formats\n\nAll numbers are in SI units and angles in degrees; a key or column ends in its unit. Files "
+        "are UTF-8. `sim-heating validate PATH` checks any of them and reports every problem in one line with file, "
+        "place and rule. `sim-heating formats NAME` prints the keys of a format.\n\n| file | |\n|---|---|\n"
+    )
+    return text + "\n".join(rows) + "\n"
