@@ -120,7 +120,9 @@ DISABLED = f"{RESET}.map((b) => b.disabled)"
 CLICK_SORT = "[...document.querySelectorAll('th button')].find((b) => b.textContent === '{}').click()"
 KEYS = "[...document.querySelectorAll('.key')].filter((k) => k.textContent.startsWith('declared'))"
 PLACE = "(({x, y, width, height}) => [x, y, width, height])(document.querySelector('.u-over').getBoundingClientRect())"
-CHOOSE = "(() => {{ const e = document.querySelector('.tools {}'); e.value = '{}'; e.dispatchEvent(new Event('{}')) }})()"
+CHOOSE = (
+    "(() => {{ const e = document.querySelector('.tools {}'); e.value = '{}'; e.dispatchEvent(new Event('{}')) }})()"
+)
 PICTURES = "[...document.querySelectorAll('figure.chart img')].map((i) => Boolean(i.offsetParent))"
 
 
