@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import sim_heating as sh
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
@@ -51,3 +52,16 @@ def test_pictures_are_shown_on_a_page():
     shown = {target for page in (*TOP, *PAGES) for _, target, _ in links(page)}
     pictures = set((DOCS / "images").glob("*.png"))
     assert sorted(p.name for p in pictures - shown) == []
+
+
+def test_every_page_is_in_the_list_of_its_folder():
+    """The front page lists the folders; the lists of links are the table of contents of the site."""
+    listed = {target for page in PAGES if page.stem in ("index", "README") for _, target, _ in links(page)}
+    everything = {*PAGES, *(DOCS / "notebooks").glob("*.ipynb")} - {DOCS / "index.md"}
+    assert sorted(p.relative_to(DOCS).as_posix() for p in everything - listed) == []
+
+
+def test_the_reference_describes_every_public_name():
+    page = (DOCS / "reference" / "api.md").read_text()
+    described = " ".join(re.findall(r"<!-- autodoc: (.*?) -->", page)).split()
+    assert sorted(described) == sorted(set(sh.__all__) - {"__version__"})

@@ -106,7 +106,7 @@ class JSBSimHost:
     >>> from sim_heating.trajectory.jsbsim.host import JSBSimHost, PropertyRead
     >>> aircraft = Path(jsbsim.get_default_root_dir()) / "aircraft"
     >>> x15 = JSBSimHost(aircraft, "X15", reads={"bodyflap_deg": PropertyRead("fcs/speedbrake-pos-deg")})
-    >>> print(*x15.notes, sep="\n")
+    >>> print(*x15.notes, sep="\\n")
     elevon_deg is read from fcs/elevator-pos-deg: this aircraft has no fcs/elevon-pos-deg
     jets is 0: this aircraft has no control/jet-firing
     """
