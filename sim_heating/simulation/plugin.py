@@ -61,6 +61,13 @@ LONGEST_WAIT_S = 0.25
 """Default of the longest time between thermal steps [s]; short, as a ratio table may have a corner ahead."""
 
 
+_WARM_UP_FRAME = {
+    "time_s": 0.0, "altitude_m": 70e3, "velocity_m_s": 6000.0, "alpha_deg": 40.0, "beta_deg": 0.0, "elevon_deg": 0.0,
+    "bodyflap_deg": 0.0, "rho_kg_m3": 1e-4,
+}  # fmt: skip
+"""A frame within the tables; what it is does not matter."""
+
+
 class HeatingPlugin:
     """Temperatures of a vehicle's control points alongside a host.
 
@@ -133,6 +140,17 @@ class HeatingPlugin:
         # Constants of the vehicle precede STARTED and remain; all that changes follows it.
         self._host[k.STARTED :] = 0.0
         k.heat_points(*self._arguments, values, k.NOT_STARTED)
+        self.watch(values)  # a pause, which changes nothing: compiled here, so that no step waits for it
+
+    def warm_up(self) -> None:
+        """Compile, or read from the cache, all that `reset` and `step` run; the state stays as it is.
+
+        It takes some 20 s the first time on a machine, and below 0.1 s afterwards. A host that has to keep its rate
+        from the first frame on calls it before; `reset` does the same.
+        """
+        before = self.snapshot()
+        self.reset(_WARM_UP_FRAME)
+        self.restore(before)
 
     def step(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Advance to the time of a frame, conditions linear between thermal steps; the same time again is a pause.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +23,7 @@ from sim_heating.simulation.plugin_jsbsim import JSBSimHeating
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.jsbsim.host import InitialState, JSBSimHost, open_vehicle
 from sim_heating.trajectory.spec import TrajectorySpec
-from tests.support.paths import AIRCRAFT
+from tests.support.paths import AIRCRAFT, ROOT
 
 approx = pytest.approx
 POINTS = ("V09T9527", "V07T9730", "V07T9975")
@@ -494,3 +496,39 @@ def test_a_vehicle_is_not_touched_by_its_plug_in(orbiter: Vehicle, plugin: Heati
     before = replace(orbiter)
     plugin.step(frame(5.0))
     assert orbiter == before
+
+
+# Compilation --------------------------------------------------------------------------------------------------------
+
+
+FIRST_STEPS = """
+import sim_heating as sh
+from numba.core import event
+plugin = sh.HeatingPlugin(sh.load_vehicle("orbiter"), ["V09T9527"])
+frame = {frame!r}
+plugin.reset(frame)
+with event.install_recorder("numba:compile") as compiled:
+    plugin.warm_up()
+    for i in range(1, 40):
+        plugin.step(frame | {{"time_s": i / 60.0, "alpha_deg": 40.0 + (i > 20)}})
+print(len(compiled.buffer))
+"""
+
+
+def test_nothing_is_compiled_after_the_reset() -> None:
+    """A host in real time waits before its flight, not in its first frames.
+
+    In a process of its own, as kernels stay compiled within one.
+    """
+    code = FIRST_STEPS.format(frame=FRAME_0)
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert int(result.stdout) == 0
+
+
+def test_a_warm_up_leaves_the_flight_as_it_is(plugin: HeatingPlugin) -> None:
+    plugin.step(frame(1.0))
+    before = plugin.snapshot()
+    plugin.warm_up()
+    after = plugin.snapshot()
+    for name in ("host", "published", "state"):
+        np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
