@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cantera as ct
 import numpy as np
 import pytest
 
@@ -14,6 +13,8 @@ from sim_heating.heating.effects.recombination import HEAT_OF_NITROGEN, HEAT_OF_
 from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, eckert_film
 from sim_heating.heating.reference.gas import PRANDTL, air_density_of_enthalpy_kernel, air_state_kernel
 from sim_heating.heating.reference.recovery import Recovery
+
+ct = pytest.importorskip("cantera", reason="no wheel of Cantera for this Python")
 
 EDGE = Recovery("edge-laminar")
 
