@@ -37,6 +37,8 @@ LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
 """Arguments of fmi2GetRealStatus and fmi2GetBooleanStatus after a discarded step."""
 SOLVER_TOLERANCE = 1e-6
 """Relative tolerance of CVode where neither scenario nor FMU gives one."""
+UNRECOVERABLE = -1
+"""Status of a function that CVode calls, after which it gives up."""
 SAME_TIME_S = 1e-9
 WATCH_S = 0.5
 """Interval at which the process checks that its parent exists [s]."""
@@ -170,18 +172,44 @@ class _ConstantInputs:
         """Nothing to do."""
 
 
+def _call_status(function: Any, *arguments: Any) -> int:
+    """Status that CVode takes from a function of it: an exception that left the function would count as success."""
+    try:
+        status: int = function(*arguments)
+    except Exception as error:
+        print(error, flush=True)
+        return UNRECOVERABLE
+    return status
+
+
+def _cvode(**settings: Any) -> Any:
+    """FMPy's CVode; an FMU that does not evaluate its equations ends the integration."""
+    from fmpy.sundials import CVodeSolver
+
+    class Solver(CVodeSolver):  # type: ignore[misc]  # untyped
+        """CVode with functions that return a status."""
+
+        def f(self, *arguments: Any) -> int:
+            """Derivatives."""
+            return _call_status(super().f, *arguments)
+
+        def g(self, *arguments: Any) -> int:
+            """Event indicators."""
+            return _call_status(super().g, *arguments)
+
+    return Solver(**settings)
+
+
 class ModelExchange(Instance):
     """An FMU of bare equations, integrated by FMPy's CVode (BDF) from one communication point to the next."""
 
     def __init__(self, request: dict[str, Any]) -> None:
         super().__init__(request)
-        from fmpy.sundials import CVodeSolver
-
         self.next_event_s: float | None = None
         if self._update():
             raise Refusal("asked to end during its initialisation")
         derivatives = self.fmu.getContinuousStateDerivatives if self.three else self.fmu.getDerivatives
-        self.solver = CVodeSolver(
+        self.solver = _cvode(
             nx=self.model["states"],
             nz=self.model["indicators"],
             get_x=self.fmu.getContinuousStates,
