@@ -115,7 +115,7 @@ def run_fit(task: FitTask) -> bytes:
     loaded = load_records(task.records, root=task.root)
     chosen = [record.with_fit([segment]) for record, segment in zip(loaded, task.segments, strict=True)]
     fitted = fit_manoeuvre(task, chosen)
-    write_fit(fitted, task.out)
+    write_fit(fitted, task.out, page=False)  # hundreds of fits: the page of the campaign shows them all
     return json.dumps({"row": fit_row(task, fitted), "results": results_digest(task.out)}).encode()
 
 

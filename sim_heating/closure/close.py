@@ -437,5 +437,5 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     """
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         write_closure(closed.report, folder)
-        write_fit(closed.fitted, folder)
+        write_fit(closed.fitted, folder, page=False)
     return sorted(files_written(out))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,18 +11,24 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.report.chart import Chart, Curve, Panel, Span
 from sim_heating.base.report.figure import ANGLES, add_grid_and_title, mark_beyond, new_figure
+from sim_heating.base.report.page import Picture
 from sim_heating.closure.clues.correlation import ResidualEvidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_figure, shade_holdout
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, fit_figure, shade_holdout
 from sim_heating.simulation.predict import Prediction
+from sim_heating.simulation.report.charts import SHADES, flown_panels, record_spans
 
 PREDICTED = "0.62"
 LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
     "log10_re": "log10 of Reynolds number", "mach": "Mach number", "jets": "jets", "wall_K": "wall temperature, K",
     "wall_enthalpy_ratio": "wall over recovery enthalpy", "axial_accel_g": "axial acceleration, g", TIME: "time, s",
 }  # fmt: skip
+COMPARED = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
+ACTIVE = "#f9dcdc"
+"""Colour of the time in which a residual is active."""
 SIGMAS = 2.0
 MAX_SIGMA_RATIO = 4.0
 """Points of a sigma above this many times the median are not drawn against variables."""
@@ -30,12 +37,39 @@ MAX_PANELS, MAX_LOOPS = 6, 3
 
 def comparison_figure(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
     """Measured against predicted temperatures of each used sensor: declared tables, derivatives fitted, with effect."""
+    figure, axes = fit_figure(after.record, _compared(predicted, before, after, effect))
+    add_grid_and_title(figure, "", axes)
+    return figure
+
+
+def comparison_chart(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Chart:
+    """The chart of `comparison_figure`, which is the picture in its place."""
+    picture = Picture(partial(comparison_figure, predicted, before, after, effect), COMPARED)
+    return fit_chart(after.record, _compared(predicted, before, after, effect), picture)
+
+
+def _compared(
+    predicted: Prediction, before: Prediction, after: Prediction, effect: str
+) -> list[tuple[Prediction, str, str]]:
     curves = [(predicted, PREDICTED, "declared tables"), (before, BEFORE, "derivatives fitted")]
     if after is not before:
         curves.append((after, AFTER, f"with {effect}"))
-    figure, axes = fit_figure(after.record, curves)
-    add_grid_and_title(figure, "", axes)
-    return figure
+    return curves
+
+
+def heating_chart(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
+    """The residual as heating against time with its band, and the flight; `heating_figure` is the picture."""
+    shown = [(before, BEFORE, "derivatives fitted")] + ([] if after is None else [(after, AFTER, "with the effect")])
+    curves = [Curve(label, r.time_s, r.delta_ratio, color, sigma=r.sigma) for r, color, label in shown]
+    limits = np.array([_limits(r) for r, _, _ in shown])
+    missing = Panel(
+        f"missing {before.quantity}", curves, zero=True, limits=(float(limits[:, 0].min()), float(limits[:, 1].max()))
+    )
+    picture = Picture(partial(heating_figure, before, after, evidence), f"Missing {before.quantity} against time.")
+    spans = [Span(s.start_s, s.end_s, "active", ACTIVE) for s in evidence.active] + record_spans(before.record)
+    caption = f"Missing {before.quantity} against time; bands: {SIGMAS:g} sigma. {SHADES} Red: the residual is active."
+    panels = [missing, *flown_panels(before.record.conditions)]
+    return Chart("Residual as heating", panels, caption, before.span_s, spans, picture)
 
 
 def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Figure:

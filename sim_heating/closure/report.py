@@ -30,8 +30,8 @@ from sim_heating.closure.clues.residual_heating import ResidualHeating, write_re
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.plots import (
-    comparison_figure,
-    heating_figure,
+    comparison_chart,
+    heating_chart,
     hysteresis_figure,
     ranking_figure,
     variables_figure,
@@ -214,10 +214,11 @@ def closure_page(found: Closure) -> Page:
     return Page(title, subtitle, sections, _headline(found), warnings)
 
 
-def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Effects found in records and the errors before and after, a row a record.
+def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None] = ()) -> Table:
+    """Effects found in records and the errors before and after, a row a record; a page sorts and filters them.
 
-    rows : as `several.batch.summary_row` gives them, or the name of a record and why it `failed`
+    rows  : as `several.batch.summary_row` gives them, or the name of a record and why it `failed`
+    pages : of each record, the address of its own page
     """
     errors = {
         "before, fit": "before_fit_rmse_K", "after, fit": "after_fit_rmse_K",
@@ -239,7 +240,7 @@ def closures_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         ]
         for r in rows
     ]
-    return Table("What the declared models lack", columns, cells)
+    return Table("What the declared models lack", columns, cells, sortable=True, choices=["finding"], links=pages)
 
 
 def _finding_text(row: Mapping[str, Any]) -> str:
@@ -347,13 +348,8 @@ def _error_cells(errors: Mapping[str, float] | None) -> list[float | None]:
 
 
 def _comparison_section(found: Closure) -> Section:
-    caption = "Each used sensor with its residuals below (measured minus predicted); held-out spans shaded."
-    return Section(
-        "Measured against predicted",
-        pictures=[
-            Picture(partial(comparison_figure, found.predicted, found.before, found.after, found.fitted_with), caption)
-        ],
-    )
+    chart = comparison_chart(found.predicted, found.before, found.after, found.fitted_with)
+    return Section("Measured against predicted", charts=[chart])
 
 
 def _parameters_section(found: Closure) -> Section:
@@ -417,13 +413,10 @@ def _heating_section(found: Closure) -> Section:
         )
     order = [f.shape.variable for f in found.evidence.shape_fits]
     order += [n for n in variables if n not in order]
-    over_time = partial(heating_figure, found.residual, found.residual_after, found.evidence)
+    over_time = heating_chart(found.residual, found.residual_after, found.evidence)
     over_variables = partial(variables_figure, found.residual, variables, order)
-    pictures = [
-        Picture(over_time, f"Missing {found.residual.quantity} against time."),
-        Picture(over_variables, f"Missing {found.residual.quantity} against what changed; bars: 1 sigma."),
-    ]
-    return Section("Residual as heating", text, pictures=pictures)
+    caption = f"Missing {found.residual.quantity} against what changed; bars: 1 sigma."
+    return Section("Residual as heating", text, pictures=[Picture(over_variables, caption)], charts=[over_time])
 
 
 def _period(frequency_Hz: float) -> str:

@@ -85,7 +85,7 @@ class Prediction:
 
     def draw(self, path: Path | None) -> Figure:
         """The picture of `plot`, saved to a path where one is given."""
-        from sim_heating.simulation.plots import draw_prediction  # matplotlib is slow to import
+        from sim_heating.simulation.report.plots import draw_prediction  # matplotlib is slow to import
 
         record, names = self.record, [s.name for s in self.record.sensors]
         title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"

@@ -135,7 +135,7 @@ class RunResult:
 
         points : names, by default of all;  raises : InputError with the nearest name for one that was not flown
         """
-        from sim_heating.simulation.plots import draw_temperatures  # matplotlib is slow to import
+        from sim_heating.simulation.report.plots import draw_temperatures  # matplotlib is slow to import
 
         histories, limits = self.histories(points), self.limits
         return draw_temperatures(None, self.scenario.title, histories, self.flight.windows, limits)
@@ -145,7 +145,7 @@ class RunResult:
 
         points : names, by default of all;  raises : InputError with the nearest name for one that was not flown
         """
-        from sim_heating.simulation.plots import draw_heating  # matplotlib is slow to import
+        from sim_heating.simulation.report.plots import draw_heating  # matplotlib is slow to import
 
         return draw_heating(None, self.scenario.title, self.histories(points), self.flight.windows)
 
@@ -395,7 +395,7 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
 
     points : names of those that are drawn, by default all
     """
-    from sim_heating.simulation import plots  # matplotlib is slow to import
+    from sim_heating.simulation.report import plots  # matplotlib is slow to import
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)

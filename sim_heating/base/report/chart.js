@@ -256,11 +256,14 @@
   const key = (chart, panel, c, bar) => {
     const made = element("button", bar, { type: "button", class: `key${c.points ? " points" : ""}${c.dash ? " dashed" : ""}`, "aria-pressed": "true" });
     made.style.setProperty("--color", c.color);
-    element("span", made, { text: c.label });
+    const alone = panel.curves.length === 1 && panel.label.startsWith(c.label);  // the panel's name says it
+    element("span", made, { text: alone ? "" : c.label });
+    if (alone) made.setAttribute("aria-label", c.label);
     const value = element("b", made);
-    made.addEventListener("click", () => setHidden(chart, [c.label], !c.hidden));
+    made.addEventListener("click", () => setHidden(chart, [named(c)], !c.hidden));
     chart.keys.push({ curve: c, button: made, value });
   };
+  const named = (c) => c.label.split(", RMSE")[0];  // the error is that of one record
   const setHidden = (chart, labels, hidden) => {
     for (const other of charts) {
       other.data.panels.forEach((panel, k) => {
@@ -269,7 +272,7 @@
           number += 1;
           const first = number;
           number += c.bands.length;
-          if (!labels.includes(c.label) || Boolean(c.hidden) === hidden) continue;
+          if (!labels.includes(named(c)) || Boolean(c.hidden) === hidden) continue;
           c.hidden = hidden;
           changed = true;
           for (let i = first; i <= number; i++) other.plots[k].setSeries(i, { show: !hidden });
@@ -279,7 +282,7 @@
       for (const made of other.keys) made.button.setAttribute("aria-pressed", String(!made.curve.hidden));
     }
   };
-  const setAll = (chart, panel, hidden) => setHidden(chart, panel.curves.map((c) => c.label), hidden);
+  const setAll = (chart, panel, hidden) => setHidden(chart, panel.curves.map(named), hidden);
 
   // Fingers: one moves the cursor, two zoom.
   const touch = (chart, plot) => {

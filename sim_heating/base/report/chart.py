@@ -92,6 +92,7 @@ class Chart:
     view           : first and last time of the first view [s]; by default of all samples
     spans          : shaded
     picture        : in its place on paper and without scripts, with a `data_url`; drawn from the chart where None
+    pictured       : whether a picture stands in its place; not where that of another chart shows the same
     time           : quantity and unit of the horizontal axis
 
     Charts of one page are zoomed together.
@@ -103,6 +104,7 @@ class Chart:
     view: tuple[float, float] | None = None
     spans: Sequence[Span] = field(default=())
     picture: Any = None
+    pictured: bool = True
     time: str = "time, s"
 
     @property

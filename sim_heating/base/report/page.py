@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -21,6 +22,7 @@ import jinja2
 import matplotlib as mpl
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from PIL import Image
 
 from sim_heating.base.errors import printable
 from sim_heating.base.files import write_text_atomic
@@ -32,7 +34,9 @@ from sim_heating.base.report.table import Table
 TEMPLATE = "page.html.j2"
 CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/uPlot.min.css"
 TABLE_SCRIPTS = ("table.js",)
-RASTER_DPI = 130
+PALETTE = 200
+"""Colours of a saved picture on a page."""
+RASTER_DPI = 90
 """Resolution of the rasterized parts of a figure."""
 
 
@@ -65,8 +69,11 @@ class SavedPicture:
 
     @property
     def data_url(self) -> str:
-        """The file as a data URL."""
-        return _data_url("image/png", self.path.read_bytes())
+        """The file as a data URL, with a palette of colours: a quarter of its size."""
+        buffer = io.BytesIO()
+        with Image.open(self.path) as picture:
+            picture.convert("RGB").quantize(PALETTE, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+        return _data_url("image/png", buffer.getvalue())
 
 
 def _svg(figure: Figure) -> bytes:
@@ -124,7 +131,8 @@ def _sortable(page: Page) -> bool:
 
 @dataclass(frozen=True)
 class _DrawnChart:
-    """A chart as the template shows it: its data, a sentence on their decimation, and the picture in its place."""
+    """A chart as the template shows it: its data, a sentence on their decimation, and the picture in its place; empty
+    where there is none."""
 
     chart: Chart
     data: Markup
@@ -135,7 +143,7 @@ class _DrawnChart:
 def _drawn(chart: Chart, intervals: int) -> _DrawnChart:
     data, note = chart_data(chart, intervals)
     picture = chart.picture or Picture(chart.figure, chart.title)
-    return _DrawnChart(chart, Markup(script_json(data)), note, picture.data_url)
+    return _DrawnChart(chart, Markup(script_json(data)), note, picture.data_url if chart.pictured else "")
 
 
 @cache

@@ -17,7 +17,7 @@ from sim_heating.campaign.figures.flown import FLAP, POPU, FlownData, PointManoe
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.plots import AFTER, BEFORE, DRAWN_ABOVE_DEG
 from sim_heating.heating.effects.transition import TRANSITION
-from sim_heating.simulation.plots import AFTER_S, BEFORE_S
+from sim_heating.simulation.report.plots import AFTER_S, BEFORE_S
 
 LAMINAR = "0.55"
 DIFFERENT_K = 5.0

@@ -29,7 +29,7 @@ from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import DECLARATION, distinct_names, load_record
 
-SUMMARIES = JSON, CSV = "summary.json", "summary.csv"
+SUMMARIES = JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
 LEDGER = "finished"
 """Folder of finished records, below the results."""
 
@@ -95,7 +95,7 @@ def close_all(
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> list[dict[str, Any]]:
-    """Close the loop on every record into DIR/<record>, and write summary.json and summary.csv into DIR.
+    """Close the loop on every record into DIR/<record>, and write summary.json, summary.csv and report.html into DIR.
 
     A finished record is not done again while its inputs and the program are unchanged. One that fails has the reason in
     its row; the others go on.
@@ -108,6 +108,7 @@ def close_all(
     raises    : InputError where the scheduler or a folder of results cannot be used
     """
     from sim_heating.closure.close import COMMAND, FILES
+    from sim_heating.closure.several.batch_page import write_batch_page  # matplotlib is slow to import
 
     labels = record_names(records, root)
     jobs = [record_job(path, out / label, root, names, label) for path, label in zip(records, labels, strict=True)]
@@ -119,15 +120,19 @@ def close_all(
             jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
             is_current=results_are_there, progress=progress,
         )  # fmt: skip
-        rows = []
+        rows, residuals = [], []
         for label, job in zip(labels, jobs, strict=True):
             if job.id in outcome.done:
-                rows.append(json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"])
+                finished = json.loads(outcome.done[job.id].read_text(encoding="utf-8"))
+                rows.append(finished["row"])
+                residuals.append(finished["residuals"])
             else:
                 rows.append({"record": label, "failed": outcome.failed[job.id]})
+                residuals.append(None)
         with output_directory(out, COMMAND, inputs=records) as folder:
             write_json(folder / JSON, {"format": "closure-summary/1", "records": rows})
             _write_summary_csv(folder / CSV, rows)
+            write_batch_page(folder / PAGE, rows, residuals)
     return rows
 
 
@@ -161,19 +166,26 @@ def program_digest(inputs: Sequence[str], settings: Sequence[str] = ()) -> str:
 
 
 def _close_record(task: Task) -> bytes:
-    """Close the loop on one record and write its folder; its summary row and the digest of the folder as JSON."""
+    """Close the loop on one record and write its folder; summary row, residuals and digest of the folder as JSON."""
     from sim_heating.closure.close import close_loop, write_closed_loop
+    from sim_heating.closure.several.batch_page import residual_history
 
     record = load_record(task.record, root=task.root)
     closed = close_loop(replace(record, label=task.label), task.names)
     write_closed_loop(closed, Path(task.out))
-    return json.dumps({"row": summary_row(closed.report), "results": results_digest(task.out)}).encode()
+    finished = {
+        "row": summary_row(closed.report),
+        "residuals": residual_history(closed.report),
+        "results": results_digest(task.out),
+    }
+    return json.dumps(finished).encode()
 
 
 def results_are_there(job: Job, finished: bytes) -> bool:
     """Whether the folder of a finished job, `task.out`, still holds what was written into it."""
     try:
-        return bool(json.loads(finished)["results"] == results_digest(job.task.out))
+        known = json.loads(finished)
+        return "residuals" in known and bool(known["results"] == results_digest(job.task.out))
     except (ValueError, KeyError, TypeError):  # written by an earlier version
         return False
 

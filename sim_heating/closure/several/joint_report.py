@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.files import write_csv, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import AT
+from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
@@ -32,7 +33,7 @@ from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint_search import JointSearch
 from sim_heating.closure.statement import ParameterEstimate, Statement, finite
-from sim_heating.estimation.report.plots import AFTER, BEFORE, shade_holdout
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
 from sim_heating.simulation.predict import Prediction
 
 FILES = NAME, PAGE, RECORDS = "closure.json", "report.html", "records.csv"
@@ -221,8 +222,8 @@ def joint_page(found: JointClosure) -> Page:
     causes = found.statement.not_effects
     sections = [
         *([Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])] if causes else []),
-        _evidence_section(found), *tell_apart_section(found.statement), _errors_section(found),
-        _adequacy_section(found), _values_section(found), _candidates_section(found),
+        _evidence_section(found), _residuals_section(found), *tell_apart_section(found.statement),
+        _errors_section(found), _adequacy_section(found), _values_section(found), _candidates_section(found),
     ]  # fmt: skip
     before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
@@ -263,8 +264,19 @@ def _evidence_section(found: JointClosure) -> Section:
         "the values of the others, and counts in the sum with what it shows by itself. The p-value is that of values "
         "of its own as far from the common ones.",
     ]
+    return Section("What each record adds", text, tables=[evidence_table(found)])
+
+
+def _residuals_section(found: JointClosure) -> Section:
+    """Residuals of the records side by side, derivatives fitted and with the cause."""
+    charts: list[Chart] = []
     picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
-    return Section("What each record adds", text, tables=[evidence_table(found)], pictures=[picture])
+    for closure, after in zip(found.closures, found.after, strict=True):
+        curves = [(closure.before, BEFORE, "derivatives fitted")]
+        curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
+        chart = fit_chart(closure.record, curves, picture, temperatures=False)
+        charts.append(replace(chart, pictured=not charts))  # one picture shows them all
+    return Section("Residuals side by side", charts=charts)
 
 
 def residuals_figure(found: JointClosure) -> Figure:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import LOG10_RE
+from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import (
     ANGLES,
     MEASURED,
@@ -22,16 +23,16 @@ from sim_heating.base.report.figure import (
     replaced_if_undrawable,
     save_figure,
 )
+from sim_heating.base.report.page import Picture, SavedPicture
 from sim_heating.estimation.trend import Trend
 from sim_heating.inputs.record import Record, pooled_rmse_K
 from sim_heating.simulation.predict import Prediction
+from sim_heating.simulation.report.charts import ModelCurve, record_chart, residual_limits, shown_span
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
 DRAWN_ABOVE_DEG = 0.5
 """Range of an angle above which it is drawn."""
 LAMP = "q_add_W_m2"
-MARGIN = 0.2
-"""Time shown on either side of the fitted samples, over their time span."""
 
 
 @replaced_if_undrawable
@@ -70,9 +71,7 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
             lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
         scale = curves[1 if len(curves) > 2 else 0][0].residual_K[i][fitted]
-        # scaled by the fitted samples: a held-out span that the model misses would flatten all others
-        spread = np.nanpercentile(np.abs(scale), 99.0) if np.any(np.isfinite(scale)) else 1.0
-        lower.set_ylim(-1.3 * spread - 1.0, 1.3 * spread + 1.0)
+        lower.set_ylim(*residual_limits(scale))
         for prediction, color, _ in curves:
             mark_beyond(lower, t, prediction.residual_K[i][shown], color)
         upper.set_ylabel(f"{record.sensors[i].name}\nindicated, K")
@@ -87,6 +86,26 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
     return figure, axes
 
 
+def fit_chart(
+    record: Record,
+    curves: Sequence[tuple[Prediction, str, str]],
+    picture: Picture | SavedPicture | None = None,
+    *,
+    temperatures: bool = True,
+) -> Chart:
+    """The chart of `fit_figure`, for a page.
+
+    curves       : as `fit_figure` takes them;  picture : in its place on paper
+    temperatures : whether these are drawn, or the residuals alone
+    """
+    models = []
+    for prediction, color, name in curves:
+        found = prediction.segment_errors()["fit"]
+        label = name if found is None else f"{name}, RMSE {found['rmse_K']:.2f} K"
+        models.append(ModelCurve(label, color, prediction.indicated_K, prediction.residual_K))
+    return record_chart(record, models, picture, scale=1 if len(curves) > 2 else 0, temperatures=temperatures)
+
+
 def shade_holdout(a: Axes, record: Record) -> None:
     """Shade the holdout segments in grey."""
     for start, end in record.declared.segments.holdout:
@@ -95,9 +114,8 @@ def shade_holdout(a: Axes, record: Record) -> None:
 
 def _shown_samples(record: Record) -> NDArray[np.bool_]:
     """(sample,) those from some time before the first fitted or held-out sample to some time after the last."""
-    t, used = record.time_s, record.time_s[record.fit_mask() | record.holdout_mask()]
-    margin = MARGIN * float(np.ptp(used))
-    return np.asarray((t >= used.min() - margin) & (t <= used.max() + margin))
+    start_s, end_s = shown_span(record)
+    return np.asarray((record.time_s >= start_s) & (record.time_s <= end_s))
 
 
 def plot_flown(a: Axes, conditions: Conditions, start_s: float, end_s: float) -> None:

@@ -232,6 +232,7 @@ def _test(test: HypothesisTest | None) -> dict[str, float] | None:
 
 TREND = TREND_CSV, TREND_PICTURE = "trend.csv", "trend.png"
 FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
+PAGE = "report.html"
 
 
 def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
@@ -240,7 +241,7 @@ def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[s
 
     folders = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
     names = [*FIT_FILES, *(filter_report.FILES if filtered else ())]
-    return [NAME, *(f"{folder}{name}" for folder in folders for name in names)]
+    return [NAME, PAGE, *(f"{folder}{name}" for folder in folders for name in names)]
 
 
 def write_trend(trend: Trend, out: Path) -> list[str]:
@@ -275,21 +276,38 @@ def _correlation_before(covariance: FloatArray) -> FloatArray:
     return np.append(0.0, before)
 
 
-def write_fit(fitted: FitResult, out: str | os.PathLike[str]) -> list[str]:
-    """Write estimate.json, temperatures and pictures; returns the names of the files."""
-    from sim_heating.estimation.report.filtered import filtered_history, write_filtered
+def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = True) -> list[str]:
+    """Write estimate.json, temperatures, pictures and report.html; returns the names of the files.
+
+    page : whether report.html is written; the report of a closed loop shows its last fit
+    """
+    from sim_heating.base.report.page import write_page
+    from sim_heating.estimation.report.filtered import PICTURE, filtered_history, write_filtered
+    from sim_heating.estimation.report.page import estimate_page
     from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and needed only here
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     with output_directory(out, "estimate", inputs=[p.record.directory for p in fitted.after]) as folder:
-        write_estimate(folder / NAME, estimate_contents(fitted))
+        found = estimate_contents(fitted)
+        write_estimate(folder / NAME, found)
+        folders: list[Path] = []
         for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
             record_folder = folder if len(fitted.after) == 1 else folder / after.record.name
             record_folder.mkdir(exist_ok=True, parents=True)
+            folders.append(record_folder)
             history = after.history
             write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
             draw_fit(record_folder / FIT_PICTURE, before, after, filtered=fitted.innovations is not None)
             draw_ratio(record_folder / RATIO_PICTURE, fitted, record_fit)
             if fitted.innovations is not None:
                 write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
+        if page:
+            captions = {RATIO_PICTURE: "heating ratio, declared and fitted", PICTURE: "filtered temperatures"}
+            pictures = [
+                (f / name, f"{p.record.name}: {caption}.")
+                for f, p in zip(folders, fitted.after, strict=True)
+                for name, caption in captions.items()
+            ]
+            table, fits = estimate_table("", found), [f / FIT_PICTURE for f in folders]
+            write_page(folder / PAGE, estimate_page(fitted, found, table, fits, pictures))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

@@ -1,0 +1,128 @@
+"""The page of a fit: parameters, errors, measured against predicted, and the tests of the residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sim_heating.base.report.page import Page, SavedPicture, Section
+from sim_heating.base.report.table import Column, Table
+from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+
+NOTABLE = 0.5
+"""Magnitude of a correlation from which on it is listed."""
+SORTABLE = 8
+"""Rows above which a table can be sorted and filtered."""
+
+
+def estimate_page(
+    fitted: FitResult,
+    found: Estimate,
+    parameters: Table,
+    fit_pictures: Sequence[Path],
+    pictures: Sequence[tuple[Path, str]],
+) -> Page:
+    """The report of a fit as a page.
+
+    parameters   : the table of the estimated parameters
+    fit_pictures : of each record, the picture of its fit
+    pictures     : further ones with their captions; files that do not exist are left out
+    """
+    records = [p.record for p in fitted.after]
+    titles = dict.fromkeys(r.declared.title or r.declared.control_point for r in records)
+    subtitle = f"Record{'s' if len(records) > 1 else ''} {', '.join(r.name for r in records)}, {found.vehicle or ''}"
+    sections = [
+        _parameters_section(found, parameters), _errors_section(found), _comparison_section(fitted, fit_pictures),
+        _residuals_section(found), *_pictures_section(pictures),
+    ]  # fmt: skip
+    return Page("; ".join(titles), subtitle.rstrip(", "), sections, _headline(fitted, found), fitted.warnings)
+
+
+def _headline(fitted: FitResult, found: Estimate) -> tuple[str, str]:
+    """Whether the fit converged, and its errors."""
+    count = f"{found.iterations} iteration{'s' if found.iterations != 1 else ''}"
+    head = f"Converged after {count}" if found.converged else f"Not converged: {fitted.fit.status.value}"
+    declared = _declared(found, "fit")
+    before = "" if declared is None else f"{declared.rmse_K:.2f} K with the declared model, "
+    after = "" if found.fit is None else f"RMSE over fitted data: {before}{found.fit.rmse_K:.2f} K fitted"
+    floor = "" if found.noise_floor_K is None else f"; noise floor {found.noise_floor_K:.2f} K"
+    return head, f"{after}{floor}." if after else ""
+
+
+def _declared(found: Estimate, segments: str) -> FitErrors | None:
+    """Errors of the declared model over fit or holdout segments."""
+    errors = (found.model_extra or {}).get("predicted", {}).get(segments)
+    return None if errors is None else FitErrors.model_validate(errors, from_attributes=True)
+
+
+def _parameters_section(found: Estimate, parameters: Table) -> Section:
+    reference = ", ".join(f"{n} {v:.4g}" for n, v in found.reference_condition.model_dump().items())
+    text = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
+    points = [
+        f"{n}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}"
+        for n, p in found.fixed.items()
+        if n not in found.not_estimated
+    ]
+    points += [f"{n}: tied to {other}" for n, other in found.ties.items() if n != other]
+    points += [f"{n}: not estimated, {why}" for n, why in found.not_estimated.items()]
+    strongest = sorted(found.correlation.items(), key=lambda item: -abs(item[1]))
+    rows = [[*pair.split(PAIR), rho] for pair, rho in strongest if abs(rho) >= NOTABLE]
+    columns = [Column("parameter"), Column("and", is_text=True), Column("correlation", format="+.3f")]
+    caption = f"Correlations of a magnitude of {NOTABLE:g} and more."
+    tables = [parameters, *([Table(caption, columns, rows, sortable=len(rows) > SORTABLE)] if rows else [])]
+    return Section("Estimated parameters", [text], points, tables)
+
+
+def _errors_section(found: Estimate) -> Section:
+    rows: list[list[Any]] = []
+    for label, errors in (
+        ("declared model, fitted samples", _declared(found, "fit")),
+        ("fitted model, fitted samples", found.fit),
+        ("declared model, held out", _declared(found, "holdout")),
+        ("fitted model, held out", found.holdout),
+        ("predictions of the filter, which the fit minimised", found.innovations),
+    ):
+        if errors is not None:
+            rows.append([label, errors.rmse_K, errors.max_abs_K, errors.n])
+    columns = [
+        Column(""), Column("RMSE", format=".2f", unit="K"), Column("largest", format=".1f", unit="K"),
+        Column("samples", format=".0f"),
+    ]  # fmt: skip
+    caption = "Errors of the plain march, with no measurement assimilated; held-out samples entered no fit."
+    return Section("Errors", tables=[Table(caption, columns, rows)])
+
+
+def _comparison_section(fitted: FitResult, pictures: Sequence[Path]) -> Section:
+    label = "fitted" if fitted.innovations is None else "fitted, plain march"
+    charts = [
+        fit_chart(after.record, [(before, BEFORE, "declared"), (after, AFTER, label)], SavedPicture(path))
+        for before, after, path in zip(fitted.before, fitted.after, pictures, strict=True)
+    ]
+    return Section("Measured against predicted", charts=charts)
+
+
+def _residuals_section(found: Estimate) -> Section:
+    """Tests of the normalised residuals of each sensor."""
+    sensors = (found.model_extra or {}).get("statistics", {}).get("sensors", {})
+    rows = [
+        [
+            name, s["n"], s["noise_sigma_K"], s["normalised_mean"], s["normalised_rms"],
+            *(None if s[test] is None else s[test]["p_value"] for test in ("whiteness", "normality")),
+        ]
+        for name, s in sensors.items()
+    ]  # fmt: skip
+    columns = [
+        Column("sensor"), Column("samples", format=".0f"), Column("assumed noise", format=".2f", unit="K"),
+        Column("mean", format="+.2f"), Column("RMS", format=".2f"), Column("whiteness, p", format=".2g"),
+        Column("normality, p", format=".2g"),
+    ]  # fmt: skip
+    caption = "Residuals over their noise: for the true model the mean is 0, the RMS 1, and p-values are not small."
+    return Section("Residuals", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
+
+
+def _pictures_section(pictures: Sequence[tuple[Path, str]]) -> list[Section]:
+    shown = [SavedPicture(path, caption) for path, caption in pictures if path.is_file()]
+    return [Section("Heating ratio", pictures=shown)] if shown else []
