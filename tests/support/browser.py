@@ -46,7 +46,7 @@ followed that leads to no other file."""
 CONTENT = {
     "html", "head", "meta", "title", "style", "body", "main", "header", "h1", "h2", "p", "div", "strong", "nav", "a",
     "section", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption",
-    "footer", "noscript", "script",
+    "footer", "noscript", "script", "span",
 }  # fmt: skip
 ATTRIBUTES = {
     "lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv",
