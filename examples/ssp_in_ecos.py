@@ -25,8 +25,12 @@ PARAMETERS = "parameters"
 
 def described(system: Path) -> tuple[list[str], float]:
     """Identifiers of the outputs of all components, as ecos names them, and the stop time of the experiment [s]."""
-    with zipfile.ZipFile(system) as archive:
-        root = ET.fromstring(archive.read("SystemStructure.ssd"))
+    if system.is_dir():
+        text = (system / "SystemStructure.ssd").read_bytes()
+    else:
+        with zipfile.ZipFile(system) as archive:
+            text = archive.read("SystemStructure.ssd")
+    root = ET.fromstring(text)
     names = [
         f"{component.get('name')}::{connector.get('name')}"
         for component in root.iter(f"{SSD}Component")
@@ -64,7 +68,7 @@ def simulate(system: Path, names: list[str], step_s: float, until_s: float) -> l
 def main() -> None:
     """Read the command line, simulate, write a CSV, print the hottest temperatures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("system", type=Path)
+    parser.add_argument("system", type=Path, help="a .ssp file, or the folder of an unpacked one")
     parser.add_argument("--step", type=float, default=0.25, help="communication step in s")
     parser.add_argument("--until", type=float, help="end in s; default: that of the system's experiment")
     parser.add_argument("--out", type=Path, default=Path("ecos.csv"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import zipfile
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -544,16 +546,14 @@ MANIFEST = """<?xml version="1.0"?>
 """The table of attributes in section 2 of FMI-LS-STRUCT 1.0.0-rc.1 as a schema, over that of FMI 3.0 for manifests."""
 
 
-def sampled_maps(fmu: Path) -> dict[str, list[tuple[str, str]]]:
-    """Kind and name of the members of each terminal that is a sampled map, as a tool for calibration reads them."""
-    with zipfile.ZipFile(fmu) as archive:
-        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
-    kind = f"{STRUCT}.map."
-    return {
-        terminal.get("name"): [(m.get("variableKind").removeprefix(kind), m.get("variableName")) for m in terminal]
-        for terminal in root.iter("Terminal")
-        if terminal.get("terminalKind") == f"{kind}rectilinearGrid"
-    }
+@pytest.fixture(scope="module")
+def maps(fmus) -> list[Any]:
+    """The maps of the FMI 3 export as the example reads them, with nothing of sim_heating."""
+    example = importlib.util.spec_from_file_location("ratio_maps", ROOT / "examples" / "ratio_maps.py")
+    module = importlib.util.module_from_spec(example)
+    example.loader.exec_module(module)
+    assert module.sampled_maps(fmus[2]) == []
+    return module.sampled_maps(fmus[3])
 
 
 def test_manifest_and_terminals_are_valid_and_go_with_fmi_3_alone(fmus):
@@ -568,31 +568,40 @@ def test_manifest_and_terminals_are_valid_and_go_with_fmi_3_alone(fmus):
         assert not [name for name in archive.namelist() if name.startswith(("extra/", "terminalsAndIcons/"))]
 
 
-def test_a_tool_reads_the_ratio_table_of_each_point_as_a_sampled_map(fmus, vehicle):
+def test_a_tool_reads_the_ratio_table_of_each_point_as_a_sampled_map(fmus, maps, vehicle):
     variables = {v.name: v for v in fmpy.read_model_description(fmus[3]).modelVariables}
-    maps = sampled_maps(fmus[3])
-    assert list(maps) == [f"{point}.ratio_table" for point in POINTS]
+    assert [sampled.name for sampled in maps] == [f"{point}.ratio_table" for point in POINTS]
     with Host(fmus[3]) as host:
-        for point, members in zip(POINTS, maps.values(), strict=True):
-            assert [kind for kind, _ in members] == ["domain", "domainInput"] * 5 + ["codomain"]
-            axes, inputs, values = [n for _, n in members[:-1:2]], [n for _, n in members[1::2]], members[-1][1]
+        for point, sampled in zip(POINTS, maps, strict=True):
             table = vehicle.control_point(point).ratio
-            assert inputs == list(RATIO_VARIABLES)
-            assert all(variables[n].variability == "constant" for n in axes)
-            assert variables[values].causality == "parameter"
-            assert [d.start for d in variables[values].dimensions] == [len(axis) for axis in table.axes]
-            for name, own in zip([*axes, values], [*table.axes, table.ratio], strict=True):
+            assert "multilinear" in sampled.text
+            assert sampled.operating_point == list(RATIO_VARIABLES)
+            assert all(variables[name].variability == "constant" for name in sampled.axes)
+            assert variables[sampled.values].causality == "parameter"
+            assert [d.start for d in variables[sampled.values].dimensions] == [len(axis) for axis in table.axes]
+            for name, own in zip([*sampled.axes, sampled.values], [*table.axes, table.ratio], strict=True):
                 found = host.fmu.getFloat64([host.refs[name]], nValues=own.size)
                 np.testing.assert_array_equal(np.reshape(found, own.shape), own)
 
 
-def test_values_set_through_a_sampled_map_act_as_an_updated_table_in_the_plug_in(fmus, revised, flown):
-    given, members = frames(flown, 1.0, 400.0), sampled_maps(fmus[3])["NOSECAP.ratio_table"]
+def test_an_operating_point_follows_its_nodes_in_the_terminal(fmus):
+    """The order that section 2 of the standard asks for; members are named once."""
+    with zipfile.ZipFile(fmus[3]) as archive:
+        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+    for terminal in root.iter("Terminal"):
+        kinds = [m.get("variableKind").removeprefix(f"{STRUCT}.map.") for m in terminal]
+        assert kinds == ["domain", "domainInput"] * len(RATIO_VARIABLES) + ["codomain"]
+        names = [m.get("memberName") for m in terminal]
+        assert len(set(names)) == len(names)
+
+
+def test_values_set_through_a_sampled_map_act_as_an_updated_table_in_the_plug_in(fmus, maps, revised, flown):
+    given, sampled = frames(flown, 1.0, 400.0), maps[POINTS.index("NOSECAP")]
     table = load_vehicle(revised).control_point("NOSECAP").ratio
     with Host(fmus[3]) as host:
-        host.fmu.setFloat64([host.refs[members[-1][1]]], table.ratio.ravel().tolist())
+        host.fmu.setFloat64([host.refs[sampled.values]], table.ratio.ravel().tolist())
         found = fmu_temperatures(host, given)
-        operating_point = host.get(*(name for kind, name in members if kind == "domainInput"))
+        operating_point = host.get(*sampled.operating_point)
     np.testing.assert_array_equal(found, plugin_temperatures(load_vehicle(revised), given))
     at_end = flown.at([given[-1]["time_s"]])
     expected = [float(at_end[name][0]) for name in RATIO_VARIABLES]
