@@ -2,23 +2,34 @@
 
 python -m benchmarks.format_pages
 
-It also writes the line `#:schema PATH` into every shipped TOML file that has none, or another one.
+It also writes the line `#:schema PATH` into every shipped TOML file that has none, or another one. With `--examples` it
+first makes the examples of result files again, by `estimate` and `close-loop` on practice records.
 """
 
 from __future__ import annotations
 
+import argparse
+import shutil
+import tempfile
 import tomllib
 from pathlib import Path
 
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.schema import SCHEMAS, schema_line, schema_path
-from sim_heating.formats.catalogue import FORMATS, ModelFormat, formats_with_schema
+from sim_heating.cli import main as sim_heating
+from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named, formats_with_schema
 from sim_heating.formats.page import format_page, index_page
 from sim_heating.formats.schema_files import schema_text
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference" / "formats"
 MARK = "#:schema "
+RECORDS = "scenarios/records/practice"
+RESULTS = {
+    "estimate": ["estimate", f"{RECORDS}/p06", "--parameters", "ratio.scale,ratio.d_alpha"],
+    "closure": ["close-loop", f"{RECORDS}/p08"],
+}
+"""Format of a result file -> command that writes its example."""
 
 
 def pages() -> dict[Path, str]:
@@ -50,8 +61,22 @@ def with_schema_line(text: str, line: str) -> str:
     return line + "\n" + (text.partition("\n")[2] if text.startswith(MARK) else text)
 
 
+def make_examples() -> None:
+    """Run the commands of RESULTS in the repository's root and keep the files that they write."""
+    for name, command in RESULTS.items():
+        declared = format_named(name)
+        with tempfile.TemporaryDirectory() as folder:
+            if status := sim_heating([*command, "--out", folder]):
+                raise SystemExit(status)
+            shutil.copy(Path(folder) / declared.file, ROOT / str(declared.example))
+
+
 def main() -> None:
     """Write everything that differs."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--examples", action="store_true", help="make the examples of result files first; a minute")
+    if parser.parse_args().examples:
+        make_examples()
     SCHEMAS.mkdir(exist_ok=True)
     PAGES.mkdir(parents=True, exist_ok=True)
     lines = {path: schema_line(declared.name, path.parent) for path, declared in shipped_files().items()}

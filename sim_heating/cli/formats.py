@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, print_table
+from sim_heating.cli.output import report_results
 
 
 @click.command()
@@ -19,22 +22,26 @@ def formats(name: str | None, as_schema: bool) -> None:
     from sim_heating.base.report.table import Column, Table
     from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named
     from sim_heating.formats.page import key_tables
-    from sim_heating.formats.schema_files import schema_text
+    from sim_heating.formats.schema_files import schema, schema_text
 
     if name is None:
         if as_schema:
             raise InputError("--schema is of one format; give its name")
         columns = [Column(head, is_text=True) for head in ("name", "file", "what it is")]
         print_table(Table("File formats", columns, [(f.name, f.file, f.title) for f in FORMATS]))
+        report_results({"formats": [{"name": f.name, "file": f.file, "title": f.title} for f in FORMATS]})
         return
     chosen = format_named(name)
     if as_schema:
         if not isinstance(chosen, ModelFormat):
             raise InputError(f"`{name}` has no JSON Schema; `sim-heating formats {name}` prints its columns or keys")
         CONSOLE.print(schema_text(chosen), end="", soft_wrap=True)
-    else:
-        for table in key_tables(chosen):
-            columns = [Column(head, is_text=True) for head in ("key", "value", "default", "meaning")]
-            rows = [(k.name, k.value, "required" if k.required else k.default, k.description) for k in table.keys]
-            if rows:
-                print_table(Table(f"{table.heading or chosen.file}: {table.about or chosen.title}", columns, rows))
+        report_results({"schema": schema(chosen)})
+        return
+    tables = key_tables(chosen)
+    for table in tables:
+        columns = [Column(head, is_text=True) for head in ("key", "value", "default", "meaning")]
+        rows = [(k.name, k.value, "required" if k.required else k.default, k.description) for k in table.keys]
+        if rows:
+            print_table(Table(f"{table.heading or chosen.file}: {table.about or chosen.title}", columns, rows))
+    report_results({"file": chosen.file, "tables": [asdict(table) for table in tables]})

@@ -192,13 +192,14 @@ FORMATS: tuple[FileFormat, ...] = (
     ModelFormat(
         "estimate", "estimate.json", "result of `estimate`: parameters with bounds, errors, correlations",
         "`update-tables` and `campaign` read it. Values are in the unit that each parameter states; `sigma` is one "
-        "standard deviation, corrected for coloured residuals.", None,
+        "standard deviation, corrected for coloured residuals.", "docs/reference/formats/examples/estimate.json",
         "estimation.report.estimate_file:Estimate", (),
     ),
     KeyFormat(
         "closure", "closure.json", "result of `close-loop`: the missing effect, the error before and after",
         "The format is `closure-report/2`. Errors are `{rmse_K, max_abs_K, n}`, pooled over the used sensors; "
-        "`holdout` is null where the record declares none. A parameter is `{value, sigma, unit}`.", None,
+        "`holdout` is null where the record declares none. A parameter is `{value, sigma, unit}`.",
+        "docs/reference/formats/examples/closure.json",
         {
             "format": "`closure-report/2`",
             "records": "directories of the records",

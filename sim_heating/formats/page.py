@@ -11,8 +11,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.formats.catalogue import FORMATS, ColumnFormat, FileFormat, KeyFormat, ModelFormat
 from sim_heating.formats.schema_files import schema
 
-EXAMPLE_LINES = 40
-"""Most lines of an example that is a CSV file."""
+EXAMPLE_LINES = 120
+"""Lines of an example that a page shows at most: of a longer CSV file the first 8."""
 
 
 @dataclass(frozen=True)
@@ -206,10 +206,10 @@ def _example(declared: FileFormat, read: Mapping[str, str]) -> list[str]:
     if declared.example not in read:
         raise InputError(f"{declared.example}: is not at hand; run this in a checkout")
     lines = read[declared.example].splitlines()
-    cut = isinstance(declared, ColumnFormat) and len(lines) > EXAMPLE_LINES
-    shown = lines[:8] if cut else lines
-    rest = [f"The first of its {len(lines)} lines."] if cut else []
-    language = "text" if isinstance(declared, ColumnFormat) else "toml"
+    cut = len(lines) > EXAMPLE_LINES
+    shown = lines if not cut else lines[: 8 if isinstance(declared, ColumnFormat) else EXAMPLE_LINES]
+    rest = [f"The first {len(shown)} of its {len(lines)} lines."] if cut else []
+    language = "text" if isinstance(declared, ColumnFormat) else declared.file.rpartition(".")[2]
     return ["## Example", "", f"`{declared.example}`:", "", f"```{language}", *shown, "```", "", *rest]
 
 

@@ -15,7 +15,8 @@ from jsonschema import Draft202012Validator
 from benchmarks.format_pages import MARK, pages, shipped_files
 from sim_heating.base.files.schema import SCHEMAS, schema_line, schema_path
 from sim_heating.cli import cli
-from sim_heating.formats.catalogue import FORMATS, formats_with_schema
+from sim_heating.estimation.report.estimate_file import read_estimate
+from sim_heating.formats.catalogue import FORMATS, format_named, formats_with_schema
 from tests.support.paths import ROOT
 
 WITH_SCHEMA = [f.name for f in formats_with_schema()]
@@ -109,3 +110,11 @@ def test_the_command_prints_a_schema_and_names_the_nearest_format():
     assert json.loads(printed.output) == json.loads(schema_path("record").read_text())
     wrong = CliRunner().invoke(cli, ["formats", "recrod"])
     assert "did you mean `record`" in str(wrong.exception)
+
+
+def test_the_examples_of_results_are_results():
+    folder = ROOT / "docs" / "reference" / "formats" / "examples"
+    assert read_estimate(folder / "estimate.json").converged
+    assert not list(validator("estimate").iter_errors(json.loads((folder / "estimate.json").read_text())))
+    keys = set(format_named("closure").keys)
+    assert {*json.loads((folder / "closure.json").read_text()), "effects"} == keys
