@@ -54,6 +54,9 @@ DESCRIPTIONS = {
 DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 
+SURFACES = ("elevon_deg", "bodyflap_deg")
+"""Deflections of control surfaces, which a file of a vehicle without them leaves out; they are then 0."""
+
 RATIO_VARIABLES = ("alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg")
 """The variables of a heating-ratio table, in the order of its axes."""
 

@@ -231,13 +231,11 @@ def record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: tuple[str
                 nose_radius_m=given["nose_radius"],
             ),
         )
-    CONSOLE.print("Assumed and used:")
-    for note in notes:
-        CONSOLE.print(f"  {note}", soft_wrap=True)
-    CONSOLE.print(f"Wrote {out}: {describe_record(made)}", soft_wrap=True)
-    CONSOLE.print("Next:")
-    for command in ("predict", "estimate", "close-loop"):
-        CONSOLE.print(f"  sim-heating {command} {out} --out {out}_{command.replace('-', '_')}", soft_wrap=True)
+    _print_notes(notes)
+    commands = (
+        f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in ("predict", "estimate", "close-loop")
+    )
+    _print_made(describe_record(made), out, *commands)
 
 
 def _refuse_with_like(layers: Sequence[str], given: dict[str, Any]) -> None:
@@ -318,3 +316,255 @@ def _back(given: dict[str, Any], measured: MeasuredCsv) -> dict[str, float] | No
     if T_K is None:
         raise InputError("--back-temperature: is missing; give the temperature behind the wall, such as 21degC")
     return {"h_W_m2K": film or 0.0, "T_K": T_K, "emissivity": emissivity or 0.0}
+
+
+def _points(_: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    from sim_heating.templates.quantities import named_quantities
+
+    return named_quantities(values, option.opts[0], "NOSE=0.3")
+
+
+@new.command("vehicle")
+@OUT
+@click.option(
+    "--length",
+    callback=quantity_option("m", "4m"),
+    required=True,
+    metavar="L",
+    help="reference length, such as 4m or 13ft",
+)
+@click.option(
+    "--mass", callback=quantity_option("kg", "3000kg"), required=True, metavar="M", help="mass at entry, such as 3000kg"
+)
+@click.option(
+    "--area",
+    callback=quantity_option("m2", "12m2"),
+    required=True,
+    metavar="A",
+    help="reference area of CD, such as 12m2",
+)
+@click.option(
+    "--nose-radius",
+    callback=quantity_option("m", "0.5m"),
+    required=True,
+    metavar="R",
+    help="radius of the reference sphere",
+)
+@click.option(
+    "--point",
+    "points",
+    multiple=True,
+    required=True,
+    metavar='NAME="LAYER / LAYER"',
+    help='a control point and its layers, outermost first, NOSE="LI-900 50 mm / al2024 2 mm"; repeat',
+)
+@click.option(
+    "--place",
+    "places",
+    multiple=True,
+    callback=_points,
+    metavar="NAME=X",
+    help="its distance from the nose over the length; 0 for the first point",
+)
+@click.option(
+    "--ratio",
+    "ratios",
+    multiple=True,
+    callback=_points,
+    metavar="NAME=R",
+    help="its heating ratio over the reference sphere; default 1 at the nose, 0.3 elsewhere",
+)
+@click.option(
+    "--surfaces/--no-surfaces",
+    default=False,
+    show_default=True,
+    help="an elevon and a body flap, in tables and records",
+)
+@click.option(
+    "--alpha",
+    "alpha_deg",
+    type=click.FloatRange(0.0, 60.0),
+    default=20.0,
+    show_default=True,
+    help="angle of attack of the entry in deg",
+)
+@click.option(
+    "--drag-coefficient",
+    type=click.FloatRange(0.01, 5.0),
+    default=1.3,
+    show_default=True,
+    help="CD over the reference area",
+)
+@click.option(
+    "--lift-to-drag",
+    type=click.FloatRange(0.0, 5.0),
+    default=0.3,
+    show_default=True,
+    help="L/D at that angle of attack",
+)
+@click.option("--title", default="", help="title of the vehicle")
+def vehicle(out: Path, points: tuple[str, ...], places: dict[str, str], ratios: dict[str, str], **given: Any) -> None:
+    """Make a vehicle that flies: a directory of materials, control points, ratio tables, aerodynamics and guidance.
+
+    The name of the vehicle is that of the directory. What is not given is estimated, with confidence C. A capsule:
+
+    \b
+      sim-heating new vehicle --length 2m --mass 800kg --area 3m2 --nose-radius 1.2m \\
+          --point 'NOSE=RCG 0.4 mm / LI-900 60 mm / al2024 3 mm' \\
+          --point 'SIDE=inconel625 2 mm' --place SIDE=0.5 --ratio SIDE=0.2 --out pod
+    """
+    from sim_heating.templates.vehicle import VehicleInput, describe_vehicle, point_inputs, write_new_vehicle
+
+    lengths = {key: given.pop(key) for key in ("length", "mass", "area", "nose_radius")}
+    made, notes = write_new_vehicle(
+        out,
+        VehicleInput(
+            point_inputs(points, places, ratios),
+            length_m=lengths["length"],
+            mass_kg=lengths["mass"],
+            area_m2=lengths["area"],
+            nose_radius_m=lengths["nose_radius"],
+            **given,
+        ),
+    )
+    _print_notes(notes)
+    _print_made(describe_vehicle(made), out, f"sim-heating new scenario --vehicle {out} --out {out}_flight")
+
+
+@new.command("scenario")
+@click.option("--vehicle", required=True, help="name or directory of the vehicle")
+@OUT
+@click.option("--point", "points", multiple=True, metavar="NAME", help="a control point; repeat; default: all")
+@click.option(
+    "--altitude", callback=quantity_option("m", "120km"), metavar="H", help="altitude of the entry; default 120 km"
+)
+@click.option(
+    "--speed",
+    callback=quantity_option("m/s", "7450m/s"),
+    metavar="V",
+    help="speed relative to the air; default 7450 m/s",
+)
+@click.option(
+    "--gamma", type=click.FloatRange(-89.0, 10.0), help="path angle in deg; default -1.2 for a glider, else -1.5"
+)
+@click.option(
+    "--until-mach",
+    type=click.FloatRange(0.2, 30.0),
+    default=2.0,
+    show_default=True,
+    help="Mach number at which the flight ends",
+)
+@click.option(
+    "--trajectory", type=PATH, metavar="FILE", help="a recorded trajectory in place of the built-in entry, CSV"
+)
+@click.option("--manoeuvre", is_flag=True, help="fly a pushover-pullup at 6096 m/s (20,000 ft/s)")
+@click.option("--title", default="", help="title of the scenario")
+def scenario(vehicle: str, out: Path, points: tuple[str, ...], **given: Any) -> None:
+    """Make a scenario, DIR/scenario.toml: an entry of a vehicle for `run`, `synthesize` and `plan`.
+
+    \b
+      sim-heating new scenario --vehicle pod --out flight
+      sim-heating run flight/scenario.toml --out flight/results
+    """
+    from sim_heating.templates.starters import write_new_scenario
+
+    initial = {"altitude_m": given["altitude"], "velocity_m_s": given["speed"], "gamma_deg": given["gamma"]}
+    path = write_new_scenario(
+        out,
+        vehicle,
+        title=given["title"],
+        points=points,
+        recorded=given["trajectory"],
+        initial={name: value for name, value in initial.items() if value is not None},
+        stop_mach=given["until_mach"],
+        manoeuvre=given["manoeuvre"],
+    )
+    _print_made(
+        f"scenario of {vehicle}",
+        path,
+        f"sim-heating run {path} --out {out}/run",
+        f"sim-heating synthesize {path} --out {out}/records",
+    )
+
+
+@new.command("study")
+@click.argument("kind", type=click.Choice(["dispersion", "envelope", "optimal"]))
+@click.option("--scenario", type=PATH, required=True, help="the nominal flight; see `sim-heating new scenario`")
+@OUT
+@click.option(
+    "--point", "points", multiple=True, metavar="NAME", help="a control point; repeat; default: those of the scenario"
+)
+@click.option(
+    "--flights", type=click.IntRange(16), default=128, show_default=True, help="flights of a dispersion, a power of two"
+)
+@click.option("--title", default="", help="title of the study")
+def study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], flights: int, title: str) -> None:
+    """Make a study of a scenario's flight, DIR/study.toml, for `sim-heating plan`.
+
+    KIND is `dispersion` (peak temperatures of many dispersed entries), `envelope` (margins to the limits over a map of
+    flights), or `optimal` (the largest cross-range within the limits).
+
+    \b
+      sim-heating new study dispersion --scenario flight/scenario.toml --out study
+      sim-heating plan study/study.toml --out study/results
+    """
+    from sim_heating.cli.path_check import check_path
+    from sim_heating.templates.starters import write_new_study
+
+    path = write_new_study(out, kind, scenario, title=title, points=points, flights=flights)
+    _print_made(check_path(path).summary, path, f"sim-heating plan {path} --out {out}/results")
+
+
+@new.command("effect")
+@click.argument("name")
+@OUT
+@click.option(
+    "--mode",
+    type=click.Choice(["multiply", "add", "emittance"]),
+    default="multiply",
+    show_default=True,
+    help="a factor on the heating ratio, a term of it, or a factor on the emittance",
+)
+@click.option(
+    "--variable",
+    default="mach",
+    show_default=True,
+    help="what it depends on: mach, alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg, time_s, wall_K",
+)
+@click.option("--vehicle", default="orbiter", show_default=True, help="vehicle of the practice flight")
+@click.option("--point", default="WING_LE", show_default=True, help="control point of the practice flight")
+def effect(name: str, out: Path, mode: str, variable: str, vehicle: str, point: str) -> None:
+    """Make an effect of your own: DIR/NAME.py, a check of it, and a practice flight whose truth has it.
+
+    The folder is then named in SIM_HEATING_EFFECTS; close-loop looks for the effect in any record.
+
+    \b
+      sim-heating new effect shock-passage --variable mach --out effects
+      export SIM_HEATING_EFFECTS=effects
+      python -m pytest effects/checks
+    """
+    from sim_heating.templates.starters import write_new_effect
+
+    files = write_new_effect(out, name, mode=mode, variable=variable, vehicle=vehicle, point=point)
+    module = files[0].stem
+    _print_made(
+        f"effect {name}: {', '.join(str(f) for f in files)}",
+        out,
+        f"export SIM_HEATING_EFFECTS={out}",
+        f"python -m pytest {out}/checks",
+        f"sim-heating synthesize {out}/{module}.toml --out practice",
+        "sim-heating close-loop practice --out closed",
+    )
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    CONSOLE.print("Assumed and used:")
+    for note in notes:
+        CONSOLE.print(f"  {note}", soft_wrap=True)
+
+
+def _print_made(what: str, place: Path, *commands: str) -> None:
+    CONSOLE.print(f"Wrote {place}: {what}", soft_wrap=True)
+    CONSOLE.print("Next:")
+    for command in commands:
+        CONSOLE.print(f"  {command}", soft_wrap=True)

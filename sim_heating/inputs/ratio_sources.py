@@ -172,8 +172,8 @@ class Axes(Declared):
     alpha_deg: list[float] = Field(min_length=1)
     beta_deg: list[float] = Field(min_length=1)
     log10_re: list[float] = Field(min_length=1)
-    elevon_deg: list[float] = Field(min_length=1)
-    bodyflap_deg: list[float] = Field(min_length=1)
+    elevon_deg: list[float] = Field(default=[0.0], min_length=1)
+    bodyflap_deg: list[float] = Field(default=[0.0], min_length=1)
 
     @model_validator(mode="after")
     def _check(self) -> Axes:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import BoolArray, FloatArray
-from sim_heating.base.conditions import DERIVED, HEATING, STATE, Conditions
+from sim_heating.base.conditions import DERIVED, HEATING, STATE, SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
@@ -45,7 +45,7 @@ from sim_heating.base.files import (
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.ratio.table import RatioTable, read_ratio_table, write_ratio_table
+from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_table, write_ratio_table
 from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
@@ -584,15 +584,23 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     wanted = ("time_s",) if ground else (*STATE, "p_surface_Pa", *reference)
     # the density may follow from q_Pa: its absence is noticed where it does not
     required = tuple(c for c in wanted if c not in (*declared.conditions.constants, "rho_kg_m3"))
+    files = (heating.ratio_table, heating.turbulent_file)
+    table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
+    spared = [name for name in SURFACES if not _depends_on_surface(name, heating, (table, turbulent))]
+    required = tuple(c for c in required if c not in spared)
     optional = (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
     conditions = read_csv_columns(home / declared.conditions.file, required, optional)
     columns = [s.column for s in declared.thermocouples.sensor]
     thermocouples = read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
-    files = (heating.ratio_table, heating.turbulent_file)
-    table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
     return _check_record(declared, conditions, thermocouples, (table, turbulent), home)
+
+
+def _depends_on_surface(name: str, heating: Heating, tables: Sequence[RatioTable | None]) -> bool:
+    """Whether the heating of a record depends on the deflection of a control surface, by its column."""
+    turns = {"elevon_deg": heating.elevon_factor, "bodyflap_deg": heating.bodyflap_factor}
+    return turns[name] != 0.0 or depends_on(name, *tables)
 
 
 def _refuse_folder_of_records(home: Path) -> None:
@@ -665,6 +673,9 @@ def _check_record(
     home: Path,
 ) -> Record:
     table, turbulent = tables
+    given = {*conditions.columns, *declared.conditions.constants}
+    spared = [n for n in SURFACES if n not in given and not _depends_on_surface(n, declared.heating, tables)]
+    conditions = conditions.with_columns({name: np.zeros(len(conditions)) for name in spared})
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import Conditions
+from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import (
     check,
@@ -37,7 +37,7 @@ from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.paths import real_path
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow
 from sim_heating.heating.effects import EffectUse, check_count, combined_uses, use
-from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
+from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_table
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureModel, surface_pressure
 from sim_heating.inputs.declared_effects import Catalysis, turbulent_recovery
@@ -96,6 +96,15 @@ class ControlPoint:
         """Pressure at the surface of the point along a flight [Pa], one value a sample."""
         return surface_pressure(self.pressure, conditions)
 
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Columns of the control surfaces on which the heating or the pressure of the point depends."""
+        turns = (self.recovery.elevon_factor, self.recovery.bodyflap_factor)
+        if isinstance(self.pressure, ModifiedNewtonian):
+            turns = (self.pressure.elevon_factor, self.pressure.bodyflap_factor)
+        tables = (self.ratio, self.flow.laminar, self.flow.turbulent)
+        return tuple(n for n, k in zip(SURFACES, turns, strict=True) if k != 0.0 or depends_on(n, *tables))
+
     def without_effects(self, names: Collection[str]) -> ControlPoint:
         """The point without those of its declared effects that bear one of these names; what the flow at its edge is
         asked for remains, so that another effect may read it."""
@@ -126,6 +135,13 @@ class Vehicle:
 
     def __repr__(self) -> str:
         return f"<Vehicle {self.name!r}, revision {self.revision}: {len(self.control_points)} control points>"
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Columns of the control surfaces on which the heating of any of its points depends: by its ratio tables, or as
+        it turns the surface."""
+        needed = {name for point in self.control_points.values() for name in point.surfaces}
+        return tuple(name for name in SURFACES if name in needed)
 
     def without_effects(self, names: Collection[str]) -> Vehicle:
         """The vehicle without those of its declared effects that bear one of these names."""

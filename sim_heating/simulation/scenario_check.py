@@ -35,7 +35,8 @@ def check_scenario(scenario: Scenario) -> None:
     check_effects([use.effect for p in points for use in (*p.effects, *scenario.effects(p.name, truth=True))])
     spec, where = scenario.declared.trajectory, f"{display_path(scenario.path)}, [trajectory]"
     if spec.source == "recorded":
-        recorded.read_conditions(Path(str(spec.file)), scenario.vehicle.reference_length_m)
+        vehicle = scenario.vehicle
+        recorded.read_conditions(Path(str(spec.file)), vehicle.reference_length_m, vehicle.surfaces)
     elif spec.source in FLOWN:
         check_triggers(spec, scenario.vehicle, where)
 

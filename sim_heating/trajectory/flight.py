@@ -39,6 +39,7 @@ class VehicleData(Protocol):
 
     directory          : folder with its aero/, guidance.toml and jsbsim/
     reference_length_m : length of the Reynolds number [m]
+    surfaces           : columns of the control surfaces on which its heating depends
     """
 
     @property
@@ -46,6 +47,9 @@ class VehicleData(Protocol):
 
     @property
     def reference_length_m(self) -> float: ...
+
+    @property
+    def surfaces(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)

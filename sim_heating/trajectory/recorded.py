@@ -2,16 +2,18 @@
 
 The columns that a host provides are required, with the density or the dynamic pressure `q_Pa` that it follows from;
 temperature, pressure, Mach and Reynolds number are taken as recorded, and derived by sim_heating.heating.atmosphere
-where a column is absent. Further columns of numbers are kept.
+where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are absent.
+Further columns of numbers are kept.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
-from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, Conditions
+from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
@@ -47,7 +49,7 @@ def fly(
     """
     if spec.file is None:
         raise InputError('trajectory: source = "recorded" needs `file`, a CSV of flight conditions')
-    conditions = read_conditions(Path(spec.file), vehicle.reference_length_m)
+    conditions = read_conditions(Path(spec.file), vehicle.reference_length_m, vehicle.surfaces)
     if on_frame is not None:
         _send_frames(conditions, on_frame)
     if progress is not None:
@@ -55,13 +57,16 @@ def fly(
     return Flight(conditions)
 
 
-def read_conditions(path: Path, length_m: float) -> Conditions:
+def read_conditions(path: Path, length_m: float, surfaces: Collection[str] = SURFACES) -> Conditions:
     """Conditions of a CSV file; length_m [m] is the reference length of a derived Reynolds number.
 
-    raises : InputError naming file, row and column
+    surfaces : columns of control surfaces that the file needs; others may be absent, and are 0 [deg]
+    raises   : InputError naming file, row and column
     """
-    required = [name for name in REQUIRED if name not in OPTIONAL]
-    table = with_density(read_csv_columns(path, required, OPTIONAL))
+    spared = [name for name in SURFACES if name not in surfaces]
+    required = [name for name in REQUIRED if name not in (*OPTIONAL, *spared)]
+    table = with_density(read_csv_columns(path, required, [*OPTIONAL, *spared]))
+    table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
@@ -97,12 +97,15 @@ class RatioTable:
 def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     """Read and check a heating-ratio table; rows may be in any order.
 
-    path    : CSV file; columns alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg, ratio [-], optionally sigma [-]
+    path    : CSV file; columns alpha_deg, beta_deg, log10_re, elevon_deg, bodyflap_deg, ratio [-], optionally sigma
+              [-]; without a deflection the table has one node in it, at 0 deg
     returns : the table on its grid, header included
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
               an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
-    table = read_csv_columns(path, (*RATIO_VARIABLES, "ratio"), ("sigma",))
+    required = tuple(name for name in RATIO_VARIABLES if name not in SURFACES)
+    table = read_csv_columns(path, (*required, "ratio"), (*SURFACES, "sigma"))
+    table = table.with_columns({name: np.zeros(len(table)) for name in SURFACES if name not in table.columns})
     raise_problems([*_header_problems(table), *_column_problems(table)])
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)
     index = tuple(np.searchsorted(axis, table[name]) for axis, name in zip(axes, RATIO_VARIABLES, strict=True))
@@ -111,6 +114,12 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     ratio = _on_grid(table, "ratio", axes, index)
     raise_problems(_spikes(table, ratio, index))
     return RatioTable(axes, ratio, _sigma(table, axes, index), table.header)
+
+
+def depends_on(variable: str, *tables: RatioTable | None) -> bool:
+    """Whether any of some tables has several nodes in a ratio variable [deg], or log10_re [-]."""
+    axis = RATIO_VARIABLES.index(variable)
+    return any(table is not None and len(table.axes[axis]) > 1 for table in tables)
 
 
 def write_ratio_table(

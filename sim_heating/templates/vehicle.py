@@ -1,0 +1,288 @@
+"""A vehicle directory from length, mass, nose radius and the layers of its control points, that flies as it is."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import (
+    csv_text,
+    display_path,
+    output_directory,
+    plain_number,
+    read_toml_dict,
+    repeated_name,
+    toml_text,
+    write_text_atomic,
+)
+from sim_heating.inputs.ratio_sources import write_tables
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_directory
+from sim_heating.inputs.vehicle_files import NAME
+from sim_heating.simulation.scenario_check import check_vehicle
+from sim_heating.templates.materials import LayerInput, layer_input
+from sim_heating.templates.render import render
+
+GLIDES_FROM = 0.6
+"""Lift over drag from which a vehicle is guided as the Orbiter is, else as the capsule."""
+GLIDER, CAPSULE = "orbiter", "capsule"
+NOSE_RATIO, OTHER_RATIO = 1.0, 0.3
+"""Heating ratios that are taken at the nose, and elsewhere, where none is given [-]."""
+NOSE_SIGMA, OTHER_SIGMA = 0.1, 0.4
+"""Their relative standard deviations [-]."""
+HOTTEST_USE_K = 1500.0
+"""Limit of a surface whose material states none [K]."""
+MACH = (1.2, 30.0)
+"""Nodes of the aerodynamic tables; the coefficients do not depend on Mach number between them."""
+GYRATION = (0.35, 0.3, 0.3)
+"""Radii of gyration over span, length and length [-]."""
+DEFLECTIONS_DEG = (-20.0, 0.0, 20.0)
+FLAP_CM_DEG, FLAP_CN_DEG = -0.0015, 0.004
+"""Pitching moment and normal force of a degree of elevon or body flap, of the class of the Orbiter's [1/deg]."""
+
+
+@dataclass(frozen=True)
+class PointInput:
+    """A control point as a person stated it.
+
+    x_over_L : distance from the nose over the length [-]
+    ratio    : heating ratio, or None for a usual one [-]
+    """
+
+    name: str
+    layers: tuple[LayerInput, ...]
+    x_over_L: float = 0.0
+    ratio: float | None = None
+
+
+@dataclass(frozen=True)
+class VehicleInput:
+    """A vehicle as a person stated it.
+
+    surfaces : whether it has an elevon and a body flap
+    alpha_deg, drag_coefficient, lift_to_drag : angle of attack in which it flies, CD and L/D there
+    """
+
+    points: Sequence[PointInput]
+    length_m: float
+    nose_radius_m: float
+    mass_kg: float
+    area_m2: float
+    title: str = ""
+    surfaces: bool = False
+    alpha_deg: float = 20.0
+    drag_coefficient: float = 1.3
+    lift_to_drag: float = 0.3
+    reference: str = "sutton-graves"
+
+
+def point_inputs(points: Sequence[str], places: Mapping[str, str], ratios: Mapping[str, str]) -> list[PointInput]:
+    """Control points of options: `NAME=LAYER / LAYER`, `NAME=0.3` of x over L, `NAME=0.5` of the ratio.
+
+    raises : InputError, one line, for what cannot be read
+    """
+    found: list[PointInput] = []
+    for text in points:
+        name, equals, layers = (part.strip() for part in text.partition("="))
+        if not (equals and layers and re.fullmatch(NAME, name)):
+            example = '--point NOSE="LI-900 50 mm / al2024 2 mm"'
+            raise InputError(f"--point {text}: write {example}; a name has letters, digits and _")
+        stack = tuple(layer_input(layer, f"--point {name}") for layer in layers.split(" / "))
+        place = 0.0 if not found and name not in places else _number(places, name, "--place", 0.0, 1.0)
+        ratio = None if name not in ratios else _number(ratios, name, "--ratio", 0.0, 300.0)
+        found.append(PointInput(name, stack, place, ratio))
+    names = [p.name for p in found]
+    if (twice := repeated_name(names)) is not None:
+        raise InputError(f"--point {twice}: is given twice; leave one out")
+    for option, values in (("--place", places), ("--ratio", ratios)):
+        if unknown := [name for name in values if name not in names]:
+            raise InputError(f"{option} {unknown[0]}: there is no --point {unknown[0]}; known: {', '.join(names)}")
+    return found
+
+
+def _number(values: Mapping[str, str], name: str, option: str, low: float, high: float) -> float:
+    if name not in values:
+        raise InputError(
+            f"{option}: is missing for {name}; give its distance from the nose over the length, {name}=0.3"
+        )
+    try:
+        value = plain_number(values[name])
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise InputError(
+            f"{option} {name}={values[name]}: write a number from {low:g} to {high:g}, {option} {name}=0.3"
+        )
+    return value
+
+
+def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple[Vehicle, list[str]]:
+    """Write a vehicle directory, named as the vehicle, and check it as a whole; its ratio tables are built.
+
+    returns : the vehicle, and one line for each thing that was assumed
+    raises  : InputError where something does not fit, or the directory holds files of others
+    """
+    name = Path(os.path.abspath(out)).name
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise InputError(f"--out {out}: its last part is the vehicle's name: letters, digits, - and _")
+    values = _values(name, given)
+    files = {
+        "vehicle.toml": render("vehicle/vehicle.toml.j2", **values),
+        "aero/aero.toml": render("vehicle/aero.toml.j2", **values),
+        "aero/longitudinal.csv": _coefficients(given, values["alpha_deg"]),
+        "guidance.toml": render("vehicle/guidance.toml.j2", **values),
+        "provenance.md": render("vehicle/provenance.md.j2", **values),
+    }
+    files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if given.surfaces}
+    for p in values["points"]:
+        files[f"control_points/{p['name']}.toml"] = render("vehicle/control_point.toml.j2", p=p)
+        files[f"ratio_sources/{p['name'].lower()}.toml"] = render("vehicle/ratio_source.toml.j2", p=p, **values)
+    for material, m in values["materials"].items():
+        files[f"materials/{material}.toml"] = toml_text(m.model_dump(exclude_unset=True, exclude_none=True))
+    with output_directory(out, "new vehicle", expected=("vehicle.toml",)) as folder:
+        # a vehicle has the name of its directory, and that of results in the making is another
+        made = folder / name
+        for place, text in files.items():
+            write_text_atomic(made / place, text)
+        write_tables(made, root=made)
+        check_vehicle(load_vehicle(made, root=made))
+        for path in sorted(made.rglob("*")):
+            if path.is_file():
+                target = folder / path.relative_to(made)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.rename(target)
+        for path in sorted((p for p in made.rglob("*") if p.is_dir()), reverse=True):
+            path.rmdir()
+        made.rmdir()
+    notes = [
+        f"{p['name']}: {p['ratio_source']}; limit {p['surface_K']:g} K; thermocouple {p['sensor_place']}"
+        for p in values["points"]
+    ]
+    notes.append(f"aerodynamics: {values['aero_source']}")
+    notes.append(f"guidance: drag against speed as {values['guidance_of']}")
+    return load_vehicle(out), notes
+
+
+def _values(name: str, given: VehicleInput) -> dict[str, Any]:
+    """Variables of the templates."""
+    for what, value in (("length", given.length_m), ("mass", given.mass_kg), ("area", given.area_m2)):
+        if not value > 0.0:
+            raise InputError(f"--{what}: must be above 0")
+    guidance_of = GLIDER if given.lift_to_drag >= GLIDES_FROM else CAPSULE
+    own = ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach")
+    guidance = {
+        k: v for k, v in read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml").items() if k not in own
+    }
+    span_m = float(f"{min(given.length_m, 2.0 * math.sqrt(given.area_m2 / math.pi)):.4g}")
+    deflections = list(DEFLECTIONS_DEG) if given.surfaces else [0.0]
+    top = max(2.0 * given.alpha_deg, 10.0)
+    return {
+        "name": name,
+        "vehicle": name,
+        "title": given.title or name,
+        "length_m": given.length_m,
+        "area_m2": given.area_m2,
+        "mass_kg": given.mass_kg,
+        "nose_radius_m": given.nose_radius_m,
+        "reference": given.reference,
+        "span_m": span_m,
+        "inertia": [
+            float(f"{given.mass_kg * (k * L) ** 2:.3g}")
+            for k, L in zip(GYRATION, (span_m, given.length_m, given.length_m), strict=True)
+        ],
+        "surfaces": given.surfaces,
+        "alpha_trim": given.alpha_deg,
+        "alpha_deg": [0.0, 0.5 * top, top],
+        "elevon_deg": deflections,
+        "bodyflap_deg": deflections,
+        "aero_source": f"CD {given.drag_coefficient:g} at all angles of attack, lift proportional to it, L/D "
+        f"{given.lift_to_drag:g} at {given.alpha_deg:g} deg: estimates",
+        "guidance_of": guidance_of,
+        "guidance": guidance,
+        "points": [_point(p, given, [0.0, 0.5 * top, top]) for p in given.points],
+        "materials": {layer.name: layer.material for p in given.points for layer in p.layers},
+    }
+
+
+def _point(p: PointInput, given: VehicleInput, alpha_deg: Sequence[float]) -> dict[str, Any]:
+    """Variables of the files of a control point."""
+    outer, inner = p.layers[0], p.layers[-1]
+    if outer.material.emissivity is None:
+        raise InputError(
+            f"--point {p.name}: the outermost layer {outer.name} has no emittance; put a coating first, such as "
+            '"black-paint 0.05 mm", or name a TOML file of the material with `emissivity`'
+        )
+    at_nose = p.x_over_L == 0.0
+    ratio = p.ratio if p.ratio is not None else NOSE_RATIO if at_nose else OTHER_RATIO
+    thick = len(p.layers) > 1
+    return {
+        "name": p.name,
+        "layers": p.layers,
+        "heat_shield": outer.name,
+        "x_over_L": p.x_over_L,
+        "position_m": [float(f"{p.x_over_L * given.length_m:.6g}"), 0.0, 0.0],
+        "ratio": min(ratio, 1.0),
+        "ratio_points": [[a, ratio] for a in alpha_deg],
+        "ratio_source": f"ratio {ratio:g}" + (", given" if p.ratio is not None else ", an estimate (--ratio)"),
+        "ratio_sigma": NOSE_SIGMA if at_nose else OTHER_SIGMA,
+        "sensor_m": outer.thickness_m,
+        "sensor_place": f"at the inner face of {outer.name}" if thick else "at the back",
+        "surface_K": outer.material.max_use_K or HOTTEST_USE_K,
+        "bondline_K": inner.material.max_use_K if thick else None,
+    }
+
+
+def _coefficients(given: VehicleInput, alpha_deg: Sequence[float]) -> str:
+    """Table of normal and axial force along and across the body: lift proportional to angle of attack, constant drag.
+
+    CN = CL cos(alpha) + CD sin(alpha),    CA = CD cos(alpha) - CL sin(alpha)
+    """
+    lift = given.drag_coefficient * given.lift_to_drag
+    rows = []
+    for mach in MACH:
+        for alpha in np.linspace(alpha_deg[0], alpha_deg[-1], 9):
+            CL = 0.0 if given.alpha_deg == 0.0 else lift * alpha / given.alpha_deg
+            s, c = math.sin(math.radians(alpha)), math.cos(math.radians(alpha))
+            CN, CA = CL * c + given.drag_coefficient * s, given.drag_coefficient * c - CL * s
+            rows.append((mach, float(alpha), round(CN, 5), round(CA, 5), 0.0))
+    header = {
+        "source": "sim-heating new vehicle: constant drag, lift proportional to angle of attack",
+        "confidence": "C",
+    }
+    return csv_text(
+        dict(zip(("mach", "alpha_deg", "CN", "CA", "Cm"), zip(*rows, strict=True), strict=True)), "g", header
+    )
+
+
+def _flap(alpha_deg: Sequence[float]) -> str:
+    """Table of the increments of a control surface, linear in its deflection."""
+    rows = [
+        (mach, alpha, d, round(FLAP_CN_DEG * d, 5), 0.0, round(FLAP_CM_DEG * d, 5))
+        for mach in MACH
+        for alpha in (alpha_deg[0], alpha_deg[-1])
+        for d in DEFLECTIONS_DEG
+    ]
+    names = ("mach", "alpha_deg", "deflection_deg", "CN", "CA", "Cm")
+    header = {"source": "sim-heating new vehicle: of the class of the Orbiter's, linear", "confidence": "C"}
+    return csv_text(dict(zip(names, zip(*rows, strict=True), strict=True)), "g", header)
+
+
+def shown_place(vehicle: str, folder: Path) -> str:
+    """How a file in a folder names a vehicle: a name as it is, a directory relative to the folder."""
+    if (Path(vehicle) / "vehicle.toml").is_file():
+        return Path(os.path.relpath(vehicle, folder)).as_posix()
+    vehicle_directory(vehicle)
+    return vehicle
+
+
+def describe_vehicle(vehicle: Vehicle) -> str:
+    """One line on a vehicle."""
+    points = ", ".join(vehicle.control_points)
+    return f"vehicle {vehicle.name} in {display_path(vehicle.directory)}: control points {points}"

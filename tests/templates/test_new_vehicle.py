@@ -1,0 +1,148 @@
+"""`sim-heating new vehicle`, `scenario`, `study` and `effect`: what they write validates, and works where it is for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import sim_heating as sh
+from sim_heating.base.errors import InputError
+from sim_heating.cli import cli
+from sim_heating.inputs.record import write_record
+from tests.support.paths import ROOT
+
+POD = (
+    "--length", "2m", "--mass", "800kg", "--area", "3m2", "--nose-radius", "1.2m",
+    "--point", "NOSE=RCG 0.4 mm / LI-900 60 mm / al2024 3 mm", "--point", "SIDE=inconel625 2 mm", "--place", "SIDE=0.5",
+)  # fmt: skip
+GLIDER = (
+    "--length", "12m", "--mass", "8000kg", "--area", "40m2", "--nose-radius", "0.4m", "--alpha", "35", "--surfaces",
+    "--lift-to-drag", "1.1", "--drag-coefficient", "0.6", "--point", "BELLY=RCG 0.4 mm / LI-900 50 mm / al2024 3 mm",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def made(*arguments: object) -> Result:
+    result = run("new", *arguments)
+    assert result.exit_code == 0, result.exception
+    return result
+
+
+def test_a_new_vehicle_flies_and_names_what_was_estimated() -> None:
+    """A capsule without control surfaces: no file of it mentions an elevon."""
+    shown = made("vehicle", *POD, "--out", "pod").output
+    assert "NOSE: ratio 1, an estimate (--ratio)" in shown
+    assert "good. vehicle pod: 2 control points" in run("validate", "pod").output
+    texts = [path.read_text() for path in Path("pod").rglob("*.toml")]
+    assert not [text for text in texts if "elevon" in text or "bodyflap" in text]
+    assert sh.load_vehicle("pod").surfaces == ()
+
+    made("scenario", "--vehicle", "pod", "--until-mach", "22", "--point", "SIDE", "--out", "flight")
+    assert "good. scenario Entry of pod" in run("validate", "flight/scenario.toml").output
+    flown = sh.run("flight/scenario.toml")
+    surface_K = flown.to_xarray()["surface_K"].to_numpy()
+    assert 400.0 < np.nanmax(surface_K) < 1500.0
+
+
+def test_a_glider_with_surfaces_has_them_in_its_tables_and_is_trimmed() -> None:
+    made("vehicle", *GLIDER, "--out", "glider")
+    vehicle = sh.load_vehicle("glider")
+    assert vehicle.surfaces == ("elevon_deg", "bodyflap_deg")
+    assert "shipped vehicle `orbiter`" in Path("glider/guidance.toml").read_text()
+    made("scenario", "--vehicle", "glider", "--manoeuvre", "--out", "flight")
+    assert "gamma_deg = -1.2" in Path("flight/scenario.toml").read_text()
+
+
+def test_a_trajectory_and_a_record_of_a_vehicle_without_surfaces_need_no_deflections() -> None:
+    made("vehicle", *POD, "--out", "pod")
+    t = np.arange(0.0, 100.0, 10.0)
+    rows = [f"{x:g},{70000 - 100 * x:g},{6000 - 10 * x:g},20,0,{8e-5 * np.exp(x / 70.0):.4g}" for x in t]
+    head = "time_s,altitude_m,velocity_m_s,alpha_deg,beta_deg,rho_kg_m3"
+    Path("track.csv").write_text("\n".join([head, *rows]))
+    made("scenario", "--vehicle", "pod", "--trajectory", "track.csv", "--point", "NOSE", "--out", "flight")
+    record = sh.synthesize("flight/scenario.toml")["NOSE"]
+    assert not record.conditions["elevon_deg"].any()
+
+    write_record(record, "record")
+    conditions = np.genfromtxt("record/conditions.csv", delimiter=",", names=True)
+    kept = [name for name in conditions.dtype.names if name not in ("elevon_deg", "bodyflap_deg")]
+    rows = [",".join(f"{row[name]:.12g}" for name in kept) for row in conditions]
+    Path("record/conditions.csv").write_text("\n".join([",".join(kept), *rows]))
+    assert not sh.load_record("record").conditions["bodyflap_deg"].any()
+
+
+def test_a_trajectory_of_a_vehicle_with_surfaces_needs_their_deflections() -> None:
+    made("vehicle", *GLIDER, "--out", "glider")
+    Path("track.csv").write_text(
+        "time_s,altitude_m,velocity_m_s,alpha_deg,beta_deg,rho_kg_m3\n0,70000,6000,35,0,8e-5\n10,69000,5900,35,0,9e-5\n"
+    )
+    refused = run("new", "scenario", "--vehicle", "glider", "--trajectory", "track.csv", "--out", "flight")
+    assert "there is no column `elevon_deg`" in str(refused.exception)
+    assert not Path("flight").exists()
+
+
+@pytest.mark.parametrize("kind", ["dispersion", "envelope", "optimal"])
+def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
+    made("scenario", "--vehicle", "capsule", "--point", "FACE", "--out", "flight")
+    made("study", kind, "--scenario", "flight/scenario.toml", "--out", "study")
+    assert "study/study.toml: good" in run("validate", "study/study.toml").output
+    if kind == "dispersion":
+        made("study", kind, "--scenario", "flight/scenario.toml", "--flights", "256", "--out", "study")  # its own file
+        Path("study/study.toml").write_text("# edited\n")
+        edited = run("new", "study", kind, "--scenario", "flight/scenario.toml", "--out", "study")
+        assert "was changed since" in str(edited.exception)
+
+
+def test_new_effects_are_found_checked_and_flown() -> None:
+    """The checks run in a process of its own, as a person runs them: the folder of effects is read once."""
+    for mode, variable in (("multiply", "mach"), ("add", "alpha_deg"), ("emittance", "wall_K")):
+        made("effect", f"{mode}-bell", "--mode", mode, "--variable", variable, "--out", "effects")
+    program = (
+        "import sys, pytest; from sim_heating.cli import main;"
+        "status = main(['validate', 'effects/multiply_bell.toml', 'effects/emittance_bell.toml']);"
+        "sys.exit(status or pytest.main(['-q', '-p', 'no:cacheprovider', 'effects/checks']))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "SIM_HEATING_EFFECTS": "effects"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "good. scenario Entry with emittance-bell" in done.stdout
+    assert "12 passed" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("vehicle", *POD[:8], "--point", "NOSE", "--out", "x"), "--point NOSE: write --point NOSE="),
+        (("vehicle", *POD[:-2], "--out", "x"), "--place: is missing for SIDE"),
+        (("vehicle", *POD[:8], "--point", "A=al2024 3 mm", "--out", "x"), "has no emittance"),
+        (("vehicle", *POD, "--ratio", "NOZE=1", "--out", "x"), "there is no --point NOZE"),
+        (("vehicle", *POD[:-2], "--place", "SIDE=2", "--out", "x"), "write a number from 0 to 1"),
+        (("scenario", "--vehicle", "capsul", "--out", "x"), "did you mean `capsule`?"),
+        (("scenario", "--vehicle", "capsule", "--point", "FAC", "--out", "x"), "did you mean `FACE`?"),
+        (("scenario", "--vehicle", "capsule", "--speed", "7 km", "--out", "x"), "`km` is not a unit"),
+        (("study", "envelope", "--scenario", "none.toml", "--out", "x"), "there is no such file"),
+        (("effect", "Shock", "--out", "x"), "write a name of small letters"),
+        (("effect", "transition", "--out", "x"), "there is an effect of this name already"),
+        (("effect", "my-shock", "--variable", "macht", "--out", "x"), "did you mean `mach`?"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_refused_in_one_line_and_nothing_is_written(arguments: tuple[str, ...], message: str) -> None:
+    result = run("new", *arguments)
+    assert isinstance(result.exception, InputError), result.output
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert not Path("x").exists()
