@@ -47,7 +47,7 @@ def fits_table(result: CampaignResult) -> Table:
         for n, p in r["parameters"].items()
         if not n.startswith("initial.")
     ]  # fmt: skip
-    return Table("Fits", columns, rows)
+    return Table("Fits", columns, rows, sortable=True, choices=["control point", "parameter"])
 
 
 def errors_table(result: CampaignResult) -> Table:
@@ -64,7 +64,8 @@ def errors_table(result: CampaignResult) -> Table:
         [e["flight"], e["control_point"], e["manoeuvre"], "check" if e["check"] else "fitted", *(e[k] for k in heads)]
         for e in result.errors
     ]
-    return Table("RMSE of the manoeuvres with the tables before and after", columns, rows)
+    title = "RMSE of the manoeuvres with the tables before and after"
+    return Table(title, columns, rows, sortable=True, choices=["flight", "control point", "manoeuvre", "use"])
 
 
 def write_campaign_page(path: Path, result: CampaignResult) -> None:
@@ -126,7 +127,7 @@ def _flights_section(result: CampaignResult) -> Section:
         "The number after `mach` is the speed in 1000 ft/s at the start of a manoeuvre, as in the Shuttle's "
         "literature. Flights that check are not fitted: they show what the revised tables predict."
     )
-    return Section("Flights", text, points=result.omitted, tables=[Table("", columns, rows)])
+    return Section("Flights", text, points=result.omitted, tables=[Table("", columns, rows, sortable=True)])
 
 
 def _closed_section(result: CampaignResult) -> list[Section]:
@@ -165,7 +166,7 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
     points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
     strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
     pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []
-    tables = [Table("", columns, cells, strong), *_other_parameters(rows)]
+    tables = [Table("", columns, cells, strong, sortable=True), *_other_parameters(rows)]
     return [Section(f"Fits of {point}", points=points, tables=tables, pictures=pictures)]
 
 
@@ -260,7 +261,7 @@ def _joint_section(result: CampaignResult) -> list[Section]:
         "The fits of single flights scatter about the fit of all together as their bounds say where the p-value is "
         f"not small. In {len(low)} of {len(rows)} it is below {IMPROBABLE:g}: flights differ by more than their bounds."
     )
-    return [Section("Do the flights agree?", [text], tables=[Table("", columns, cells, low)])]
+    return [Section("Do the flights agree?", [text], tables=[Table("", columns, cells, low, sortable=True, choices=["control point", "manoeuvre"])])]
 
 
 def _tables_section(result: CampaignResult) -> list[Section]:
@@ -280,7 +281,7 @@ def _tables_section(result: CampaignResult) -> list[Section]:
         "is that of all evidence so far against the sigma that the table stated before any of it."
     )
     points = [f"Not used: {line}" for line in result.refused]
-    return [Section("Revised tables", [text], points, [Table("", columns, cells)])]
+    return [Section("Revised tables", [text], points, [Table("", columns, cells, sortable=True)])]
 
 
 def _errors_section(result: CampaignResult) -> list[Section]:

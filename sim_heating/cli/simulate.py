@@ -241,7 +241,7 @@ def predict(
     from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
     from sim_heating.inputs.record import load_records
     from sim_heating.inputs.vehicle import load_vehicle
-    from sim_heating.simulation.predict import FILES, summary, write_prediction
+    from sim_heating.simulation.predict import FILES, summary, write_prediction, write_predictions_page
     from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
@@ -269,6 +269,8 @@ def predict(
             for prediction, folder in zip(predictions, folders, strict=True)
             for name in write_prediction(prediction, folder)
         ]
+        if len(predictions) > 1:
+            names.append(write_predictions_page(predictions, out))
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
     _print_range_warnings(summaries)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,15 +28,19 @@ from sim_heating.march.history import (
     values_at,
 )
 from sim_heating.march.point import PointModel
-from sim_heating.simulation.results import write_heating_csv, write_temperatures_csv
+from sim_heating.simulation.results import prediction_table, write_heating_csv, write_temperatures_csv
 
-FILES = TABLE, HEATING, SUMMARY, PICTURE = "temperatures.csv", "heating.csv", "summary.json", "prediction.png"
+FILES = TABLE, HEATING, SUMMARY, PICTURE, PAGE = (
+    "temperatures.csv", "heating.csv", "summary.json", "prediction.png", "report.html"
+)  # fmt: skip
 """Files that a prediction writes."""
 
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+    from sim_heating.simulation.report.charts import ModelCurve
 
 
 @dataclass(frozen=True, repr=False)
@@ -169,11 +173,40 @@ def summary(prediction: Prediction) -> dict[str, object]:
 
 
 def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> list[str]:
-    """Write temperatures.csv, heating.csv, summary.json and a picture; returns the names of the files."""
+    """Write temperatures.csv, heating.csv, summary.json, a picture and a page; returns the names of the files."""
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.simulation.report.pages import prediction_page
+
     record, history = prediction.record, prediction.history
     with output_directory(out, "predict", inputs=[record.directory]) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
         write_heating_csv(folder / HEATING, history, {})
-        write_json(folder / SUMMARY, summary(prediction))
+        found = summary(prediction)
+        write_json(folder / SUMMARY, found)
         prediction.draw(folder / PICTURE)
+        page = prediction_page(found, record, history, _curve(prediction), folder / PICTURE)
+        write_page(folder / PAGE, page)
         return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+def write_predictions_page(predictions: Sequence[Prediction], out: str | os.PathLike[str]) -> Path:
+    """Write report.html over several predictions, whose own files lie in a folder each, named as its record.
+
+    returns : its name within the directory
+    """
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.simulation.report.pages import predictions_page
+
+    table = prediction_table([summary(p) for p in predictions])
+    with output_directory(out, "predict", inputs=[p.record.directory for p in predictions]) as folder:
+        write_page(folder / PAGE, predictions_page(table, [(p.record, _curve(p)) for p in predictions]))
+    return Path(PAGE)
+
+
+def _curve(prediction: Prediction) -> ModelCurve:
+    from sim_heating.simulation.report.charts import ModelCurve
+    from sim_heating.simulation.report.pages import PREDICTED
+
+    found = prediction.segment_errors()["fit"]
+    label = "predicted" if found is None else f"predicted, RMSE {found['rmse_K']:.2f} K"
+    return ModelCurve(label, PREDICTED, prediction.indicated_K, prediction.residual_K)

@@ -24,7 +24,7 @@ from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.results import histories_dataset, write_heating_csv, write_temperatures_csv
+from sim_heating.simulation.results import histories_dataset, run_table, write_heating_csv, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData, Window, check_samples
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -68,6 +68,7 @@ SUMMARY, CONDITIONS, HISTORIES = "summary.json", "conditions.csv", "flight.nc"
 OF_POINT = TABLE, HEATING = "temperatures.csv", "heating.csv"
 """Files of each control point."""
 TRAJECTORY, TEMPERATURES, HEAT, COMPARED = "trajectory.png", "temperatures.png", "heating.png", "compared.png"
+PAGE = "report.html"
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface temperature responds most."""
 RESPONSE_S = 5.0
@@ -320,7 +321,7 @@ def files_of(scenario: Scenario) -> list[str]:
     folders = [""] if len(scenario.names) == 1 else [f"{name}/" for name in scenario.names]
     declared = scenario.declared.trajectory.manoeuvre
     manoeuvres = {_picture_of(i, m.kind) for i in range(1, len(declared) + 1) for m in declared}
-    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED,
+    return [SUMMARY, CONDITIONS, HISTORIES, TRAJECTORY, TEMPERATURES, HEAT, COMPARED, PAGE,
             *(f"{folder}{name}" for folder in folders for name in OF_POINT), *sorted(manoeuvres)]  # fmt: skip
 
 
@@ -345,6 +346,8 @@ def write_run(
         _write_histories(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder, points)
+        progress(0.96, "writing the page")
+        _write_page(result, folder, points)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
     progress(1.0, "done")
     return names
@@ -416,6 +419,30 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
             for c in compared
         ]  # fmt: skip
         plots.draw_comparison(folder / COMPARED, title, panels)
+
+
+def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:
+    """Write report.html over the pictures of a run, which stand in place of its charts on paper."""
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.simulation.report.pages import MeasuredCurve, RunPictures, run_page
+
+    found, windows = summary(result), result.flight.windows
+    compared = [
+        MeasuredCurve(
+            c.measured.label, c.history, c.measured.time_s, c.measured.temperature_K, c.residual_K,
+            float(c.statistics["rmse_K"]),
+        )
+        for c in compare(result)
+    ]  # fmt: skip
+    manoeuvres = [folder / _picture_of(i, window.kind) for i, window in enumerate(windows, start=1)]
+    pictures = RunPictures(
+        folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres
+    )  # fmt: skip
+    peaks = run_table("", found, rmse_by_point(result))
+    page = run_page(
+        found, peaks, result.flight.conditions, result.histories(points), windows, result.limits, compared, pictures
+    )
+    write_page(folder / PAGE, page)
 
 
 def _outermost_sensor(point: PointResult) -> PointHistory:

@@ -33,7 +33,7 @@ from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.flight import Flight, Window
 
-TRUTH = "truth.toml"
+TRUTH, PAGE = "truth.toml", "report.html"
 AXIAL = "axial_accel_g"
 SYNTHESIS_TOLERANCE_K = 0.1 * STEP_TOLERANCE_K
 """Largest error of a time step of the truth [K]: a tenth of that of the march that will fit the record."""
@@ -276,23 +276,29 @@ def files_of(scenario: Scenario) -> list[str]:
         turbulent = turbulent_table_of(scenario.vehicle.control_point(name)) is not None
         own = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
         files += [f"{folder}{n}" for n in own]
-    return [TRUTH, *files]
+    return [TRUTH, PAGE, *files]
 
 
 def write_records(
     scenario: Scenario | str | os.PathLike[str], records: dict[str, Record], out: str | os.PathLike[str]
 ) -> list[str]:
-    """Write the records and truth.toml; a single record goes into `out` itself.
+    """Write the records, truth.toml and report.html; a single record goes into `out` itself.
 
     returns : names of the files and folders in `out`
     """
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.simulation.report.pages import records_page
+
     scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
     with output_directory(out, "synthesize", inputs=scenario.files) as folder:
         for name, record in records.items():
             write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
-        flown = next(iter(records.values())).conditions
+        first = next(iter(records.values()))
+        flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
+        windows = [Window(w.kind, w.start_s, w.end_s) for w in first.declared.manoeuvre]
+        write_page(folder / PAGE, records_page(scenario.title, records, windows))
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
 
 

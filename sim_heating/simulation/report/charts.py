@@ -14,6 +14,7 @@ from sim_heating.base.report.figure import ANGLES, MANOEUVRE_NAMES
 from sim_heating.base.report.page import Picture, SavedPicture
 from sim_heating.inputs.record import Record
 from sim_heating.march.history import PointHistory
+from sim_heating.simulation.report.plots import HOT_STRUCTURE
 from sim_heating.trajectory.flight import Window
 
 MARGIN = 0.2
@@ -128,14 +129,23 @@ def temperature_chart(
     styles = distinct_styles(len(ordered))
     panels = []
     for key, label in (("surface_K", "surface temperature, K"), ("bondline_K", "bondline temperature, K")):
-        curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in zip(ordered, styles, strict=True)]
-        for p, s in zip(ordered, styles, strict=True):
+        shown = [
+            (p, s)
+            for p, s in zip(ordered, styles, strict=True)
+            if key == "surface_K" or np.max(p.bondline_K) < HOT_STRUCTURE * np.max(p.surface_K)
+        ]
+        curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in shown]
+        for p, s in shown:
             limit = limits.get(p.name, {}).get(key)
             if limit is not None and len(ordered) <= 4:
                 ends = p.time_s[[0, -1]]
                 curves.append(Curve(f"{p.name}, limit", ends, np.full(2, limit), s["color"], dash=(2, 4)))
-        panels.append(Panel(label, curves, 1.3 if key == "surface_K" else 1.0))
-    caption = "Surface and bondline temperatures of the control points, hottest first. Shaded: manoeuvres."
+        if curves:
+            panels.append(Panel(label, curves, 1.3 if key == "surface_K" else 1.0))
+    caption = (
+        "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline. "
+        "Shaded: manoeuvres."
+    )
     return Chart("Temperatures", panels, caption, spans=window_spans(windows), picture=picture)
 
 

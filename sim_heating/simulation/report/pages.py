@@ -1,0 +1,245 @@
+"""Pages of flights and of predictions along flight records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.report.chart import COLORS, Chart, Curve, Panel, distinct_styles
+from sim_heating.base.report.figure import MANOEUVRE_NAMES
+from sim_heating.base.report.page import Page, SavedPicture, Section
+from sim_heating.base.report.table import Column, Table
+from sim_heating.inputs.record import Record
+from sim_heating.march.history import PointHistory
+from sim_heating.simulation.report.charts import (
+    MEASURED,
+    ModelCurve,
+    heat_chart,
+    record_chart,
+    temperature_chart,
+    trajectory_chart,
+    window_spans,
+)
+from sim_heating.trajectory.flight import Window
+
+SORTABLE = 8
+"""Rows above which a table can be sorted and filtered."""
+PREDICTED = "tab:blue"
+
+
+@dataclass(frozen=True)
+class RunPictures:
+    """Pictures of a run that stand in place of its charts, and those of its manoeuvres."""
+
+    trajectory: Path
+    temperatures: Path
+    heating: Path
+    compared: Path
+    manoeuvres: Sequence[Path] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """A measured history of a control point, with its residual [K] and its RMSE [K]."""
+
+    label: str
+    history: PointHistory
+    time_s: FloatArray
+    temperature_K: FloatArray
+    residual_K: FloatArray
+    rmse_K: float
+
+
+def run_page(
+    found: Mapping[str, Any],
+    peaks: Table,
+    flown: Conditions,
+    points: Sequence[PointHistory],
+    windows: Sequence[Window],
+    limits: Mapping[str, Mapping[str, float | None]],
+    compared: Sequence[MeasuredCurve],
+    pictures: RunPictures,
+) -> Page:
+    """The report of a flown scenario as a page.
+
+    found : contents of summary.json;  peaks : peak temperatures, a row a control point
+    """
+    end = found["end"]
+    subtitle = (
+        f"{found['vehicle']}, revision {found['revision']}; {found['duration_s']:.0f} s, "
+        f"to {end['altitude_m'] / 1e3:.1f} km at Mach {end['mach']:.1f}"
+    )
+    margins = [k for k, column in enumerate(peaks.layout) if column.head == "margin"]
+    beyond = [i for i, row in enumerate(peaks.rows) if any((row[k] or 0.0) < 0.0 for k in margins)]
+    table = replace(peaks, title="Bold: a limit is exceeded." if beyond else "", strong=beyond, sortable=_long(peaks))
+    temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
+    sections = [
+        Section("Peak temperatures", points=_range_lines(found["control_points"]), tables=[table]),
+        Section("Temperatures", charts=[temperatures]),
+        *_compared_section(compared, pictures.compared),
+        Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),
+        Section("Trajectory", charts=[trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
+        *_manoeuvres_section(windows, pictures.manoeuvres), _events_section(found),
+    ]  # fmt: skip
+    return Page(found["scenario"], subtitle, sections, warnings=list(filter(None, [found["beyond_reference"]])))
+
+
+def _long(table: Table) -> bool:
+    return len(table.rows) > SORTABLE
+
+
+def _range_lines(points: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Excursions from ratio tables and negative heating ratios, a line each."""
+    lines = [
+        f"{name}: {o['variable']} lay outside the ratio table for {o['duration_s']:.0f} s, up to {o['farthest']:.3g} "
+        "beyond; the edge value was held"
+        for name, point in points.items()
+        for o in point["outside_table"]
+    ]
+    return lines + [
+        f"{name}: the heating ratio was negative for {point['negative_ratio_s']:.0f} s"
+        for name, point in points.items()
+        if point["negative_ratio_s"] > 0.0
+    ]
+
+
+def _compared_section(compared: Sequence[MeasuredCurve], picture: Path) -> list[Section]:
+    """Measured histories and the predictions of their points, residuals below."""
+    if not compared:
+        return []
+    panels = []
+    for c in compared:
+        inside = (c.history.time_s >= c.time_s[0]) & (c.history.time_s <= c.time_s[-1])
+        predicted = Curve("predicted", c.history.time_s[inside], c.history.surface_K[inside], COLORS[1])
+        measured = Curve("measured", c.time_s, c.temperature_K, MEASURED, points=True)
+        panels.append(Panel(f"{c.label}, surface (RMSE {c.rmse_K:.0f} K), K", [measured, predicted]))
+        residual = [Curve("measured minus predicted", c.time_s, c.residual_K, MEASURED, points=True)]
+        panels.append(Panel("measured minus predicted, K", residual, 0.5, zero=True))
+    caption = "Measured histories and the prediction of the declared model at the surface."
+    chart = Chart("Measured and predicted", panels, caption, picture=SavedPicture(picture))
+    return [Section("Measured against predicted", charts=[chart])]
+
+
+def _manoeuvres_section(windows: Sequence[Window], pictures: Sequence[Path]) -> list[Section]:
+    if not windows:
+        return []
+    rows = [[MANOEUVRE_NAMES.get(w.kind, w.kind), w.start_s, w.end_s] for w in windows]
+    columns = [Column("manoeuvre"), Column("start", format=".1f", unit="s"), Column("end", format=".1f", unit="s")]
+    shown = [
+        SavedPicture(path, f"{MANOEUVRE_NAMES.get(w.kind, w.kind)} at {w.start_s:.0f} s: the points that respond most.")
+        for w, path in zip(windows, pictures, strict=True)
+    ]
+    return [Section("Manoeuvres", tables=[Table("", columns, rows)], pictures=shown)]
+
+
+def _events_section(found: Mapping[str, Any]) -> Section:
+    rows = [[e["what"], e["time_s"]] for e in found["events"]]
+    columns = [Column("event"), Column("time", format=".1f", unit="s")]
+    return Section("Events", tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)])
+
+
+def prediction_page(
+    found: Mapping[str, Any], record: Record, history: PointHistory, predicted: ModelCurve, picture: Path
+) -> Page:
+    """The report of a prediction along a flight record as a page.
+
+    found     : contents of summary.json;  history : at the samples of the record
+    predicted : indications of the sensors;  picture : of both, in place of the chart
+    """
+    kind = "measured" if record.declared.measured else "synthetic"
+    subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data; nothing fitted"
+    warnings = [*_range_lines({record.name: found}), *filter(None, [found["beyond_reference"]])]
+    sections = [
+        _prediction_errors(found),
+        Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
+        Section("Wall", charts=[_wall_chart(history)]),
+    ]
+    return Page(record.declared.title or record.declared.control_point, subtitle, sections, _outcome(found), warnings)
+
+
+def _outcome(found: Mapping[str, Any]) -> tuple[str, str]:
+    """RMSE over the fit segments, and over those held out."""
+    fit, holdout, floor = found["fit"], found["holdout"], found["noise_floor_K"]
+    head = "No sample in the fit segments" if fit is None else f"RMSE {fit['rmse_K']:.2f} K"
+    parts = [] if holdout is None else [f"held out {holdout['rmse_K']:.2f} K"]
+    parts += [] if floor is None else [f"noise floor {floor:.2f} K"]
+    line = "; ".join(parts)
+    return head, f"{line[0].upper()}{line[1:]}." if line else ""
+
+
+def _prediction_errors(found: Mapping[str, Any]) -> Section:
+    errors = {"fit segments": found["fit"], "held out": found["holdout"]}
+    errors |= {f"sensor {name}, fit segments": e for name, e in found["sensors"].items()}
+    rows = [[name, e["rmse_K"], e["max_abs_K"], e["n"]] for name, e in errors.items() if e is not None]
+    columns = [
+        Column(""), Column("RMSE", format=".2f", unit="K"), Column("largest", format=".1f", unit="K"),
+        Column("samples", format=".0f"),
+    ]  # fmt: skip
+    caption = "Measured minus predicted; sensors that are not used are in their own rows alone."
+    return Section("Errors", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
+
+
+def _wall_chart(history: PointHistory) -> Chart:
+    """Temperatures of the wall, heat fluxes at its surface, and the heating ratio."""
+    t, surface, bondline = history.time_s, distinct_styles(2)[1], distinct_styles(2)[0]
+    fluxes = history.heat.columns()
+    flux = [
+        Curve(label, t, fluxes[key] / 1e3, **style)
+        for (key, label), style in zip(
+            (("convected_W_m2", "convected"), ("radiated_W_m2", "radiated"), ("conducted_W_m2", "conducted")),
+            distinct_styles(3), strict=True,
+        )
+    ]  # fmt: skip
+    panels = [
+        Panel(
+            "temperature, K",
+            [Curve("surface", t, history.surface_K, **surface), Curve("bondline", t, history.bondline_K, **bondline)],
+        ),
+        Panel("heat flux, kW/m2", flux, 0.8, zero=True),
+    ]
+    if np.any(np.isfinite(history.ratio)):
+        panels.append(Panel("heating ratio", [Curve("heating ratio", t, history.ratio, COLORS[0])], 0.6))
+    return Chart("Wall", panels, "Predicted temperatures of the wall and the heat at its surface.")
+
+
+def predictions_page(table: Table, charts: Sequence[tuple[Record, ModelCurve]]) -> Page:
+    """The page of predictions along several records: their errors, and residuals side by side."""
+    pages = [f"{record.name}/report.html" for record, _ in charts]
+    fleet = replace(table, sortable=True, links=pages)
+    shown = [record_chart(record, [curve], temperatures=False) for record, curve in charts]
+    text = "The name of a record leads to its own page. Click the head of a column to sort by it."
+    sections = [Section("Records", [text], tables=[fleet]), Section("Residuals side by side", charts=shown)]
+    return Page("Predictions", f"{len(charts)} records, declared models, nothing fitted", sections)
+
+
+def records_page(title: str, records: Mapping[str, Record], windows: Sequence[Window]) -> Page:
+    """The page of synthetic flight records: readings of all sensors, and the flight."""
+    rows = [
+        [name, len(r.sensors), int(np.sum(np.isfinite(r.temperatures_K()))), float(np.nanmax(r.temperatures_K()))]
+        for name, r in records.items()
+    ]
+    columns = [
+        Column("record"), Column("sensors"), Column("readings"), Column("highest reading", format=".0f", unit="K"),
+    ]  # fmt: skip
+    panels = []
+    for name, r in records.items():
+        styles = distinct_styles(len(r.sensors))
+        read = [
+            Curve(s.name, r.time_s, values, style["color"], points=True)
+            for s, values, style in zip(r.sensors, r.temperatures_K(), styles, strict=True)
+        ]
+        panels.append(Panel(f"{name}, readings, K", read, 0.7))
+    chart = Chart("Readings", panels, "Readings of the thermocouples. Shaded: manoeuvres.", spans=window_spans(windows))
+    flown = next(iter(records.values())).conditions
+    sections = [
+        Section("Records", tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)]),
+        Section("Readings", charts=[chart]),
+        Section("Flight", charts=[trajectory_chart(flown, windows)]),
+    ]
+    return Page(title, f"{len(records)} flight record{'s' if len(records) > 1 else ''}, synthetic", sections)
