@@ -261,7 +261,8 @@ def _joint_section(result: CampaignResult) -> list[Section]:
         "The fits of single flights scatter about the fit of all together as their bounds say where the p-value is "
         f"not small. In {len(low)} of {len(rows)} it is below {IMPROBABLE:g}: flights differ by more than their bounds."
     )
-    return [Section("Do the flights agree?", [text], tables=[Table("", columns, cells, low, sortable=True, choices=["control point", "manoeuvre"])])]
+    table = Table("", columns, cells, low, sortable=True, choices=["control point", "manoeuvre"])
+    return [Section("Do the flights agree?", [text], tables=[table])]
 
 
 def _tables_section(result: CampaignResult) -> list[Section]:
