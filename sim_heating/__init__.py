@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sim_heating.estimation.design.report import design as design
     from sim_heating.estimation.design.report import write_design as write_design
     from sim_heating.estimation.fit import estimate as estimate
+    from sim_heating.estimation.parameter_list import parameter_list as parameter_list
     from sim_heating.estimation.report.report import write_fit as write_fit
     from sim_heating.heating.effects import Effect as Effect
     from sim_heating.heating.effects import SearchStart as SearchStart
@@ -78,6 +79,7 @@ _HOME = {
     "Dispersions": "trajectory.spec",
     # estimate, and close the loop
     "estimate": "estimation.fit",
+    "parameter_list": "estimation.parameter_list",
     "design": "estimation.design.report",
     "close_loop": "closure.close",
     "close_loops": "closure.several.joint",

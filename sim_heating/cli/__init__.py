@@ -32,6 +32,7 @@ COMMANDS = {
     "new": "new",
     "validate": "validate",
     "formats": "formats",
+    "parameters": "parameters",
     "estimate": "estimate",
     "design": "estimate",
     "close-loop": "close_loop",

@@ -215,7 +215,7 @@ def estimate(
     first = {} if settings is None else settings.first_values
     problem = FitProblem(loaded, remaining, condition, options)
     _check_samples(problem)
-    begin = _first_values(problem, first)
+    begin = first_values(problem, first)
     while worst := _least_determined(problem, begin) or _uninformed(problem, begin, optional):
         # derivatives one at a time: each omission lowers the bounds of the others
         omitted |= worst
@@ -223,7 +223,7 @@ def estimate(
         remaining = _remaining_names([n for n in remaining if n not in out], omitted, loaded)
         options = _without(options, out, problem.owners)
         problem = FitProblem(loaded, remaining, condition, options)
-        begin = _first_values(problem, first)
+        begin = first_values(problem, first)
     fit, innovations = _fit(problem, begin, settings, progress), None
     if process_noise is not None and fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
@@ -384,7 +384,7 @@ def check_joint_records(records: Sequence[Record], do: str = "estimate") -> None
             )
 
 
-def _first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
+def first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
     """Start of the fit: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
     first = np.array([given.get(p.name, p.value) for p in problem.parameters])
     bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]

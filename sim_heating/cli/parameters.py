@@ -1,0 +1,98 @@
+"""The command `sim-heating parameters`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sim_heating.base.errors import InputError
+from sim_heating.cli.console import (
+    CONSOLE,
+    PATH,
+    ROOT,
+    comma_list,
+    optional_directory,
+    print_outputs,
+    print_table,
+    progress_line,
+)
+from sim_heating.cli.output import report_results
+
+if TYPE_CHECKING:
+    from sim_heating.estimation.parameter_list import ParameterList
+
+LEGEND = (
+    "sigma: standard deviation that the record's readings allow, white noise, the default heating estimated as well",
+    "identified: yes, even with all other parameters as uncertain as their priors; with others known, only if what "
+    "acts alike is fixed; no, sigma is not below half that of the prior",
+)
+
+
+@click.command(epilog="Example: sim-heating parameters scenarios/records/practice/p06")
+@click.argument("path", metavar="RECORD|SCENARIO", type=PATH)
+@click.option("--out", callback=optional_directory, help="directory for parameters.json and parameters.csv")
+@click.option(
+    "--point",
+    "points",
+    callback=comma_list,
+    metavar="POINT,...",
+    help="of a scenario: fly it, and state what the readings of these control points identify",
+)
+@click.option(
+    "--effect", "effects", callback=comma_list, metavar="NAME,...", help="also list effects that are not declared"
+)
+@ROOT
+def parameters(
+    path: Path,
+    out: Path | None,
+    points: tuple[str, ...] | None,
+    effects: tuple[str, ...] | None,
+    root: Path | None,
+) -> None:
+    """List every parameter of a flight record or scenario: unit, prior, bounds, and whether the record identifies it.
+
+    The names are those that `estimate` and `close-loop` take after --parameters. A parameter that acts like another one
+    on all readings is remarked with the correlation of their effects.
+    """
+    from sim_heating.estimation.parameter_list import contents, parameter_tables, write_parameters
+
+    lists, inputs = _lists(path, points, effects or (), root)
+    for table in parameter_tables(lists):
+        print_table(table)
+    if lists[0].record is not None:
+        for line in LEGEND:
+            CONSOLE.print(line)
+    if out is None:
+        report_results(contents(lists))
+    else:
+        print_outputs(out, write_parameters(lists, out, inputs), "parameters.json")
+
+
+def _lists(
+    path: Path, points: tuple[str, ...] | None, effects: tuple[str, ...], root: Path | None
+) -> tuple[list[ParameterList], list[Path]]:
+    """The parameters of a record or of the control points of a scenario, and the files that they are read from."""
+    from sim_heating.estimation.parameter_list import parameter_list, scenario_parameters
+    from sim_heating.inputs.record import DECLARATION, load_record
+    from sim_heating.inputs.scenario import load_scenario
+    from sim_heating.simulation.run import require_points
+    from sim_heating.simulation.synthesize import synthesize
+
+    if path.is_dir() or path.name == DECLARATION:
+        if points is not None:
+            raise InputError("--point: is for scenarios; a record has one control point")
+        record = load_record(path.parent if path.name == DECLARATION else path, root=root)
+        with progress_line("parameters") as progress:
+            return [parameter_list(record, effects=effects, progress=progress)], [record.directory]
+    scenario = load_scenario(path, root=root)
+    if points is None:
+        return scenario_parameters(scenario, effects=effects), list(scenario.files)
+    require_points(points, scenario.names, "--point")
+    with progress_line("parameters") as progress:
+        records = synthesize(scenario, progress=lambda f, text: progress(0.8 * f, text))
+        without = [name for name in points if name not in records]
+        if without:
+            raise InputError(f"--point: {', '.join(without)} has no thermocouple; choose a point that has")
+        return [parameter_list(records[name], effects=effects) for name in points], list(scenario.files)

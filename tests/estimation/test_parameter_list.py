@@ -1,0 +1,103 @@
+"""The list of parameters: all that exist, each with its bound from a record, as a fit then finds it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_heating.cli import main
+from sim_heating.estimation.inference.identifiability import covariance
+from sim_heating.estimation.parameter_list import (
+    ParameterList,
+    contents,
+    parameter_list,
+    parameter_tables,
+    scenario_parameters,
+)
+from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.inputs.record import load_record
+from sim_heating.inputs.scenario import load_scenario
+from tests.support.json_output import run_json
+from tests.support.paths import BOARD, PRACTICE, SCENARIOS, TILE
+
+COATING = "stack.coating.thickness_factor"
+
+
+@pytest.fixture(scope="module")
+def listed() -> ParameterList:
+    return parameter_list(PRACTICE / "p06")
+
+
+def test_the_stated_bound_is_that_of_the_parameter_with_the_default_heating_at_the_declared_values() -> None:
+    record = load_record(TILE)
+    names = ["ratio.scale", "ratio.d_alpha", "ratio.d_logre", COATING]
+    problem = FitProblem([record], names, joint_reference([record]))
+    bound = np.sqrt(covariance(problem.evaluate(np.array([0.0, 0.0, 0.0, 1.0])).information)[3, 3])
+    # the list has the clock among its parameters, for which samples within 5 s of the ends are left out
+    assert parameter_list(record)[COATING].sigma_with_heating == pytest.approx(bound, rel=0.1)
+
+
+def test_a_parameter_is_confounded_with_what_acts_alike(listed: ParameterList) -> None:
+    near = dict(listed[COATING].confounded_with)
+    assert near["stack.coating.heat_capacity_factor"] > 0.95  # a thin coating is a heat capacity to a slow heating
+    assert listed[COATING].identified == "with others known"
+    emittance = dict(listed["ratio.scale"].confounded_with)
+    assert emittance["stack.emissivity_factor"] < -0.95  # a hot wall radiates what it takes in
+
+
+def test_each_further_unknown_makes_a_bound_larger(listed: ParameterList) -> None:
+    for p in listed.parameters:
+        if p.sigma_alone is not None:
+            assert p.sigma_with_heating is not None
+            assert p.sigma_with_all is not None
+            assert p.sigma_alone <= 1.0001 * p.sigma_with_heating <= 1.0002 * p.sigma_with_all
+
+
+def test_what_cannot_be_identified_states_why(listed: ParameterList) -> None:
+    assert listed["stack.moisture.boil_K"].identified == "no"
+    assert "no reading depends on it" in listed["stack.moisture.boil_K"].reason  # nothing boils that is not there
+    lamp = parameter_list(BOARD)
+    assert lamp["ratio.d0"].identified == "no"
+    assert "h_ref is 0 throughout" in lamp["ratio.d0"].reason
+
+
+def test_a_layer_is_found_by_its_own_name_and_by_its_role(listed: ParameterList) -> None:
+    assert listed["stack.li900.conductivity_factor"] is listed["stack.rsi.conductivity_factor"]
+    assert listed["stack.rsi.conductivity_factor"].belongs_to == "layer li900, the insulation"
+    with pytest.raises(KeyError):
+        listed["stack.li901.conductivity_factor"]
+
+
+def test_every_listed_name_can_be_estimated(listed: ParameterList) -> None:
+    record = load_record(PRACTICE / "p06")
+    names = [p.name for p in listed.parameters]
+    assert len(names) == len(set(names))
+    problem = FitProblem([record], names, joint_reference([record]))
+    for unknown, p in zip(sorted(problem.unknowns, key=lambda u: names.index(u.label)), listed.parameters, strict=True):
+        assert (unknown.parameter.unit, unknown.parameter.value) == (p.unit, p.nominal)
+        assert (unknown.parameter.lower, unknown.parameter.upper) == (p.lower, p.upper)
+
+
+def test_a_scenario_lists_what_its_control_points_have_in_common_once() -> None:
+    lists = scenario_parameters(load_scenario(SCENARIOS / "entry_3dof.toml"), effects=["transition"])
+    titles = [table.title for table in parameter_tables(lists)]
+    assert titles.count(f"Heating ratio: all {len(lists)} control points") == 1
+    assert any(title.startswith("Effect transition") for title in titles)
+    assert all(p.identified is None for found in lists for p in found.parameters)
+
+
+def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run_json(capsys, "parameters", str(BOARD), "--out", str(tmp_path / "out"))
+    written = json.loads((tmp_path / "out" / "parameters.json").read_text())
+    assert found["results"] == written
+    rows = (tmp_path / "out" / "parameters.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(written["lists"][0]["parameters"])
+    assert written["lists"] == contents([parameter_list(BOARD)])["lists"]
+
+
+def test_a_point_of_a_record_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["parameters", str(BOARD), "--point", "A"]) == 2
+    assert "is for scenarios" in capsys.readouterr().err
