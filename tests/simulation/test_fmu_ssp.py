@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import json
 import platform
 import shutil
 import subprocess
 import sys
 import zipfile
-from io import BytesIO
+from contextlib import redirect_stdout
+from io import BytesIO, StringIO
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import fmpy
@@ -24,7 +27,6 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.trajectory import entry3dof
-from tests.support.json_output import run_json
 from tests.support.paths import ROOT, SCENARIOS
 
 POINTS = ["V09T9527", "NOSECAP"]
@@ -39,15 +41,25 @@ NAMES = {
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
     "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
 
 
 @pytest.fixture(scope="module")
-def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The system as the command writes it, with inputs that are held over a step."""
-    out = tmp_path_factory.mktemp("ssp") / "entry.ssp"
-    assert main([*EXPORT, "--ssp", str(out)]) == 0
-    return out
+def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the command reports of a system, with inputs that are held over a step, and of an FMU that it writes too."""
+    folder, printed = tmp_path_factory.mktemp("ssp"), StringIO()
+    with redirect_stdout(printed):
+        files = ["--ssp", str(folder / "entry.ssp"), "--out", str(folder / "heating.fmu")]
+        assert main([*EXPORT, *files, "--json"]) == 0
+    found: dict[str, Any] = json.loads(printed.getvalue())
+    return found
+
+
+@pytest.fixture(scope="module")
+def system(exported: dict[str, Any]) -> Path:
+    """The system that was written."""
+    return next(Path(name) for name in exported["files"] if name.endswith(".ssp"))
 
 
 def xml(system: Path, name: str) -> ET.Element:
@@ -127,6 +139,9 @@ def test_the_experiment_ends_where_the_scenario_ends(system: Path) -> None:
     scenario = load_scenario(SCENARIO)
     flown = entry3dof.fly(scenario.declared.trajectory, scenario.vehicle)
     assert float(experiment.get("stopTime", "nan")) == flown.conditions.time_s[-1]
+    step = experiment.find(".//osp:FixedStepAlgorithm", NAMES)
+    assert step is not None
+    assert float(step.get("baseStepSize", "nan")) == 1.0 / scenario.declared.trajectory.rate_hz
 
 
 # In another host -----------------------------------------------------------------------------------------------------
@@ -224,10 +239,10 @@ def test_libcosim_gives_the_bits_of_ecos(system: Path, tmp_path: Path) -> None:
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
 
-    folder, steps = tmp_path / "system", 200
+    folder, steps = tmp_path / "system", 400
     with zipfile.ZipFile(system) as archive:
         archive.extractall(folder)
-    execution = CosimExecution.from_ssp_file(str(folder), step_size=int(0.5e9))  # ns
+    execution = CosimExecution.from_ssp_file(str(folder))  # at the step that the system recommends
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
     for _ in range(steps):
@@ -235,7 +250,7 @@ def test_libcosim_gives_the_bits_of_ecos(system: Path, tmp_path: Path) -> None:
     refs = {v.name: v.valueReference for v in described(system, "heating").modelVariables}
     slave = execution.slave_index_from_instance_name("heating")
     found = observer.last_real_values(slave, [refs[f"{point}.surface_K"] for point in POINTS])
-    assert list(found) == [in_ecos(system, 0.5, tmp_path)[name][steps] for name in SURFACES]
+    assert list(found) == [in_ecos(system, 0.25, tmp_path)[name][steps] for name in SURFACES]
 
 
 # The command ---------------------------------------------------------------------------------------------------------
@@ -275,11 +290,10 @@ def test_command_leaves_a_file_that_it_did_not_write(tmp_path: Path, capsys: pyt
     assert other.read_bytes() == b"a user's notes"
 
 
-def test_json_names_both_files_and_what_is_in_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fmu, ssp = tmp_path / "heating.fmu", tmp_path / "entry.ssp"
-    found = run_json(capsys, *EXPORT, "--out", str(fmu), "--ssp", str(ssp))
-    assert {Path(name) for name in found["files"]} == {fmu, ssp}
-    assert found["results"]["fmi"] == "3.0"
-    inside = found["results"]["system"]
+def test_json_names_both_files_and_what_is_in_them(exported: dict[str, Any]) -> None:
+    assert [Path(name).name for name in exported["files"]] == ["entry.ssp", "heating.fmu"]
+    assert all(Path(name).is_file() for name in exported["files"])
+    assert exported["results"]["fmi"] == "3.0"
+    inside = exported["results"]["system"]
     assert (inside["ssp"], inside["fmi"], inside["control_points"]) == ("1.0", "2.0", POINTS)
     assert inside["connections"] == [name for name in FRAME if name != "time_s"]

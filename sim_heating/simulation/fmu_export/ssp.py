@@ -51,6 +51,7 @@ _NAMESPACES = {
     "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
     "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
     "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
 for _prefix, _namespace in _NAMESPACES.items():
     ET.register_namespace(_prefix, _namespace)
@@ -151,8 +152,16 @@ def _structure(system: System, title: str) -> bytes:
         _add(connections, "ssd", "Connection", startElement=TRAJECTORY, startConnector=name, endElement=HEATING,
              endConnector=name)  # fmt: skip
     _units(root, "ssd", [*_connectors(system.trajectory), *_connectors(system.heating)])
-    _add(root, "ssd", "DefaultExperiment", startTime="0.0", stopTime=number_text(system.stop_s))
+    experiment = _add(root, "ssd", "DefaultExperiment", startTime="0.0", stopTime=number_text(system.stop_s))
+    _recommend_step(experiment, system.trajectory.step_s)
     return xml_bytes(root)
+
+
+def _recommend_step(experiment: ET.Element, step_s: float) -> None:
+    """State a communication step [s] as hosts of the Open Simulation Platform read it; SSP 1.0 has no place for it."""
+    annotations = _add(experiment, "ssd", "Annotations")
+    algorithm = _add(_add(annotations, "ssc", "Annotation", type="com.opensimulationplatform"), "osp", "Algorithm")
+    _add(algorithm, "osp", "FixedStepAlgorithm", baseStepSize=number_text(step_s))
 
 
 def _connectors(image: Image) -> list[Variable]:
