@@ -84,8 +84,8 @@ def _interactive() -> bool:
 )
 @click.option(
     "--lamp",
-    metavar="FLUX|COLUMN|FILE",
-    help="what heats the wall: a flux such as 20kW/m2, a column of the CSV file, or a CSV file of its own",
+    metavar="FLUX|COLUMN|FILE|unknown",
+    help="what heats the wall: a flux such as 20kW/m2, a column of the CSV file, a CSV file of its own, or `unknown`",
 )
 @click.option(
     "--lit",

@@ -27,7 +27,7 @@ from sim_heating.base.files import (
     write_csv,
     write_text_atomic,
 )
-from sim_heating.heating.atmosphere import us76
+from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.inputs.record import (
     DECLARATION,
     OPTIONAL_COLUMNS,
@@ -40,7 +40,7 @@ from sim_heating.inputs.record import (
 from sim_heating.templates.materials import LayerInput, describe_source
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
 from sim_heating.templates.quantities import quantity, require_known
-from sim_heating.templates.render import render
+from sim_heating.templates.render import render_toml
 from sim_heating.thermal.stack import PressureTable, Sensor
 
 RISE_S = 0.1
@@ -51,6 +51,11 @@ FIRST_READINGS = 5
 SURFACE, BACK = "surface", "back"
 """Depths by name: the outer surface, and the inner face of the last layer."""
 COMMAND = "new record"
+UNKNOWN = "unknown"
+"""Word for a lamp whose flux is to be estimated."""
+UNIT_FLUX_W_M2, LAMP_ENTHALPY_J_KG = 1e4, 1e10
+"""Flux at a heating ratio of 1, and the recovery enthalpy by which a lamp is stated as heating: so high that the wall's
+own enthalpy, below 2e6 J/kg, changes the flux by less than 2e-4."""
 FLUX_EXAMPLE = "20kW/m2"
 
 
@@ -147,7 +152,8 @@ def _thickness_m(layers: Sequence[LayerInput]) -> float:
 def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | None, absorptance: float | None) -> Heat:
     """The flux that the surface absorbs.
 
-    lamp        : a constant flux with a unit, a column of the CSV file, or another CSV file with a time and a flux
+    lamp        : a constant flux with a unit, a column of the CSV file, another CSV file with a time and a flux, or
+                  `unknown` for one that is to be estimated
     lit_s       : times at which a constant lamp was lit and put out [s]; None for lit throughout
     absorptance : absorbed part of the flux [-]; None where it is the absorbed flux already
     raises      : InputError, one line, where it is none of these
@@ -156,6 +162,8 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     factor = 1.0 if absorptance is None else absorptance
     part = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     columns = {c.name: c for c in measured.columns}
+    if lamp == UNKNOWN:
+        return _unknown_flux(times, lit_s)
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
@@ -192,16 +200,44 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         meaning = "flux that the surface absorbs, from the first row to the last"
         ends = {"time_s": times[[0, -1]]}
         return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{flux_W_m2:g} W/m2 throughout, {part}")
+    clock, lit = _lit(times, lit_s)
+    note = f"{flux_W_m2:g} W/m2 from {lit_s[0]:g} to {lit_s[1]:g} s, {part}"
+    return Heat({"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}, (), "none", note)
+
+
+def _lit(times: FloatArray, lit_s: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Times of the conditions [s], and the part of its flux that a lamp gives then [-]: 0 or 1, with short rises.
+
+    raises : InputError where the times are no interval of the readings
+    """
     on, off = lit_s
     if not times[0] <= on < off:
         raise InputError(f"--lit {on:g},{off:g}: give two times in s, from {times[0]:g} s on, the first one earlier")
     edges = np.round([on, on + RISE_S, off, off + RISE_S], 6)
     clock = np.unique(np.concatenate((times[[0]], edges, np.maximum(times[[-1]], edges[-1]))))
-    flux = np.interp(clock, edges, [0.0, flux_W_m2, flux_W_m2, 0.0])
+    lit = np.interp(clock, edges, [0.0, 1.0, 1.0, 0.0])
     if on == times[0]:
-        flux[0] = flux_W_m2  # lit from the first sample on
-    note = f"{flux_W_m2:g} W/m2 from {on:g} to {off:g} s, {part}"
-    return Heat({"time_s": clock, "q_add_W_m2": flux}, (), "none", note)
+        lit[0] = 1.0  # lit from the first sample on
+    return clock, lit
+
+
+def _unknown_flux(times: FloatArray, lit_s: tuple[float, float] | None) -> Heat:
+    """A lamp of unknown flux as a heating whose ratio is to be estimated: q = ratio.d0 * 10 kW/m2 while it is lit."""
+    clock, lit = (times[[0, -1]], np.ones(2)) if lit_s is None else _lit(times, lit_s)
+    T_0, p_0, _ = (float(x) for x in us76(0.0))
+    still = {name: 0.0 for name in STATE if name != "time_s"}
+    still |= {"rho_kg_m3": float(f"{p_0 / (R_AIR * T_0):.4g}"), "T_inf_K": T_0, "p_inf_Pa": p_0, "p_surface_Pa": p_0}
+    constants = tuple((name, value, "of air at rest, at sea level") for name, value in still.items())
+    constants += (
+        ("H_r_J_kg", LAMP_ENTHALPY_J_KG, "far above the wall's, so that the flux does not depend on the wall"),
+    )
+    flux = {"time_s": clock, "h_ref_kg_m2_s": UNIT_FLUX_W_M2 / LAMP_ENTHALPY_J_KG * lit}
+    when = "throughout" if lit_s is None else f"from {lit_s[0]:g} to {lit_s[1]:g} s"
+    note = (
+        f"an unknown flux {when}: `estimate` finds ratio.d0, the absorbed flux in units of {UNIT_FLUX_W_M2 / 1e3:g} "
+        "kW/m2; heat capacity and emittance are then taken as declared; `predict` without it stays cold"
+    )
+    return Heat(flux, constants, "columns", note)
 
 
 def flown_heat(path: Path, reference: str | None) -> Heat:
@@ -242,14 +278,19 @@ def write_new_record(
     notes += of_materials
     constants = list(given.heat.constants)
     porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in given.layers)
-    if given.pressure_Pa is not None or (porous and "p_surface_Pa" not in given.heat.columns):
+    if given.pressure_Pa is not None:
+        constants = [c for c in constants if c[0] != "p_surface_Pa"]
+    stated = {*given.heat.columns, *(name for name, _, _ in constants)}
+    if given.pressure_Pa is not None or (porous and "p_surface_Pa" not in stated):
         pressure = given.pressure_Pa if given.pressure_Pa is not None else float(us76(0.0)[1])
         constants.append(("p_surface_Pa", pressure, "air pressure in the room, on which porous insulation depends"))
         if given.pressure_Pa is None:
             notes.append(f"air pressure {pressure:g} Pa, sea level (--pressure)")
     hold = times[0] + np.array([0.6, 0.7]) * (times[-1] - times[0])
-    text = render(
+    text = render_toml(
         "record.toml.j2",
+        "record",
+        out,
         title=given.title or f"{given.point}: {measured.path.name}",
         source=measured.path.name,
         point=given.point,
@@ -262,6 +303,8 @@ def write_new_record(
         layers=given.layers,
         materials=materials,
         reference=given.heat.reference,
+        lamp=given.heat.reference == "columns" and LAMP_ENTHALPY_J_KG in [value for _, value, _ in constants],
+        unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
         nose_radius_m=given.nose_radius_m,
         first_s=float(times[0]),
         last_s=float(times[-1]),

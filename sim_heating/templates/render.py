@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from typing import Any
 
@@ -9,6 +10,7 @@ import jinja2
 import tomlkit
 
 from sim_heating.base.files import toml_text
+from sim_heating.base.files.schema import schema_line
 
 
 @cache
@@ -27,6 +29,14 @@ def _environment() -> jinja2.Environment:
 
 def _toml_value(value: Any) -> str:
     return tomlkit.item(value).as_string()
+
+
+def render_toml(template: str, schema: str, folder: str | os.PathLike[str], **values: Any) -> str:
+    """The text of a template of a TOML file in a folder, after the line by which editors find its schema.
+
+    schema : name of the format, as `record`
+    """
+    return f"{schema_line(schema, folder)}\n{render(template, **values)}"
 
 
 def render(template: str, **values: Any) -> str:

@@ -16,13 +16,14 @@ from sim_heating.heating.effects import effects
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.scenario_check import check_scenario
-from sim_heating.templates.render import render
+from sim_heating.templates.render import render, render_toml
 from sim_heating.templates.vehicle import shown_place
 from sim_heating.trajectory.aero import load_aero
 
 COMMAND = "new"
 SCENARIO, STUDY = "scenario.toml", "study.toml"
-KINDS = ("dispersion", "envelope", "optimal")
+SCHEMAS = {"dispersion": "study", "envelope": "study", "optimal": "optimal_entry"}
+"""Kind of a study -> name of its format."""
 LIFTING = 0.6
 """Lift over drag from which an entry may be as shallow as the Orbiter's."""
 SHALLOW_DEG, STEEP_DEG = -1.2, -1.5
@@ -75,7 +76,7 @@ def write_new_scenario(
         "stop_mach": stop_mach,
         "manoeuvre": {"at_velocity_m_s": 6096.0, "deg": 3.0} if manoeuvre else None,
     }
-    return _write(out, {SCENARIO: render("scenario.toml.j2", **values)}, _check_scenario)
+    return _write(out, {SCENARIO: render_toml("scenario.toml.j2", "scenario", out, **values)}, _check_scenario)
 
 
 def entry_angle_deg(vehicle: Vehicle) -> float:
@@ -151,7 +152,7 @@ def write_new_study(
         values["alpha_limits_deg"] = [float(aero.basic.alpha_deg[0]), float(aero.basic.alpha_deg[-1])]
         values["gamma_deg"] = entry_angle_deg(base.vehicle)
     values["offsets"] = [-4.0, -2.0, 0.0, 2.0]
-    return _write(out, {STUDY: render(f"study_{kind}.toml.j2", **values)}, _no_check)
+    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", SCHEMAS[kind], out, **values)}, _no_check)
 
 
 def _no_check(path: Path) -> None:
@@ -200,7 +201,7 @@ def write_new_effect(
     }  # fmt: skip
     files = {
         f"{module}.py": render("effect.py.j2", **values),
-        f"{module}.toml": render("effect_scenario.toml.j2", **values),
+        f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", folder, **values),
         f"checks/test_{module}.py": render("effect_check.py.j2", **values),
     }
     write_own_files(folder, COMMAND, files)

@@ -23,12 +23,13 @@ from sim_heating.base.files import (
     toml_text,
     write_text_atomic,
 )
+from sim_heating.base.files.schema import schema_line
 from sim_heating.inputs.ratio_sources import write_tables
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME
 from sim_heating.simulation.scenario_check import check_vehicle
 from sim_heating.templates.materials import LayerInput, layer_input
-from sim_heating.templates.render import render
+from sim_heating.templates.render import render, render_toml
 
 GLIDES_FROM = 0.6
 """Lift over drag from which a vehicle is guided as the Orbiter is, else as the capsule."""
@@ -132,20 +133,27 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
     name = Path(os.path.abspath(out)).name
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"--out {out}: its last part is the vehicle's name: letters, digits, - and _")
-    values = _values(name, given)
+    values, home = _values(name, given), Path(out)
     files = {
-        "vehicle.toml": render("vehicle/vehicle.toml.j2", **values),
-        "aero/aero.toml": render("vehicle/aero.toml.j2", **values),
+        "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", home, **values),
+        "aero/aero.toml": render_toml("vehicle/aero.toml.j2", "aero", home / "aero", **values),
         "aero/longitudinal.csv": _coefficients(given, values["alpha_deg"]),
-        "guidance.toml": render("vehicle/guidance.toml.j2", **values),
+        "guidance.toml": render_toml("vehicle/guidance.toml.j2", "guidance", home, **values),
         "provenance.md": render("vehicle/provenance.md.j2", **values),
     }
     files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if given.surfaces}
     for p in values["points"]:
-        files[f"control_points/{p['name']}.toml"] = render("vehicle/control_point.toml.j2", p=p)
-        files[f"ratio_sources/{p['name'].lower()}.toml"] = render("vehicle/ratio_source.toml.j2", p=p, **values)
+        files[f"control_points/{p['name']}.toml"] = render_toml(
+            "vehicle/control_point.toml.j2", "control_point", home / "control_points", p=p
+        )
+        files[f"ratio_sources/{p['name'].lower()}.toml"] = render_toml(
+            "vehicle/ratio_source.toml.j2", "ratio_source", home / "ratio_sources", p=p, **values
+        )
     for material, m in values["materials"].items():
-        files[f"materials/{material}.toml"] = toml_text(m.model_dump(exclude_unset=True, exclude_none=True))
+        line = schema_line("material", home / "materials")
+        files[f"materials/{material}.toml"] = (
+            f"{line}\n{toml_text(m.model_dump(exclude_unset=True, exclude_none=True))}"
+        )
     with output_directory(out, "new vehicle", expected=("vehicle.toml",)) as folder:
         # a vehicle has the name of its directory, and that of results in the making is another
         made = folder / name

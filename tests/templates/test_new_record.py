@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
 from sim_heating.cli import cli
+from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.materials import find_material, layer_input, material_library
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, read_measured_csv
@@ -104,6 +105,22 @@ def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit
     named = {closed["effect"]["name"], *(name for names in closed["alternatives"] for name in names)}
     assert "heat-capacity" in named
     assert closed["after"]["fit"]["rmse_K"] < 0.2 * closed["before"]["fit"]["rmse_K"]
+
+
+def test_a_lamp_of_unknown_flux_is_estimated() -> None:
+    """ratio.d0 is the absorbed flux in units of 10 kW/m2 where heat capacity and emittance are as declared."""
+    time_s = np.arange(0.0, 301.0, 3.0)
+    write_logger_file(
+        Path("temps.csv"), time_s, plate_K(time_s) + np.random.default_rng(3).normal(0.0, 0.3, len(time_s))
+    )
+    arguments = ["unknown" if a == "18 kW/m2" else a for a in PLATE]
+    made = run("new", "record", "--csv", "temps.csv", *arguments, "--out", "plate")
+    assert "unknown flux from 10 to 130 s" in made.output
+    assert "good" in run("validate", "plate").output
+    found = estimate(["plate"])
+    value, sigma = found.parameters["ratio.d0"]
+    assert abs(1e4 * value - FLUX_W_M2) < 3e4 * sigma + 20.0
+    assert found.fit.converged
 
 
 @pytest.mark.parametrize(
