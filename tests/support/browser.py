@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-import shutil
 import subprocess
 from html import unescape
 from html.parser import HTMLParser
@@ -13,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.browser import CHROMIUM
 from sim_heating.base.report.page import CHART_SCRIPTS, TABLE_SCRIPTS
 from tests.support.paths import ROOT
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed")
 
 CANARY = "document.documentElement.setAttribute(`data-ran`,`{where}`)"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from sim_heating.base.files import output_directory, write_json, write_text_atom
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import ANGLES, new_figure, replaced_if_undrawable, save_figure
+from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
 from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
@@ -29,8 +30,8 @@ from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.run import MANOEUVRE_VARIABLE
 from sim_heating.trajectory.flight import Window
 
-FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS = (
-    "design.json", "bounds.csv", "design.png", "sweeps.png", "instruments.png"
+FILES = NAME, BOUNDS, DESIGN, SWEEPS, INSTRUMENTS, PAGE = (
+    "design.json", "bounds.csv", "design.png", "sweeps.png", "instruments.png", "report.html"
 )  # fmt: skip
 SWEEP_POINTS = 7
 
@@ -241,7 +242,7 @@ def bounds_csv(designed: DesignResult) -> str:
 
 
 def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[str]:
-    """Write design.json, bounds.csv and pictures; returns the names of the files."""
+    """Write design.json, bounds.csv, pictures and report.html; returns the names of the files."""
 
     with output_directory(out, "design", inputs=designed.scenario.files) as folder:
         write_json(folder / NAME, summary(designed))
@@ -249,7 +250,30 @@ def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[st
         draw_design(folder / DESIGN, designed)
         draw_sweeps(folder / SWEEPS, designed)
         draw_instruments(folder / INSTRUMENTS, designed)
+        write_page(folder / PAGE, design_page(designed, folder))
         return sorted(p.name for p in folder.iterdir() if p.is_file())
+
+
+def design_page(designed: DesignResult, folder: Path) -> Page:
+    """The report of a design as a page; its pictures are in a folder."""
+    found = summary(designed)
+    bounds = replace(bounds_table(designed, designed.planner.design.flights), title="One standard deviation.")
+    columns = [Column("instruments"), Column("what", is_text=True), *(Column(n, format=".3g") for n in designed.wanted)]
+    rows = [[v["kind"], v["what"], *v["sigma"].values()] for v in found["instruments"]]
+    instruments = Table("One standard deviation.", columns, rows)
+    count = f"{found['tried']} designs tried, {found['kept_limits']} keep the limits."
+    pictures = {
+        DESIGN: "Manoeuvres and the outermost thermocouple, as planned and optimal.",
+        SWEEPS: "Bounds along each number over those of the optimal design; open marks exceed a limit.",
+        INSTRUMENTS: "Bounds with other instruments over those with the declared ones.",
+    }
+    shown = [SavedPicture(folder / name, caption) for name, caption in pictures.items()]
+    sections = [
+        Section("Bounds", [count], notes(designed), [bounds], shown[:2]),
+        Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
+    ]
+    subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
+    return Page(designed.scenario.title, subtitle, sections)
 
 
 PLANNED, OPTIMAL = "tab:orange", "tab:blue"

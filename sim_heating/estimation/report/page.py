@@ -6,11 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sim_heating.base.report.chart import Chart, Curve, Panel
 from sim_heating.base.report.page import Page, SavedPicture, Section
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.trend import Trend
+from sim_heating.simulation.report.charts import flown_panels
 
 NOTABLE = 0.5
 """Magnitude of a correlation from which on it is listed."""
@@ -126,3 +131,30 @@ def _residuals_section(found: Estimate) -> Section:
 def _pictures_section(pictures: Sequence[tuple[Path, str]]) -> list[Section]:
     shown = [SavedPicture(path, caption) for path, caption in pictures if path.is_file()]
     return [Section("Heating ratio", pictures=shown)] if shown else []
+
+
+def trend_page(trend: Trend, picture: Path) -> Page:
+    """The report of consecutive segments as a page: the heating ratio of each, against time."""
+    record, segments = trend.record, trend.segments
+    middle = np.array([0.5 * (s.start_s + s.end_s) for s in segments])
+    ratio, sigma, declared = np.array([[s.ratio, s.sigma, s.declared] for s in segments]).T.reshape(3, -1)
+    curves = [Curve("segments", middle, ratio, AFTER, sigma=sigma)]
+    if record.ratio_table is not None:
+        curves.append(Curve("declared model, same conditions", middle, declared, BEFORE))
+    chart = Chart(
+        "Heating ratio", [Panel("heating ratio", curves), *flown_panels(record.conditions)],
+        "The heating ratio of each segment at its middle; band: 2 sigma.",
+        (float(segments[0].start_s), float(segments[-1].end_s)), picture=SavedPicture(picture),
+    )  # fmt: skip
+    rows = [[f"{s.start_s:g} to {s.end_s:g} s", s.samples, s.ratio, s.sigma, s.declared, s.misfit] for s in segments]
+    columns = [
+        Column("segment"), Column("samples"), Column("ratio", format=".5g"), Column("sigma", format=".2g"),
+        Column("declared", format=".5g"), Column("misfit", format=".2f"),
+    ]  # fmt: skip
+    sections = [
+        Section("Heating ratio", charts=[chart]),
+        Section("Segments", points=[f"left out: {line}" for line in trend.left_out],
+                tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)]),
+    ]  # fmt: skip
+    subtitle = f"Record {record.name}, control point {record.declared.control_point}: consecutive segments"
+    return Page(record.declared.title or record.declared.control_point, subtitle, sections, warnings=trend.warnings)

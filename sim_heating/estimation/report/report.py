@@ -230,7 +230,7 @@ def _test(test: HypothesisTest | None) -> dict[str, float] | None:
     return None if test is None else {"statistic": test.statistic, "dof": test.dof, "p_value": test.p_value}
 
 
-TREND = TREND_CSV, TREND_PICTURE = "trend.csv", "trend.png"
+TREND = TREND_CSV, TREND_PICTURE, TREND_PAGE = "trend.csv", "trend.png", "report.html"
 FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
 PAGE = "report.html"
 
@@ -245,7 +245,9 @@ def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[s
 
 
 def write_trend(trend: Trend, out: Path) -> list[str]:
-    """Write trend.csv and trend.png; returns the names of the files."""
+    """Write trend.csv, trend.png and report.html; returns the names of the files."""
+    from sim_heating.base.report.page import write_page
+    from sim_heating.estimation.report.page import trend_page
     from sim_heating.estimation.report.plots import draw_trend
 
     segments = trend.segments
@@ -266,6 +268,7 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
     with output_directory(out, "estimate", inputs=[trend.record.directory]) as folder:
         write_csv(folder / TREND_CSV, columns)
         draw_trend(folder / TREND_PICTURE, trend)
+        write_page(folder / TREND_PAGE, trend_page(trend, folder / TREND_PICTURE))
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 

@@ -13,15 +13,15 @@ import base64
 import contextlib
 import json
 import os
+import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from tests.support.browser import CHROMIUM
-
-LOADED_S = 60.0
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+"""The browser's program; None where there is none."""
 
 
 class Browser:
