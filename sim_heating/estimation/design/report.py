@@ -26,7 +26,7 @@ from sim_heating.estimation.design.information import PRESSURE, Experiment, desi
 from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
 from sim_heating.estimation.design.search import BoundsSweep, DesignSearch, DesignSearchResult
-from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.inputs.scenario import Scenario, load_scenario, with_design
 from sim_heating.simulation.run import MANOEUVRE_VARIABLE
 from sim_heating.trajectory.flight import Window
 
@@ -78,20 +78,24 @@ class DesignResult:
 def design(
     scenario: Scenario | str | os.PathLike[str],
     *,
+    evaluations: int | None = None,
     repetitions: int = 0,
     progress: Progress = no_progress,
 ) -> DesignResult:
     """Search the most informative manoeuvres of a scenario, and the bounds with other instruments.
 
     scenario    : a scenario with [design], or the path of its file
+    evaluations : number of designs that the search evaluates; by default the scenario's
     repetitions : number of simulated fits of the best design that check its bounds
     raises      : InputError where there is nothing to design, RunError where no design keeps the limits
 
     >>> import sim_heating as sh
-    >>> sh.design("scenarios/design_flap.toml")
-    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=3.8e-05, sigma(ratio.d_bodyflap)=7.5e-05; 64 designs>
+    >>> sh.design("scenarios/design_flap.toml", evaluations=8)
+    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=3.4e-05, sigma(ratio.d_bodyflap)=8.5e-05; 8 designs>
     """
     scenario = load_scenario(scenario)
+    if evaluations is not None:
+        scenario = with_design(scenario, {"evaluations": evaluations})
     planner = Planner(scenario)
     progress(0.0, "flying as planned")
     search = DesignSearch(planner)
