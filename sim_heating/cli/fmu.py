@@ -99,6 +99,8 @@ def export(
     from sim_heating.simulation.fmu_export.export import export_fmu, targets_of
 
     _require_what_to_write(out, ssp, trajectory, reference)
+    if out is None and _is_given("fmi") and fmi != "2":
+        raise InputError("--fmi 3: the FMUs of a system are FMI 2.0; leave it out, or also give --out FILE.fmu")
     if out is not None:
         targets_of(platforms, int(fmi))
     loaded, found = load_vehicle(vehicle, root=root), {}
@@ -113,6 +115,12 @@ def export(
             )  # fmt: skip
         found |= _print_export(out, image, fmi, platforms, _names(loaded, points))
     report_results(found)
+
+
+def _is_given(option: str) -> bool:
+    """Whether an option of the running command was given, and is not at its default."""
+    source = click.get_current_context().get_parameter_source(option)
+    return source is not click.core.ParameterSource.DEFAULT
 
 
 def _require_what_to_write(out: Path | None, ssp: Path | None, trajectory: Path | None, reference: str) -> None:

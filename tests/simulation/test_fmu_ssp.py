@@ -266,6 +266,7 @@ def test_libcosim_gives_the_bits_of_ecos(system: Path, tmp_path: Path) -> None:
         (["capsule", "--ssp", "x.ssp", "--trajectory", str(SCENARIO)], "flies `orbiter`, not `capsule`"),
         (["orbiter", "--ssp", "x.ssp", "--trajectory", str(SCENARIOS / "nominal.toml")], 'source = "jsbsim" cannot be'),
         (["orbiter", "--ssp", "x.ssp", "--trajectory", str(SCENARIO), "--reference", "columns"], "--reference columns"),
+        (["orbiter", "--ssp", "x.ssp", "--trajectory", str(SCENARIO), "--fmi", "3"], "of a system are FMI 2.0"),
         (
             ["orbiter", "--ssp", "x.ssp", "--trajectory", str(SCENARIO), "--platforms", "linux-arm64"],
             "export for FMI 3",

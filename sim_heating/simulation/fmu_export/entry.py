@@ -27,7 +27,7 @@ from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.entry3dof import Entry, initial_numbers
 from sim_heating.trajectory.flight import ROW
-from sim_heating.trajectory.fmu.columns import unit_of
+from sim_heating.trajectory.fmu.columns import unit_of, words_of
 from sim_heating.trajectory.spec import TrajectorySpec
 
 MANOEUVRES, POINTS = 4, 12
@@ -173,7 +173,7 @@ class _EntryPacker(ImagePacker):
         assert self.spec.initial is not None
         place = self.image.add_numbers(initial_numbers(self.spec.initial))
         for i, (name, lower, upper) in enumerate(INITIAL):
-            text = f"{name.rsplit('_', 1)[0].replace('_', ' ')} at the start, relative to the air"
+            text = f"{words_of(name)} at the start, relative to the air"
             self.add_number(f"initial.{name}", Role.FIXED, place + i, text, unit_of(name), lower, upper)
         options = self.image.add_numbers([self.entry.dt_s])
         text = "longest frame; a longer communication step is divided"
@@ -186,7 +186,7 @@ class _EntryPacker(ImagePacker):
         block = image.add_numbers(entry.block, aligned=True)
         for first, named in ((flight, VEHICLE), (block, GUIDANCE)):
             for name, place, lower, upper, unit in named:
-                text = name.split(".")[1].rsplit("_", 1)[0].replace("_", " ") + ", see docs/theory/equations.md"
+                text = words_of(name.split(".")[1]) + ", see docs/theory/equations.md"
                 self.add_number(name, Role.FIXED, first + place, text, unit, lower, upper)
         self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_tables(entry.tables)}
 
@@ -240,7 +240,7 @@ class _EntryPacker(ImagePacker):
         work, row = image.add_numbers(np.zeros(pm.WORK), aligned=True), image.add_numbers(np.zeros(len(ROW)))
         self.head |= {k.STATE: state, k.WORK: work, k.ROW: row}
         for i, name in enumerate(ROW[1:], start=1):
-            text = f"{name.rsplit('_', 1)[0].replace('_', ' ')}, as in a frame" if i < len(FRAME) else "of the flight"
+            text = f"{words_of(name)}, as in a frame" if i < len(FRAME) else "of the flight"
             lower, upper, _ = LIMITS.get(name, (-np.inf, np.inf, ""))
             self.add_number(name, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
         for name, place, unit in GUIDANCE_OUTPUTS:

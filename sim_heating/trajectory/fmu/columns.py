@@ -61,6 +61,8 @@ UNITS = (
     ("_kg_m3", "kg/m3"), ("_m_s2", "m/s2"), ("_m_s", "m/s"), ("_deg", "deg"), ("_m", "m"), ("_g", "standard_gravity"),
 )  # fmt: skip
 """Ending of a column -> its unit; a plain number where none fits."""
+UNIT_AT_END = re.compile("(_(kg|m|m2|m3|s|s2|deg|rad|K|g))+$")
+"""The unit at the end of any name."""
 
 USUAL_NAMES = {
     "altitude_m": ("altitude", "alt", "height", "h"),
@@ -87,6 +89,11 @@ NOT_A_LETTER = re.compile("[^a-z]")
 def unit_of(column: str) -> str:
     """The unit of a column."""
     return next((unit for ending, unit in UNITS if column.endswith(ending)), "1")
+
+
+def words_of(column: str) -> str:
+    """The words of a column's name, without its unit."""
+    return UNIT_AT_END.sub("", column).replace("_", " ")
 
 
 @dataclass(frozen=True)
