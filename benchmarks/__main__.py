@@ -16,6 +16,7 @@ NAMES = (
     "switched_off",
     "kaowool", "paper_figures", "dispersion", "practice", "closure", "campaign", "mutants", "kills", "concurrency",
     "pages",
+    "credibility",
 )  # fmt: skip
 
 

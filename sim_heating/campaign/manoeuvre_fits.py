@@ -17,13 +17,13 @@ from sim_heating.campaign.carried import Estimate, effect_uses
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.campaign.spec import ManoeuvreSettings
 from sim_heating.closure.several.batch import program_digest
-from sim_heating.estimation.fit import DEFAULT, MODEL_ERROR_RATIO, FitResult, estimate, rms_normalised_residual
+from sim_heating.credibility.of_records import MODEL_ERROR_RATIO
+from sim_heating.estimation.fit import DEFAULT, FitResult, estimate, rms_normalised_residual
 from sim_heating.estimation.inference.newton import NewtonSettings
-from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.estimation.report.report import estimate_contents, write_fit
 from sim_heating.estimation.starts import start_at
 from sim_heating.estimation.trend import LOST_INTERVALS
-from sim_heating.inputs.record import Record, load_records
+from sim_heating.inputs.record import Record, load_records, record_digest
 
 READINGS_BEFORE = 3
 """Readings of every thermocouple before a start that is made from them."""
@@ -106,7 +106,7 @@ def _read_before(record: Record, time_s: float) -> bool:
 def fit_job(task: FitTask, records: Sequence[Record]) -> Job:
     """The job of a fit; its name depends on everything that its result depends on."""
     settings = json.dumps({k: v for k, v in asdict(task).items() if k not in ("out", "records")}, default=str)
-    digest = program_digest([inputs_hash(record) for record in records], [settings])
+    digest = program_digest([record_digest(record) for record in records], [settings])
     return Job(f"{task.point}-{task.manoeuvre}-{digest[:16]}.json", task)
 
 

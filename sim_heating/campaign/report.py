@@ -17,12 +17,11 @@ from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.campaign.manoeuvre_fits import usable
-from sim_heating.campaign.result import CampaignResult
+from sim_heating.campaign.result import IMPROBABLE, CampaignResult
 from sim_heating.closure.report import closures_table
+from sim_heating.credibility.section import credibility_section
 
 SUMMARY, FITS_CSV, ERRORS_CSV, PAGE = FILES = "campaign.json", "fits.csv", "errors.csv", "report.html"
-IMPROBABLE = 1e-3
-"""p-value of the agreement of flights below which they are said to disagree."""
 
 
 def write_csvs(folder: Path, result: CampaignResult) -> None:
@@ -77,7 +76,7 @@ def campaign_page(result: CampaignResult) -> Page:
     """Flights, findings, fits, their agreement, the revised tables and what they predict."""
     sections = [
         _flights_section(result), *_errors_section(result), *_tables_section(result), *_closed_section(result),
-        *_joint_section(result), *_fits_sections(result),
+        *_joint_section(result), *_fits_sections(result), credibility_section(result.credibility.as_json()),
     ]  # fmt: skip
     vehicle = result.campaign.vehicle
     count = f"{len(result.flights)} flights, {len(result.points)} control points"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,13 @@ from sim_heating.base.files.package import package_version
 from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.campaign.joint import Group
 from sim_heating.campaign.spec import Campaign
+from sim_heating.credibility.of_records import MODEL_ERROR_RATIO, facts_of_readings, of_several
+from sim_heating.credibility.reviews import digest_of
+from sim_heating.credibility.statement import Answer, Statement, assess
 
 FORMAT = "campaign-report/1"
+IMPROBABLE = 1e-3
+"""p-value of the agreement of flights below which they are said to disagree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +50,33 @@ class CampaignResult:
     def __repr__(self) -> str:
         fits = f"{len(self.fits)} fits, {len(self.joint)} of several flights"
         return f"<CampaignResult {self.campaign.title!r}: {len(self.flights)} flights, {fits}>"
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the revised tables, factor by factor."""
+        records = [f.records[p] for f in self.fitted_flights for p in self.points if p in f.records]
+        facts = of_several([facts_of_readings("campaign", r) for r in records])
+        done = [r for r in (*self.fits, *self.joint) if "failed" not in r]
+        noisy = [r for r in done if not (r["converged"] and r["residual_over_noise"] <= MODEL_ERROR_RATIO)]
+        apart = [r for r in self.joint if r.get("agreement") and r["agreement"]["p_value"] < IMPROBABLE]
+        together = [r for r in self.joint if r.get("agreement")]
+        checked = [e for e in self.errors if e["check"]]
+        beyond = [e for e in checked if e["after_K"] > MODEL_ERROR_RATIO * e["noise_floor_K"]]
+        found = replace(
+            facts,
+            topics=facts.topics | {"estimates", "sensitivities"},
+            consistent=Answer(bool(done) and not noisy, f"{len(noisy)} of {len(done)} fits are not within their noise"),
+            holds=Answer(
+                bool(together) and not apart, f"{len(apart)} of {len(together)} groups of flights do not agree"
+            ),
+            varied=Answer(
+                bool(checked) and not beyond,
+                f"{len(beyond)} of {len(checked)} manoeuvres that only check are not predicted within their noise",
+            ),
+            folder=self.campaign.vehicle.directory,
+            reviewed=digest_of(self.campaign.vehicle),
+        )
+        return assess(found)
 
     @property
     def fitted_flights(self) -> list[CampaignFlight]:
@@ -80,4 +113,5 @@ class CampaignResult:
             "updates": self.updates,
             "refused": self.refused,
             "errors": self.errors,
+            "credibility": self.credibility.as_json(),
         }

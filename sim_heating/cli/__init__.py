@@ -42,6 +42,7 @@ COMMANDS = {
     "ratio-tables": "tables",
     "measured-records": "tables",
     "plan": "plan",
+    "credibility": "credibility",
     "fmu": "fmu",
 }
 """Command -> module of this folder that defines it; the order is that of the help text."""

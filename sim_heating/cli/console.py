@@ -187,6 +187,20 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}")
+    _print_credibility(out / results if isinstance(results, str) else results)
+
+
+def _print_credibility(results: Path | Mapping[str, Any]) -> None:
+    """Print the credibility of results in one line, and what could not be read for it."""
+    if isinstance(results, Path):
+        from sim_heating.base.files import read_json
+
+        results = read_json(results)
+    block = results.get("credibility")
+    if block is not None:
+        CONSOLE.print(block["summary"])
+        for line in block["problems"]:
+            print_warning(line)
 
 
 def print_table(table: Table, style: Callable[[int, int], str] | None = None) -> None:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +37,18 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
+from sim_heating.closure.search.adequacy import ADEQUATE
 from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.credibility.of_records import held_out, ratio_uncertainty
+from sim_heating.credibility.section import credibility_section
+from sim_heating.credibility.statement import Answer, assess
+from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 
+LIKELY = 0.95
+"""Calibrated probability of a finding from which the conclusion counts as robust."""
 NAME, PAGE = "closure.json", "report.html"
 FILES = (NAME, PAGE, HEATING_NAME, CURVE_NAME)
 
@@ -149,6 +156,29 @@ class Closure:
         """Whether a cause was found that the model after has, and the one before has not."""
         return self.statement.finding in (FOUND, ONE_OF)
 
+    @cached_property
+    def credibility(self) -> Credibility:
+        """What supports the finding, factor by factor."""
+        s, facts = self.statement, self.after.facts("closed loop", with_peak=False)
+        p = s.probability
+        sigma = {n: e.sigma for n, e in self.parameters.items() if math.isfinite(e.sigma)}
+        errors = self.after.segment_errors()
+        adequate = s.adequacy is not None and s.adequacy.p_value >= ADEQUATE
+        p_value = "no test of adequacy" if s.adequacy is None else f"p-value of adequacy {s.adequacy.p_value:.2g}"
+        found = replace(
+            facts,
+            topics=facts.topics | {"estimates", "sensitivities"},
+            sigma=bool(sigma),
+            uncertainty=ratio_uncertainty(sigma, [self.record], self.reference),
+            consistent=Answer(adequate, p_value),
+            holds=Answer(
+                p is not None and p >= LIKELY and not self.faults,
+                "no calibrated probability of the finding" if p is None else f"probability of the finding {p:.2f}",
+            ),
+            varied=held_out(*(None if errors[n] is None else errors[n]["rmse_K"] for n in ("fit", "holdout"))),
+        )
+        return assess(found)
+
     def __repr__(self) -> str:
         errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))
         fault = f", {self.faults[0].kind}" if self.faults else ""
@@ -183,6 +213,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "false_alarm": found.false_alarm,
         "warnings": list(found.warnings),
         "program": f"sim-heating {package_version()}",
+        "credibility": found.credibility.as_json(),
     }  # fmt: skip
 
 
@@ -209,7 +240,7 @@ def closure_page(found: Closure) -> Page:
         *_not_effects_section(found), *tell_apart_section(found.statement),
         _errors_section(found), *_adequacy_section(found),
         _comparison_section(found), _parameters_section(found), _candidates_section(found), _heating_section(found),
-        _evidence_section(found), _sensors_section(found),
+        _evidence_section(found), _sensors_section(found), credibility_section(found.credibility.as_json()),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,13 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.credibility.of_records import (
+    MODEL_ERROR_RATIO,
+    held_out,
+    of_several,
+    ratio_uncertainty,
+)
+from sim_heating.credibility.statement import Answer, Statement, assess
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
@@ -70,8 +78,6 @@ DEFAULT = "default"
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
-MODEL_ERROR_RATIO = 1.3
-"""RMS of the residuals over that of noise above which the model is reported as deficient."""
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
 MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
@@ -106,6 +112,42 @@ class FitResult:
         found = ", ".join(f"{label}={value:.5g} +- {sigma:.2g}" for label, value, sigma in values)
         names = ", ".join(record_fit.record.name for record_fit in self.problem.record_fits)
         return f"<FitResult of {names}: {found}; {self.fit.status.name.lower()}>"
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the estimate, factor by factor."""
+        facts = of_several([p.facts("estimate", with_peak=False) for p in self.after])
+        excess = rms_normalised_residual(self.samples())
+        found = replace(
+            facts,
+            topics=facts.topics | {"estimates", "sensitivities"},
+            sigma=True,
+            uncertainty=ratio_uncertainty(
+                dict(zip(self.labels, self.bounds.sigma.tolist(), strict=True)),
+                [p.record for p in self.after],
+                self.problem.reference,
+            ),
+            consistent=Answer(excess <= MODEL_ERROR_RATIO, f"residuals are {excess:.2f} times those of noise"),
+            holds=self._holds(),
+            varied=held_out(*self._pooled_rmse_K()),
+        )
+        return assess(found)
+
+    def _holds(self) -> Answer:
+        """Whether the search converged to values within their bounds."""
+        converged = self.fit.converged
+        fixed = [n for n, s in zip(self.labels, self.bounds.sigma, strict=True) if s <= 0.0]
+        on_bound = f"on a bound: {', '.join(fixed)}" if fixed else "no parameter on a bound"
+        return Answer(converged and not fixed, f"{'converged' if converged else 'not converged'}, {on_bound}")
+
+    def _pooled_rmse_K(self) -> tuple[float | None, float | None]:
+        """RMSE over the fitted data and over those held out [K], root mean square over the records that have both."""
+        errors = [p.segment_errors() for p in self.after]
+        both = [(e["fit"]["rmse_K"], e["holdout"]["rmse_K"]) for e in errors if e["fit"] and e["holdout"]]
+        if not both:
+            return None, None
+        fitted, held = (float(np.sqrt(np.mean(np.square(x)))) for x in zip(*both, strict=True))
+        return fitted, held
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:

@@ -10,6 +10,7 @@ The whole record is checked before anything is returned.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -96,6 +97,8 @@ class ConditionsFile(FileReference):
     file: FileOfRecord = Field(
         default="conditions.csv", min_length=1, description="a file name in the record's directory"
     )
+    source: str = Field(default="", description="where the flight conditions come from")
+    confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
     altitude_m: float | None = None
     velocity_m_s: float | None = None
     mach: float | None = None
@@ -118,7 +121,7 @@ class ConditionsFile(FileReference):
     @property
     def constants(self) -> dict[str, float]:
         """Values that hold at all times, by column, each in the unit that its name ends in."""
-        named = self.model_dump(exclude={"file"}, exclude_none=True)
+        named = self.model_dump(exclude={"file", "source", "confidence"}, exclude_none=True)
         return {name: float(value) for name, value in named.items()}
 
 
@@ -343,6 +346,8 @@ class RecordFile(Construction):
     vehicle: str = ""
     control_point: str = Field(min_length=1, description="name of the control point")
     measured: bool = Field(description="true for a measurement, false for synthetic data")
+    source: str = Field(default="", description="where measurements and construction come from")
+    confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
     conditions: ConditionsFile = Field(default_factory=lambda: ConditionsFile(file="conditions.csv"))
     thermocouples: Thermocouples = Field(description="[[thermocouples.sensor]] and the file of samples")
     heating: Heating
@@ -477,6 +482,27 @@ class Record:
                 f"{self.name}, sensor {sensor.name}: noise_sigma_K is neither declared nor estimated; give it"
             )
         return sigma
+
+
+def record_digest(record: Record) -> str:
+    """Hash `sha256:...` over the names and bytes of a record's files, those that its declaration names.
+
+    raises : InputError where one cannot be read
+    """
+    declared, heating = record.declared, record.declared.heating
+    tables = (heating.ratio_table, heating.turbulent_file)
+    names = (DECLARATION, declared.conditions.file, declared.thermocouples.file, *tables)
+    digest = hashlib.sha256()
+    for name in (n for n in names if n is not None):
+        try:
+            content = (record.directory / name).read_bytes()
+        except OSError:
+            raise InputError(
+                f"{display_path(record.directory / name)}: cannot be read; write the record first"
+            ) from None
+        digest.update(f"{name}\0{len(content)}\0".encode())
+        digest.update(content)
+    return f"sha256:{digest.hexdigest()}"
 
 
 def in_segments(time_s: ArrayLike, segments: Sequence[Sequence[float]]) -> BoolArray:

@@ -50,6 +50,8 @@ P = ParamSpec("P")
 
 SUFFIXES = (".toml", ".csv", ".json", ".xml")
 """Kinds of files of a vehicle that a computation may read."""
+REVIEWS = "credibility.toml"
+"""File of signed reviews, which names the digest of the other files."""
 FOLDER = "aircraft_data"
 ENVIRONMENT = "SIM_HEATING_AIRCRAFT_DATA"
 """Environment variable that names a folder of vehicles."""
@@ -288,7 +290,8 @@ def vehicle_place(
 
 def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:
     """Add names and contents of all files of a vehicle that a computation may read to a digest."""
-    files = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
+    found = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
+    files = (p for p in found if p.name != REVIEWS)
     for path in sorted(files):
         digest.update(path.relative_to(directory).as_posix().encode())
         digest.update(path.read_bytes())

@@ -12,6 +12,7 @@ from typing import Any
 from sim_heating.base.files.package import PACKAGE
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.table import Table
+from sim_heating.credibility.region import Samples
 from sim_heating.planning.study import HASH_LENGTH, Study
 
 
@@ -51,12 +52,16 @@ class PartResult:
 
     data                    : plain values, for study.json
     tables, pictures, notes : for the page; a note is one line
+    samples                 : conditions of its nominal flight, for the credibility of the study
+    topics                  : of the equations that it uses besides those of the base entry
     """
 
     data: Mapping[str, Any]
     tables: tuple[Table, ...] = ()
     pictures: tuple[PartPicture, ...] = ()
     notes: tuple[str, ...] = ()
+    samples: tuple[Samples, ...] = ()
+    topics: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (

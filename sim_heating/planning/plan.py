@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,10 @@ from sim_heating.base.parallel import require_scheduler
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
-from sim_heating.planning.dispersion.report import DISPERSION
+from sim_heating.credibility.of_flight import facts_of_study
+from sim_heating.credibility.section import credibility_section
+from sim_heating.credibility.statement import Statement, assess
+from sim_heating.planning.dispersion.report import DISPERSION, with_dispersion
 from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
 from sim_heating.planning.optimal.report import OPTIMAL
 from sim_heating.planning.part import Engine, PartResult, StudyPart
@@ -44,6 +48,15 @@ class Plan:
     results: dict[str, PartResult] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the results, factor by factor."""
+        samples = [s for result in self.results.values() for s in result.samples]
+        topics = [t for result in self.results.values() for t in result.topics]
+        facts = facts_of_study(self.study.base, self.study.files, samples, topics)
+        dispersion = self.results.get("dispersion")
+        return assess(facts if dispersion is None else with_dispersion(facts, dispersion.data))
 
     def __repr__(self) -> str:
         failed = f", failed: {', '.join(self.failed)}" if self.failed else ""
@@ -129,6 +142,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "study": study.hash,
         **{name: dict(result.data) for name, result in plan.results.items()},
         "failed": plan.failed,
+        "credibility": plan.credibility.as_json(),
     }
 
 
@@ -146,7 +160,8 @@ def page_of(plan: Plan, folder: Path) -> Page:
     ]
     about = Section("Study", text=[line for line in (study.declared.note.strip(), limit_sentence(study)) if line])
     warnings = [f"{name}: {why}" for name, why in plan.failed.items()]
-    return Page(study.title, study.stamp, [about, *sections], warnings=warnings)
+    last = credibility_section(plan.credibility.as_json())
+    return Page(study.title, study.stamp, [about, *sections, last], warnings=warnings)
 
 
 def limit_sentence(study: Study) -> str:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.credibility.of_records import facts_of_record
+from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
@@ -50,6 +54,8 @@ class Prediction:
     history     : at the times of the measurements; NaN where they lie outside the conditions
     indicated_K : (sensor, sample) indication of each sensor, calibration applied, without noise
     residual_K  : (sensor, sample) measured minus indicated
+    outside     : excursions beyond the ratio table
+    model, conditions : of the control point, as marched
     """
 
     record: Record
@@ -57,6 +63,22 @@ class Prediction:
     indicated_K: FloatArray
     residual_K: FloatArray
     outside: tuple[TableExcursion, ...]
+    model: PointModel
+    conditions: Conditions
+
+    def facts(self, kind: str = "prediction", *, with_peak: bool = True) -> Facts:
+        """Facts from which the credibility of a result of this kind follows.
+
+        with_peak : whether the uncertainty of the highest surface temperature is computed
+        """
+        return facts_of_record(
+            kind, self.record, self.model, self.conditions, self.history, self.residual_K, with_peak=with_peak
+        )
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the prediction, factor by factor."""
+        return assess(self.facts())
 
     def segment_errors(self) -> dict[str, Any]:
         """rmse_K, max_abs_K and n over the fit and the holdout segments, pooled over the used sensors; None where a
@@ -129,7 +151,9 @@ def predict(
     pairs, since_s = zip(record.sensors, history.sensors_K, strict=True), record.time_s - record.time_s[0]
     indicated = np.array([indicated_temperature(s, values, faults.get(s.name), since_s) for s, values in pairs])
     residual = record.temperatures_K() - indicated
-    return Prediction(record, history, indicated, residual, tuple(table_excursions(model, conditions)))
+    return Prediction(
+        record, history, indicated, residual, tuple(table_excursions(model, conditions)), model, conditions
+    )
 
 
 def _resampled(marched: PointHistory, time_s: FloatArray) -> PointHistory:
@@ -169,6 +193,7 @@ def summary(prediction: Prediction) -> dict[str, object]:
         "negative_ratio_s": negative_ratio_s(prediction.history),
         "nodes": prediction.history.nodes,
         "mesh_error_K": prediction.history.mesh_error_K,
+        "credibility": prediction.credibility.as_json(),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,8 @@ from sim_heating.base.files import display_path, output_directory, suggestion, w
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.credibility.of_flight import facts_of_flight
+from sim_heating.credibility.statement import Statement, assess
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
@@ -114,6 +117,13 @@ class RunResult:
         about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
         histories = [p.history for p in self.points.values()]
         return histories_dataset(with_reference_heating(self), histories, sensors, self.limits, about)
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the result, factor by factor."""
+        points = self.points.values()
+        models, flights, histories = ([getattr(p, n) for p in points] for n in ("model", "conditions", "history"))
+        return assess(facts_of_flight(self.scenario, models, flights, histories, self.limits))
 
     @property
     def limits(self) -> dict[str, dict[str, float | None]]:
@@ -313,6 +323,7 @@ def summary(result: RunResult) -> dict[str, object]:
         "beyond_reference": beyond_range(scenario.vehicle.heating.reference, flown),
         "compared": {c.measured.label: c.statistics for c in compare(result)},
         "plugin_apart_K": result.plugin_apart_K,
+        "credibility": result.credibility.as_json(),
     }
 
 

@@ -24,7 +24,11 @@ from sim_heating.__main__ import main
 status = main()
 print(json.dumps([status, sorted({name.split(".")[0] for name in sys.modules})]))
 """
-GROUPS = {"fmu": ("export", "trajectory"), "new": ("record", "vehicle", "scenario", "study", "effect")}
+GROUPS = {
+    "credibility": ("show", "rules", "add", "list", "remove", "review"),
+    "fmu": ("export", "trajectory"),
+    "new": ("record", "vehicle", "scenario", "study", "effect"),
+}
 """Commands of the commands that are groups."""
 
 

@@ -27,14 +27,13 @@ from sim_heating.closure.revise.update import TableUpdate, prepare_update, write
 from sim_heating.estimation.report.estimate_file import (
     Estimate,
     correlations,
-    inputs_hash,
     read_estimate,
     write_estimate,
 )
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.points import point_of_record, reference_of_record
 from sim_heating.inputs.ratio_sources import write_tables
-from sim_heating.inputs.record import Record, load_record
+from sim_heating.inputs.record import Record, load_record, record_digest
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.predict import predict
@@ -123,7 +122,7 @@ def estimate_of(record: Record, values: Mapping[str, float], covariance: FloatAr
             for (n, v), s in zip(values.items(), sigma, strict=True)
         },
         "correlation": correlations(names, covariance),
-        "inputs": {record.name: inputs_hash(record)},
+        "inputs": {record.name: record_digest(record)},
     }
     return check(data | more, Estimate, "estimate")
 
@@ -220,7 +219,7 @@ def test_the_evidence_recovers_a_product_term_by_which_a_table_differs(workdir: 
 def test_more_samples_of_the_same_path_add_no_information(workdir: Path) -> None:
     one = prepare_update("first.json", "./orbiter")
     edit(workdir / "first" / "thermocouples.csv", lambda t: "\n".join(_every_second(t.splitlines())) + "\n")
-    with_values(inputs={"first": inputs_hash(load_record("first"))})()
+    with_values(inputs={"first": record_digest(load_record("first"))})()
     other = prepare_update("first.json", "./orbiter")
     assert len(other.flight.path.x) < 0.6 * len(one.flight.path.x)
     np.testing.assert_allclose(other.laminar.after.sigma, one.laminar.after.sigma, rtol=0.02)
@@ -267,7 +266,7 @@ def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(workdi
     )
     both = alone.model_dump() | {
         "records": ["elsewhere", "first"],
-        "inputs": alone.inputs | {"elsewhere": inputs_hash(load_record("elsewhere"))},
+        "inputs": alone.inputs | {"elsewhere": record_digest(load_record("elsewhere"))},
         "parameters": {
             f"{n}@{p}": q.model_dump() | {"value": q.value * (p == POINT)}
             for p in ("B", POINT)

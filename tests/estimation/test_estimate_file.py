@@ -14,11 +14,10 @@ from sim_heating.base.files import check
 from sim_heating.estimation.report.estimate_file import (
     Estimate,
     correlations,
-    inputs_hash,
     read_estimate,
     write_estimate,
 )
-from sim_heating.inputs.record import load_record
+from sim_heating.inputs.record import load_record, record_digest
 from tests.support.paths import TILE
 
 NAMES = ("ratio.scale", "ratio.d_alpha", "stack.coating.thickness_factor")
@@ -155,6 +154,6 @@ def test_the_hash_of_a_record_changes_with_any_of_its_files(tmp_path: Path) -> N
     for name in ("record.toml", "conditions.csv", "thermocouples.csv", "ratio_table.csv"):
         (tmp_path / name).write_bytes((TILE / name).read_bytes())
     copy = load_record(tmp_path)
-    assert inputs_hash(copy) == inputs_hash(record)
+    assert record_digest(copy) == record_digest(record)
     (tmp_path / "ratio_table.csv").write_text((TILE / "ratio_table.csv").read_text() + "\n")
-    assert inputs_hash(copy) != inputs_hash(record)
+    assert record_digest(copy) != record_digest(record)

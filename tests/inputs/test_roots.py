@@ -18,9 +18,8 @@ from sim_heating.base.files import with_digest, write_json
 from sim_heating.cli import main
 from sim_heating.closure.revise.update import prepare_update
 from sim_heating.closure.several.batch import find_records
-from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.inputs.ratio_sources import build_tables, write_tables
-from sim_heating.inputs.record import load_record
+from sim_heating.inputs.record import load_record, record_digest
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.planning.optimal.spec import load_optimal_study
@@ -341,7 +340,7 @@ def test_records_of_an_estimate_elsewhere_are_read_with_their_digest_alone(place
             prepare_update(estimate, place.project / "capsule", root=root)
         return str(caught.value)
 
-    stated = {str(record): inputs_hash(load_record(record))}
+    stated = {str(record): record_digest(load_record(record))}
     assert "`records`, item 1" in message({str(record): "sha256:0"})
     assert OUTSIDE in message({str(record): "sha256:0"})
     (record / "record.toml").write_text("secret = 17")  # whose text no message may repeat

@@ -15,8 +15,8 @@ from tests.support.paths import ROOT
 PACKAGE = ROOT / "sim_heating"
 PAGE = ROOT / "docs" / "development" / "architecture.md"
 FOLDERS = (
-    "base", "heating", "thermal", "trajectory", "march", "inputs", "simulation", "templates", "estimation", "closure",
-    "campaign", "planning", "formats", "cli",
+    "base", "heating", "thermal", "trajectory", "march", "inputs", "credibility", "simulation", "templates",
+    "estimation", "closure", "campaign", "planning", "formats", "cli",
 )  # fmt: skip
 """Folders in the order of the data: each imports only from those before it."""
 BEGIN, END = "<!-- drawn from the imports: python -m tests.support.structure -->\n", "<!-- end -->\n"

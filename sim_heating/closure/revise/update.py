@@ -50,13 +50,12 @@ from sim_heating.estimation.report.estimate_file import (
     Estimate,
     EstimatedParameter,
     correlations,
-    inputs_hash,
     read_estimate,
 )
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_axes, posterior
-from sim_heating.inputs.record import Record, load_record, load_records, named_apart
+from sim_heating.inputs.record import Record, load_record, load_records, named_apart, record_digest
 from sim_heating.inputs.vehicle import FOLDER as VEHICLES
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehicle_directory
 
@@ -316,7 +315,7 @@ def _stated_record(estimate: Estimate, i: int, roots: Roots, root: str | os.Path
         # nothing is said about files that do not have it.
         try:
             record = load_record(folder / name)
-            if estimate.inputs.get(name) == inputs_hash(record):
+            if estimate.inputs.get(name) == record_digest(record):
                 return record
         except InputError:
             pass
@@ -375,7 +374,7 @@ def _used_record(estimate: Estimate, name: str, i: int, record: Record) -> UsedR
 
     raises : InputError where its files are not those that were fitted, or the estimate does not state which they were
     """
-    found, stated = inputs_hash(record), estimate.inputs.get(estimate.records[i])
+    found, stated = record_digest(record), estimate.inputs.get(estimate.records[i])
     if stated is None:
         raise InputError(
             f"{name}: `inputs` has no entry for its record {estimate.records[i]}, so that nothing shows whether it is "

@@ -25,9 +25,8 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.files.paths import real_path
 from sim_heating.base.parallel import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.estimation.report.estimate_file import inputs_hash
 from sim_heating.heating.effects import effects, user_effect_files
-from sim_heating.inputs.record import DECLARATION, distinct_names, load_record
+from sim_heating.inputs.record import DECLARATION, distinct_names, load_record, record_digest
 
 SUMMARIES = JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
 LEDGER = "finished"
@@ -142,7 +141,7 @@ def record_job(
     """A record's job, by default under its directory's name; its id depends on all that its result depends on."""
     label = label or real_path(record).name
     try:
-        inputs = inputs_hash(load_record(record, root=root))
+        inputs = record_digest(load_record(record, root=root))
     except InputError:  # the job itself reports it
         inputs = "unreadable"
     digest = program_digest([inputs, label], names or ())

@@ -11,7 +11,6 @@ would go into tables as if a flight had given them.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -38,7 +37,6 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.limits import limit_message, out_of_range
 from sim_heating.base.parameters import AT, MODEL
-from sim_heating.inputs.record import DECLARATION, Record
 
 NAME = "estimate.json"
 PAIR = "|"
@@ -196,7 +194,7 @@ class Estimate(Extensible):
     segments            : fitted [start, end] times [s] of each record; None: as the records declare
     starts              : by record, None for one whose march began with it; None: of all
     excursions          : by variable, over the fitted samples
-    inputs              : record -> hash of its files, `inputs_hash`
+    inputs              : record -> hash of its files, `record_digest`
     effects             : those of the fitted model, in addition to what the records declare
     program             : name and version
     record_names        : of each record, as in the names of its parameters; None: those of the directories
@@ -373,27 +371,6 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
                 "record_names")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
-
-
-def inputs_hash(record: Record) -> str:
-    """Hash `sha256:...` over the names and bytes of a record's files, those that its declaration names.
-
-    raises : InputError where one cannot be read
-    """
-    declared, heating = record.declared, record.declared.heating
-    tables = (heating.ratio_table, heating.turbulent_file)
-    names = (DECLARATION, declared.conditions.file, declared.thermocouples.file, *tables)
-    digest = hashlib.sha256()
-    for name in (n for n in names if n is not None):
-        try:
-            content = (record.directory / name).read_bytes()
-        except OSError:
-            raise InputError(
-                f"{display_path(record.directory / name)}: cannot be read; write the record first"
-            ) from None
-        digest.update(f"{name}\0{len(content)}\0".encode())
-        digest.update(content)
-    return f"sha256:{digest.hexdigest()}"
 
 
 def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:

@@ -31,11 +31,10 @@ from sim_heating.estimation.report.estimate_file import (
     ReferenceCondition,
     correlations,
     excursions,
-    inputs_hash,
     write_estimate,
 )
 from sim_heating.estimation.trend import Trend
-from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.record import Record, pooled_rmse_K, record_digest
 from sim_heating.march.ensemble import condition_history
 from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.results import write_temperatures_csv
@@ -88,9 +87,10 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "segments": [_segments(r) for r in records],
             "starts": _starts(fitted),
             "excursions": excursions([condition_history(r.conditions)[fitted_rows(r), :5] for r in records]),
-            "inputs": {str(r.directory): inputs_hash(r) for r in records if r.directory.is_dir()},
+            "inputs": {str(r.directory): record_digest(r) for r in records if r.directory.is_dir()},
             "effects": _effects(fitted),
             "program": f"sim-heating {package_version()}",
+            "credibility": fitted.credibility.as_json(),
             "record_names": [r.name for r in records] if any(r.label for r in records) else None,
         }
     )

@@ -5,7 +5,10 @@ Pictures: peaks of all flights with their limits, first-order quantiles against 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +17,8 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
+from sim_heating.credibility.contributors import combined
+from sim_heating.credibility.statement import Answer, Facts
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.results import (
     FLIGHTS_FILE,
@@ -29,6 +34,8 @@ from sim_heating.planning.study import Study
 
 CSV = "dispersion.csv"
 PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{what}.png" for what in ("peaks", "first_order", "drivers"))
+WITHIN_TWO_SIGMA = 0.977
+"""Probability of a normal deviation below two standard deviations [-]."""
 NO_BREAK = "\N{NO-BREAK SPACE}"
 LEAST_INDEX = 0.01
 """Smallest total index that the table of what drives a peak names."""
@@ -57,10 +64,29 @@ def dispersion_part(study: Study, folder: Path, engine: Engine, progress: Progre
     if any(a.indices is not None for a in result.peaks):
         pictures.append(PartPicture(DRIVERS, "What drives each peak: total Sobol' indices."))
         draw_drivers(folder / DRIVERS, title, result)
-    return PartResult(data_of(result), tuple(_tables(result)), tuple(pictures), tuple(_notes(result)))
+    notes = tuple(_notes(result))
+    return PartResult(data_of(result), tuple(_tables(result)), tuple(pictures), notes, topics=("trim",))
 
 
 DISPERSION = StudyPart(dispersion_part, lambda _: (FLIGHTS_FILE, CSV, PEAKS, FIRST_ORDER, DRIVERS))
+
+
+def with_dispersion(facts: Facts, data: Mapping[str, Any]) -> Facts:
+    """Facts about a study with what its dispersion found: what drives the peak nearest to its limit, and how often
+    limits are kept.
+
+    data : as study.json holds it
+    """
+    peaks = [p for p in data["peaks"] if p["limit_K"] is not None] or data["peaks"]
+    nearest = min(peaks, key=lambda p: (p["limit_K"] or 0.0) - p["mean_K"])
+    indices = nearest.get("sobol_indices") or {}
+    drivers = {name: nearest["sigma_K"] * max(i["total"], 0.0) ** 0.5 for name, i in indices.items()}
+    quantity = f"{nearest['quantity']} of {nearest['control_point']}"
+    found = combined(quantity, "K", nearest["mean_K"], drivers, "total Sobol' indices of the dispersed flights")
+    kept = data["within_limits"]
+    words = f"all limits kept in {kept['value']:.4f} of {data['flights']} flights, bound {kept['low']:.4f}"
+    holds = Answer(kept["low"] >= WITHIN_TWO_SIGMA, words)
+    return replace(facts, uncertainty=replace(found, sigma=nearest["sigma_K"]), holds=holds, varied=holds)
 
 
 def _notes(result: DispersionResult) -> list[str]:

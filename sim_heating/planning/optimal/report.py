@@ -14,6 +14,7 @@ from sim_heating.base.files import write_csv
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
+from sim_heating.credibility.own_cases import samples_of
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study
@@ -43,7 +44,12 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
     tables = (_peak_table(entry),) if entry.peaks else ()
     head = f"cross-range {entry.cross_range_deg:.3f} deg, {entry.cross_range_km:.0f} km; {entry.status}"
     picture = PartPicture(PICTURE, "The optimal entry: ground track, altitude, angles, temperatures; limits dotted.")
-    return PartResult(_data(entry), tables, (picture,), (head, *entry.notes))
+    times = [h.time_s <= entry.conditions.time_s[-1] for h in entry.histories]
+    samples = tuple(
+        samples_of(entry.conditions.at(h.time_s[t]), h.surface_K[t])
+        for h, t in zip(entry.histories, times, strict=True)
+    )
+    return PartResult(_data(entry), tables, (picture,), (head, *entry.notes), samples, ("optimal entry",))
 
 
 OPTIMAL = StudyPart(optimal_part, lambda _: (PICTURE, CONDITIONS))

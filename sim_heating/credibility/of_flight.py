@@ -1,0 +1,115 @@
+"""Facts about the flight of a scenario, from which its credibility follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import display_path, file_digest
+from sim_heating.credibility.contributors import declares_sigma, peak_uncertainty
+from sim_heating.credibility.own_cases import samples_of
+from sim_heating.credibility.region import Samples
+from sim_heating.credibility.reviews import digest_of
+from sim_heating.credibility.sources import conditions_of_scenario, inputs_of_point
+from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts
+from sim_heating.credibility.topics import topics_of_points, topics_of_trajectory
+from sim_heating.inputs.points import point_of_vehicle
+from sim_heating.inputs.scenario import Scenario
+from sim_heating.march.history import PointHistory, peak
+from sim_heating.march.point import PointModel
+
+Limits = Mapping[str, Mapping[str, float | None]]
+
+
+def facts_of_flight(
+    scenario: Scenario,
+    models: Sequence[PointModel],
+    flights: Sequence[Conditions],
+    histories: Sequence[PointHistory],
+    limits: Limits,
+) -> Facts:
+    """Facts about a flown scenario.
+
+    models, flights, histories : of each control point: model, conditions with its reference heating, temperatures [K]
+    limits                     : `surface_K` and `bondline_K` by control point [K], None where there is none
+    """
+    vehicle = scenario.vehicle
+    points = [vehicle.control_point(m.name) for m in models]
+    model_inputs = [i for p, m in zip(points, models, strict=True) for i in inputs_of_point(vehicle, p, m.effects)]
+    errors = [h.mesh_error_K for h in histories]
+    critical = _critical(histories, limits)
+    hottest_s = peak(histories[critical].time_s, histories[critical].surface_K)[1]
+    uncertainty = peak_uncertainty(
+        models[critical], flights[critical], hottest_s, scenario.declared.heating.longest_step_s
+    )
+    digest = digest_of(vehicle)
+    return Facts(
+        kind="run",
+        topics=frozenset(topics_of_points(vehicle, points, models) | topics_of_trajectory(scenario)),
+        model=tuple(dict.fromkeys(model_inputs)),
+        conditions=tuple(conditions_of_scenario(scenario)),
+        files={display_path(scenario.path): file_digest(scenario.path), f"vehicle {vehicle.name}": digest},
+        samples=tuple(samples_of(f, h.surface_K) for f, h in zip(flights, histories, strict=True)),
+        mesh_error_K=None if None in errors else max(e for e in errors if e is not None),
+        sigma=all(declares_sigma(m, f) for m, f in zip(models, flights, strict=True)),
+        uncertainty=uncertainty,
+        holds=_holds(histories, limits, critical, None if uncertainty is None else uncertainty.sigma),
+        folder=vehicle.directory,
+        reviewed=digest,
+    )
+
+
+def facts_of_study(
+    scenario: Scenario, files: Sequence[Path], samples: Sequence[Samples], topics: Iterable[str] = ()
+) -> Facts:
+    """Facts about a study: flights of a vehicle that were computed to plan one.
+
+    scenario : the base entry;  files : that the study was made from;  samples : conditions of its nominal flight
+    topics   : of what the study computes besides
+    """
+    vehicle, digest = scenario.vehicle, digest_of(scenario.vehicle)
+    points = [vehicle.control_point(name) for name in scenario.names]
+    models = [point_of_vehicle(vehicle, p, effects=scenario.effects(p.name)) for p in points]
+    model_inputs = [i for p, m in zip(points, models, strict=True) for i in inputs_of_point(vehicle, p, m.effects)]
+    return Facts(
+        kind="study",
+        topics=frozenset({*topics_of_points(vehicle, points, models), *topics_of_trajectory(scenario), *topics}),
+        model=tuple(dict.fromkeys(model_inputs)),
+        conditions=tuple(conditions_of_scenario(scenario)),
+        files={display_path(p): file_digest(p) for p in files if p.is_file()} | {f"vehicle {vehicle.name}": digest},
+        samples=tuple(samples),
+        sigma=all(m.ratio is not None and m.ratio.sigma is not None for m in models),
+        folder=vehicle.directory,
+        reviewed=digest,
+    )
+
+
+def _critical(histories: Sequence[PointHistory], limits: Limits) -> int:
+    """The point with the least margin to its surface limit; where none has a limit, the hottest."""
+
+    def margin(h: PointHistory) -> float:
+        limit = limits.get(h.name, {}).get("surface_K")
+        return (0.0 if limit is None else limit) - float(h.surface_K.max())
+
+    limited = [i for i, h in enumerate(histories) if limits.get(h.name, {}).get("surface_K") is not None]
+    return min(limited or range(len(histories)), key=lambda i: margin(histories[i]))
+
+
+def _holds(histories: Sequence[PointHistory], limits: Limits, critical: int, sigma_K: float | None) -> Answer:
+    """Whether all temperatures keep their limits, and the most critical surface does by two standard deviations."""
+    margins = {
+        f"{h.name} {what}": limit - float(values.max())
+        for h in histories
+        for what, values in (("surface", h.surface_K), ("bondline", h.bondline_K))
+        if (limit := limits.get(h.name, {}).get(f"{what}_K")) is not None
+    }
+    if not margins or sigma_K is None:
+        return NOT_LOOKED_AT
+    least = min(margins, key=lambda name: margins[name])
+    own = margins.get(f"{histories[critical].name} surface", margins[least])
+    text = (
+        f"least margin {margins[least]:.0f} K ({least}); two sigma of the surface of {histories[critical].name}: "
+        f"{SIGMAS * sigma_K:.0f} K, its margin {own:.0f} K"
+    )
+    return Answer(margins[least] > 0.0 and own > SIGMAS * sigma_K, text)

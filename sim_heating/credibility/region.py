@@ -1,0 +1,206 @@
+"""Conditions that measured data sets cover, and by how much a result lies outside of them.
+
+A data set covers the conditions that it was measured at: in each range of Mach numbers the intervals of angle of
+attack, log10 of Reynolds number and wall temperature that it went through. A ground test without flow covers an
+interval of wall temperatures alone. Wall temperatures of a data set are the readings of its outermost thermocouple, as
+far as it reads; those of a result are the surface temperatures of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+
+MACH_EDGES = (0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0)
+"""Mach numbers that divide a flight into ranges."""
+VARIABLES = {"mach": 1e-3, "alpha_deg": 10.0, "log10_re": 0.5, "wall_K": 100.0}
+"""Variables of the region, each with the distance [-, deg, -, K] that counts as much as those of the others where the
+nearest range is chosen: by Mach number first, so that walls are compared at like speeds."""
+UNITS = {"mach": "", "alpha_deg": " deg", "log10_re": "", "wall_K": " K"}
+Distances = dict[tuple[int, float, float], FloatArray]
+"""Distance of an array from an interval, by the identity of the array and the ends of the interval."""
+FLIGHT, GROUND = "flight", "ground test"
+STILL_M_S = 1.0
+"""Speed up to which a record is a ground test [m/s]."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Conditions of one control point along its time.
+
+    kind       : `flight`, or `ground test`, which has a wall temperature alone
+    values     : variable -> (time,) values in its unit [-], [deg], [K]
+    duration_s : (time,) time that each sample stands for [s]
+    """
+
+    kind: str
+    values: Mapping[str, FloatArray]
+    duration_s: FloatArray
+
+
+@dataclass(frozen=True)
+class Band:
+    """Conditions that a data set covers within one range of Mach numbers, with the errors of the prediction there.
+
+    limits : variable -> least and greatest value;  rmse_K : of the declared prediction [K];  n : number of readings
+    """
+
+    limits: Mapping[str, tuple[float, float]]
+    rmse_K: float
+    n: int
+
+    def beyond(self, samples: Samples, known: Distances) -> dict[str, FloatArray]:
+        """(time,) signed distance of each variable from the interval, 0 within, in its unit.
+
+        known : distances that were computed before; points of one flight share their conditions
+        """
+        found = {}
+        for name, (low, high) in self.limits.items():
+            x = samples.values[name]
+            key = (id(x), low, high)
+            if key not in known:
+                known[key] = x - np.clip(x, low, high)
+            found[name] = known[key]
+        return found
+
+
+@dataclass(frozen=True)
+class ValidationCase:
+    """A measured data set that the declared model was compared with, nothing fitted.
+
+    name, title : of the record;  kind : `flight` or `ground test`;  vehicle, control_point : as the record names them
+    source      : where the measurements come from, empty where the record does not say
+    digest      : of the record's files
+    rmse_K, max_abs_K, n : errors of the prediction over all used readings [K]
+    rise_K      : greatest less least reading [K]
+    own         : whether a user added it
+    """
+
+    name: str
+    title: str
+    kind: str
+    vehicle: str
+    control_point: str
+    source: str
+    digest: str
+    rmse_K: float
+    max_abs_K: float
+    n: int
+    rise_K: float
+    bands: tuple[Band, ...]
+    own: bool = False
+
+
+@dataclass(frozen=True)
+class Extrapolation:
+    """Where a result lies against the conditions of measured data sets.
+
+    inside  : part of the time within them [-]
+    outside : variable -> (farthest below, farthest above, part of the time outside), distances in its unit
+    within  : data set -> part of the time within it [-], those above 0
+    error   : greatest RMSE over rise of the ranges that the result lies in [-]; None where it lies in none
+    """
+
+    inside: float
+    outside: Mapping[str, tuple[float, float, float]]
+    within: Mapping[str, float]
+    error: float | None
+
+    @property
+    def short(self) -> str:
+        """In a few words, without distances."""
+        if self.inside >= 1.0 or not self.outside:
+            return self.words
+        names = ", ".join(_label(n) for n in self.outside)
+        return f"{1.0 - self.inside:.0%} of the time outside the conditions of measured data ({names})"
+
+    @property
+    def words(self) -> str:
+        """In one sentence."""
+        if self.inside >= 1.0:
+            return f"at all times within the conditions of measured data ({', '.join(self.within)})"
+        if self.inside <= 0.0 and not self.outside:
+            return "not compared with the conditions of measured data sets"
+        far = []
+        for name, (below, above, _) in self.outside.items():
+            label, unit = _label(name), UNITS[name]
+            far += [f"{label} {above:.3g}{unit} above"] if above > 0.0 else []
+            far += [f"{label} {below:.3g}{unit} below"] if below > 0.0 else []
+        return f"{1.0 - self.inside:.0%} of the time outside the conditions of measured data: up to {', '.join(far)}"
+
+
+def _label(name: str) -> str:
+    return {"mach": "Mach", "log10_re": "log10 Re", "wall_K": "wall temperature"}.get(name, name.partition("_")[0])
+
+
+def bands_of(samples: Samples, residual_K: FloatArray) -> tuple[Band, ...]:
+    """Ranges that a data set covers, a range of Mach numbers each.
+
+    residual_K : (sensor, time) measured less predicted [K]
+    """
+    if samples.kind == GROUND:
+        return (_band(samples, residual_K, np.ones(len(samples.duration_s), dtype=bool)),)
+    mach = samples.values["mach"]
+    ranges = [(mach >= low) & (mach <= high) for low, high in pairwise(MACH_EDGES)]
+    return tuple(_band(samples, residual_K, inside) for inside in ranges if np.any(inside))
+
+
+def _band(samples: Samples, residual_K: FloatArray, inside: BoolArray) -> Band:
+    limits = {n: (float(np.min(x[inside])), float(np.max(x[inside]))) for n, x in samples.values.items()}
+    residual = residual_K[:, inside]
+    residual = residual[np.isfinite(residual)]
+    rmse = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
+    if "mach" in limits:  # neighbouring ranges meet at their common edge, which a sampled flight steps over
+        mach = samples.values["mach"]
+        low, high = limits["mach"]
+        below = [e for e in MACH_EDGES if mach.min() < e <= low]
+        above = [e for e in MACH_EDGES if high <= e < mach.max()]
+        limits["mach"] = (max(below, default=low), min(above, default=high))
+    return Band(limits, rmse, len(residual))
+
+
+def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) -> Extrapolation:
+    """Where the points of a result lie against the conditions of data sets.
+
+    points : conditions of each control point;  cases : data sets; those of another kind than a point are not compared
+    """
+    total = sum(float(np.sum(p.duration_s)) for p in points)
+    inside, within, error = 0.0, dict.fromkeys((c.name for c in cases), 0.0), None
+    outside: dict[str, list[float]] = {}
+    known: Distances = {}
+    for samples in points:
+        own = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
+        if not own or not len(samples.duration_s):
+            continue
+        beyond = [band.beyond(samples, known) for _, band in own]
+        cost = np.array([sum(np.abs(d) / VARIABLES[n] for n, d in found.items()) for found in beyond])
+        nearest = np.argmin(cost, axis=0)
+        is_inside = cost[nearest, np.arange(cost.shape[1])] == 0.0
+        inside += float(np.sum(samples.duration_s[is_inside]))
+        for k, (case, band) in enumerate(own):
+            if not np.any(cost[k] == 0.0):
+                continue
+            share = band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0
+            error = share if error is None else max(error, share)
+        for case in {id(c): c for c, _ in own}.values():
+            covered = np.any(np.array([cost[k] == 0.0 for k, (c, _) in enumerate(own) if c is case]), axis=0)
+            within[case.name] += float(np.sum(samples.duration_s[covered]))
+        for name in samples.values:
+            d = np.array([found[name] for found in beyond])[nearest, np.arange(cost.shape[1])]
+            if np.any(d != 0.0):
+                far = outside.setdefault(name, [0.0, 0.0, 0.0])
+                far[0], far[1] = max(far[0], float(-d.min())), max(far[1], float(d.max()))
+                far[2] += float(np.sum(samples.duration_s[d != 0.0]))
+    if total <= 0.0:
+        return Extrapolation(0.0, {}, {}, None)
+    return Extrapolation(
+        min(inside / total, 1.0) if inside < total * (1.0 - 1e-12) else 1.0,
+        {n: (max(low, 0.0), max(high, 0.0), t / total) for n, (low, high, t) in outside.items()},
+        {n: t / total for n, t in within.items() if t > 0.0},
+        error,
+    )

@@ -1,0 +1,141 @@
+"""Sources and confidences that declared inputs state, and what a result was made from."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.recombination import RECOMBINATION
+from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.inputs.record import Record
+from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.thermal.stack import Construction
+
+CONFIDENCES = "ABC"
+"""A: read in a primary or stored data set; B: known from the literature; C: judged."""
+
+
+@dataclass(frozen=True)
+class DeclaredInput:
+    """Something that a result was made from.
+
+    name       : what it is;  source : where it comes from, as stated; empty where it is not stated
+    confidence : as stated; empty where it is not
+    measured   : whether it is said to be measured, or recorded
+    """
+
+    name: str
+    source: str
+    confidence: str
+    measured: bool = False
+
+    @property
+    def worst(self) -> str | None:
+        """Lowest of the confidences A, B, C that the text names; None where it names none.
+
+        >>> DeclaredInput("aero", "", "alpha A, drag A to 6900 m/s and C below, the rest B to C").worst
+        'C'
+        """
+        return max(re.findall(rf"\b[{CONFIDENCES}]\b", self.confidence), default=None)
+
+
+def _materials(construction: Construction) -> list[DeclaredInput]:
+    layers = zip(construction.stack.layer, construction.layer_materials(), strict=True)
+    found = {layer.material: m for layer, m in layers}
+    return [DeclaredInput(f"material {n}", m.source or "", m.confidence or "") for n, m in found.items()]
+
+
+def _table(name: str, table: RatioTable | None) -> list[DeclaredInput]:
+    if table is None:
+        return []
+    return [DeclaredInput(name, table.header.get("source", ""), table.header.get("confidence", ""))]
+
+
+def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[EffectUse]) -> list[DeclaredInput]:
+    """What the model of a vehicle's control point is built from, with its sources.
+
+    effects : those of the model, declared by the vehicle or added by a scenario
+    """
+    declared = point.declared
+    own = {e.name: e.source for e in declared.effect}
+    transition = declared.transition or vehicle.declared.transition
+    coating = point.construction.stack.layer[0].material
+    catalysis = declared.catalysis or vehicle.declared.catalysis.get(coating)
+    found = [
+        DeclaredInput(f"vehicle {vehicle.name}", vehicle.declared.source, vehicle.declared.confidence),
+        DeclaredInput(f"control point {point.name}", declared.source, declared.confidence),
+        *_materials(point.construction),
+        *_table(f"heating ratio of {point.name}", point.ratio),
+    ]
+    for effect in (used.effect.name for used in effects):
+        if effect == TRANSITION and transition is not None:
+            found.append(DeclaredInput("transition", transition.source, transition.confidence))
+        elif effect == RECOMBINATION and catalysis is not None:
+            found.append(DeclaredInput(f"recombination on {coating}", catalysis.source, catalysis.confidence))
+        else:
+            found.append(DeclaredInput(f"effect {effect}", own.get(effect, ""), ""))
+    return found
+
+
+def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[DeclaredInput]:
+    """What the declared model of a record is built from, with its sources.
+
+    effects : those of the model; one that the record does not declare was found from its own data
+    """
+    declared, heating = record.declared, record.declared.heating
+    found = [
+        DeclaredInput("construction of the wall", declared.source, declared.confidence),
+        *_materials(record.construction),
+        *_table("heating ratio", record.ratio_table),
+        *_table("turbulent heating ratio", record.turbulent),
+    ]
+    for effect in (used.effect.name for used in effects):
+        if effect == TRANSITION and heating.transition is not None:
+            found.append(DeclaredInput("transition", heating.transition.source, heating.transition.confidence))
+        elif effect == RECOMBINATION and heating.catalysis is not None:
+            found.append(DeclaredInput("recombination", heating.catalysis.source, heating.catalysis.confidence))
+        else:
+            found.append(DeclaredInput(f"effect {effect}", "found from the record", ""))
+    return found
+
+
+def conditions_of_record(record: Record) -> list[DeclaredInput]:
+    """Where the flight conditions of a record come from."""
+    declared = record.declared.conditions
+    confidence = declared.confidence
+    return [DeclaredInput("flight conditions", declared.source, confidence, measured=record.declared.measured)]
+
+
+def conditions_of_scenario(scenario: Scenario) -> list[DeclaredInput]:
+    """What produced the flight conditions of a scenario: a recording, or the data of the vehicle that was simulated."""
+    spec, directory = scenario.declared.trajectory, scenario.vehicle.directory
+    if spec.source == "recorded":
+        return [_recording(Path(spec.file or ""))]
+    if spec.source == "fmu":
+        return [DeclaredInput(f"trajectory FMU {Path(spec.file or '').name}", "", "")]
+    files = [p for p in (directory / "aero" / "aero.toml", directory / "guidance.toml") if p.is_file()]
+    return [_toml_source(path, path.relative_to(directory).as_posix()) for path in files]
+
+
+def _recording(path: Path) -> DeclaredInput:
+    """A recorded trajectory, whose head of `# key: value` lines may state its source and confidence."""
+    head = []
+    with path.open(encoding="utf-8") as lines:
+        for line in lines:
+            if not line.startswith("#"):
+                break
+            head.append(line[1:].strip())
+    stated = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in head)}
+    confidence = stated.get("confidence") or " ".join(head)  # many heads state one for each column, in their text
+    return DeclaredInput(f"recording {path.name}", stated.get("source", ""), confidence, measured=True)
+
+
+def _toml_source(path: Path, name: str) -> DeclaredInput:
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")))
