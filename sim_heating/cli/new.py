@@ -11,6 +11,7 @@ import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
+from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
     from sim_heating.templates.materials import LayerInput
@@ -235,7 +236,7 @@ def record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: tuple[str
     commands = (
         f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in ("predict", "estimate", "close-loop")
     )
-    _print_made(describe_record(made), out, *commands)
+    _print_made(describe_record(made), out, *commands, notes=notes)
 
 
 def _refuse_with_like(layers: Sequence[str], given: dict[str, Any]) -> None:
@@ -428,7 +429,9 @@ def vehicle(out: Path, points: tuple[str, ...], places: dict[str, str], ratios: 
         ),
     )
     _print_notes(notes)
-    _print_made(describe_vehicle(made), out, f"sim-heating new scenario --vehicle {out} --out {out}_flight")
+    _print_made(
+        describe_vehicle(made), out, f"sim-heating new scenario --vehicle {out} --out {out}_flight", notes=notes
+    )
 
 
 @new.command("scenario")
@@ -554,6 +557,7 @@ def effect(name: str, out: Path, mode: str, variable: str, vehicle: str, point: 
         f"python -m pytest {out}/checks",
         f"sim-heating synthesize {out}/{module}.toml --out practice",
         "sim-heating close-loop practice --out closed",
+        files=files,
     )
 
 
@@ -563,7 +567,19 @@ def _print_notes(notes: Sequence[str]) -> None:
         CONSOLE.print(f"  {note}", soft_wrap=True)
 
 
-def _print_made(what: str, place: Path, *commands: str) -> None:
+def _print_made(
+    what: str, place: Path, *commands: str, files: Sequence[Path] | None = None, notes: Sequence[str] = ()
+) -> None:
+    """Print what was made, and the commands that come next; state them for --json.
+
+    files : that were made; all that the command wrote into a directory where None
+    """
+    from sim_heating.base.files import files_written
+
+    if files is None:
+        files = [place] if place.is_file() else sorted(place / name for name in files_written(place))
+    report_files(None, files)
+    report_results({"made": what, "assumed": list(notes), "next": list(commands)})
     CONSOLE.print(f"Wrote {place}: {what}", soft_wrap=True)
     CONSOLE.print("Next:")
     for command in commands:

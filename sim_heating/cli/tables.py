@@ -98,9 +98,16 @@ def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None
 @click.argument("vehicles", nargs=-1, required=True)
 @ROOT
 def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
-    """Write the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
+    """Build the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
 
-    VEHICLES are directories, or names of vehicles. A table that flight data revised is not overwritten.
+    VEHICLES are directories, or names of vehicles. A description, ratio_sources/NAME.toml, states the nodes of the
+    table, the ratio over angle of attack (numbers, theory, or a wind-tunnel file), factors in the other variables, and
+    the standard deviation. Computations read ratio_tables/POINT.csv: run this after every edit of a description. A table
+    that flight data revised is not overwritten. A vehicle with one description a point, to begin with:
+    `sim-heating new vehicle`.
+
+    \b
+      sim-heating ratio-tables my_vehicles/pod
     """
     from sim_heating.base.files import display_path
     from sim_heating.inputs.ratio_sources import write_tables
@@ -117,9 +124,23 @@ def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
 @OUT
 @ROOT
 def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
-    """Write the measured histories that a SCENARIO compares with as flight records along its simulated flight.
+    """Make flight records of measured histories along the simulated flight of a SCENARIO.
 
-    Each [[compare]] of the scenario becomes one record, named after its control point.
+    For temperatures that were measured, or published, without the trajectory of their flight: the scenario's flight
+    stands in for it. Each history is a [[compare]] of the scenario,
+
+    \b
+      [[compare]]
+      control_point = "STS96_480"     # of the vehicle, with one thermocouple
+      file = "tile_480.csv"           # time_s, temperature_K, sigma_K; relative to the vehicle, or to the scenario
+      label = "tile 480"
+      fit_s = [[600.0, 1540.0]]       # optional: times to fit
+
+    and becomes DIR/sts96_480, for `predict`, `estimate` and `close-loop`. With temperatures on a record that exists,
+    `sim-heating new record --like RECORD` is shorter.
+
+    \b
+      sim-heating measured-records scenarios/sts96_iss.toml --out records
     """
     from sim_heating.base.files import display_path, files_written
     from sim_heating.inputs.scenario import load_scenario

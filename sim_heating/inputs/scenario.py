@@ -177,7 +177,7 @@ class Compare(Declared):
     """
 
     control_point: str
-    file: str = Field(description="CSV relative to the vehicle's directory")
+    file: str = Field(description="CSV relative to the vehicle's directory, or to the scenario")
     label: str
     until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
     fit_s: list[list[float]] | None = Field(default=None, description="fit segments of a record made of it, in s")
@@ -333,7 +333,7 @@ class Scenario:
     def files(self) -> tuple[Path, ...]:
         """Files and directories that it is made from; no results may replace them."""
         flown = self.declared.trajectory.file
-        compared = (self.vehicle.directory / c.file for c in self.declared.compare)
+        compared = (_history_folder(self.path, self.vehicle, c.file) / c.file for c in self.declared.compare)
         return (self.path, self.vehicle.directory, *compared, *([] if flown is None else [Path(flown)]))
 
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
@@ -394,7 +394,7 @@ def make_scenario(
     names = tuple(declared.control_points or vehicle.control_points)
     compare = []
     for i, c in enumerate(declared.compare, start=1):
-        history = roots.named(c.file, f"[compare] {i}: `file`", vehicle.directory)
+        history = roots.named(c.file, f"[compare] {i}: `file`", _history_folder(place, vehicle, c.file))
         compare += [_measured_history(c, history)] if c.control_point in names else []
     return Scenario(place, declared, vehicle.without_effects(declared.heating.left_out), names, tuple(compare))
 
@@ -537,6 +537,12 @@ def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> li
         except InputError as error:
             lines += error.problems
     return lines
+
+
+def _history_folder(scenario: Path, vehicle: Vehicle, file: str) -> Path:
+    """Folder that a measured history is relative to: the vehicle's, or the scenario's where only that has the file."""
+    own = os.path.isfile(scenario.parent / file) and not os.path.isfile(vehicle.directory / file)
+    return scenario.parent if own else vehicle.directory
 
 
 def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
-from sim_heating.cli import cli
+from sim_heating.cli import cli, main
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.materials import find_material, layer_input, material_library
@@ -213,6 +214,29 @@ def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
     assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, 6.0)]
     assert record.thermocouples["my_tile_K"][0] == pytest.approx(T_C[0] + 273.15, abs=0.06)
     assert record.declared.heating == flown.declared.heating
+
+
+def test_temperatures_in_a_shipped_record_are_replaced_by_one_file_and_one_name() -> None:
+    shutil.copytree(RECORDS / "sts96_480", "mine")
+    rows = Path("mine/thermocouples.csv").read_text().splitlines()[1::2]
+    text = "\n".join(["time_s,mytile_K", *(",".join(row.split(",")[:2]) for row in rows)])
+    Path("mine/thermocouples.csv").write_text(text)
+    said = refused("validate", "mine")
+    assert "no column `STS96_480_surface_K`; the file has `mytile_K`: change one of the names" in said
+    declared = Path("mine/record.toml").read_text()
+    Path("mine/record.toml").write_text(declared.replace("STS96_480_surface_K", "mytile_K"))
+    assert "good" in run("validate", "mine").output
+    assert len(load_record("mine").time_s) == len(rows)
+
+
+def test_programs_get_what_was_made_as_one_object(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    arguments = ["--csv", "t.csv", *PLATE[:2], "--depth", "TC=back", "--lamp", "2kW/m2", "--out", "a", "--json"]
+    assert main(["new", "record", *arguments]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {Path(f).name for f in found["files"]} >= {"record.toml", "conditions.csv", "thermocouples.csv"}
+    assert found["results"]["next"][0].startswith("sim-heating predict")
+    assert any("emittance" in line for line in found["results"]["assumed"])
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,11 @@ def _name_problems(file: str, names: list[str], required: Sequence[str], optiona
 
 def _nearest_column(name: str, other: list[str]) -> str:
     close = nearest_name(name, other)
-    return f"; nearest in the file: `{close}`" if close else "; add it"
+    if close:
+        return f"; nearest in the file: `{close}`"
+    # `STS96_480_surface_K` where the file has `mine_K`: one of the two names is to be changed
+    own = [n for n in other if n.endswith("_K") and name.endswith("_K")]
+    return f"; the file has {', '.join(f'`{n}`' for n in own[:6])}: change one of the names" if own else "; add it"
 
 
 def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:
