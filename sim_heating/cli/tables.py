@@ -100,10 +100,10 @@ def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None
 def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     """Build the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.
 
-    VEHICLES are directories, or names of vehicles. A description, ratio_sources/NAME.toml, states the nodes of
-    the table, the ratio over angle of attack (numbers, theory, or a wind-tunnel file), factors in the other variables, and
-    the standard deviation. Computations read ratio_tables/POINT.csv: run this after every edit of a description. A table
-    that flight data revised is not overwritten. A vehicle with one description a point, to begin with:
+    VEHICLES are directories, or names of vehicles. A description, ratio_sources/NAME.toml, states the nodes of the
+    table, the ratio over angle of attack (numbers, theory, or a wind-tunnel file), factors in the other variables,
+    and the standard deviation. Computations read ratio_tables/POINT.csv: run this after every edit of a description.
+    A table that flight data revised is not overwritten. A vehicle with one description a point, to begin with:
     `sim-heating new vehicle`.
 
     \b
