@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -75,3 +77,14 @@ def test_two_builds_in_two_folders_have_the_same_bytes(built, unpacked, tmp_path
         os.utime(path, (1e9, 1e9))
         path.chmod(path.stat().st_mode & 0o700)
     assert digests(build(unpacked, tmp_path)) == digests(built)
+
+
+def test_the_citation_is_of_the_version_that_is_built(built):
+    version = built[".whl"].name.split("-")[1]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_a_default_installation_has_neither_planning_nor_tools_of_development():
+    requirements = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    names = {re.split(r"[<>=; ]", requirement)[0].lower() for requirement in requirements}
+    assert not names & {"distributed", "dask", "casadi", "pyarrow", "mypy", "ruff", "pytest", "cantera", "sphinx"}

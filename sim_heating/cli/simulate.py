@@ -24,6 +24,7 @@ from sim_heating.cli.console import (
 
 if TYPE_CHECKING:
     from sim_heating.base.report.table import Table
+    from sim_heating.inputs.scenario import Scenario
 
 SHOWN_NAMES = 4
 """Control points that a line names; of the others it gives the number."""
@@ -140,6 +141,7 @@ def demo(out: Path) -> None:
     from sim_heating.simulation.results import run_table
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
+    popu = with_installed_source(popu)
     for folder, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
         command = made.__name__.rpartition(".")[2]
         require_writable(out / folder, command, expected=made.files_of(scenario), inputs=scenario.files)
@@ -156,6 +158,19 @@ def demo(out: Path) -> None:
     _print_with_margins(run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse_K))
     _print_run_warnings(found)
     print_outputs(out, names, {"popu": found, "sts96": {"rmse_K": rmse_K}})
+
+
+def with_installed_source(scenario: Scenario) -> Scenario:
+    """A scenario as it is, or in three degrees of freedom where it needs JSBSim, which is not installed here."""
+    from dataclasses import replace
+    from importlib.util import find_spec
+
+    declared = scenario.declared
+    if declared.trajectory.source != "jsbsim" or find_spec("jsbsim") is not None:
+        return scenario
+    print_warning("JSBSim is not installed: the entry is flown in three degrees of freedom")
+    trajectory = declared.trajectory.model_copy(update={"source": "entry-3dof"})
+    return replace(scenario, declared=declared.model_copy(update={"trajectory": trajectory}))
 
 
 @contextmanager

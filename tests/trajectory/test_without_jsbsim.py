@@ -6,6 +6,10 @@ import os
 import subprocess
 import sys
 
+from sim_heating.cli.simulate import with_installed_source
+from sim_heating.inputs.scenario import load_scenario
+from sim_heating.trajectory import entry3dof
+from sim_heating.trajectory.manoeuvres import NOT_FLOWN
 from tests.support.paths import ROOT, SCENARIOS, TILE
 
 WITHOUT = """
@@ -37,3 +41,13 @@ def test_what_does_not_fly_in_jsbsim_works_and_what_does_says_what_to_install(tm
     assert 'source = "entry-3dof"' in problem
     assert (tmp_path / "fit" / "estimate.json").is_file()
     assert not (tmp_path / "popu").exists()
+
+
+def test_the_demo_is_flown_in_three_degrees_of_freedom_with_its_manoeuvre(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "jsbsim", None)
+    scenario = with_installed_source(load_scenario(SCENARIOS / "popu_mach20.toml"))
+    spec = scenario.declared.trajectory
+    flight = entry3dof.fly(spec.model_copy(update={"rate_hz": 4.0, "sample_s": 1.0}), scenario.vehicle)
+    assert spec.source == "entry-3dof"
+    assert "JSBSim is not installed" in capsys.readouterr().out
+    assert not any(text.endswith(NOT_FLOWN) for _, text in flight.events)
