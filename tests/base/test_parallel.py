@@ -21,9 +21,11 @@ from sim_heating.base.parallel import Job, run_batches
 from tests.support import batch_jobs
 from tests.support.batch_jobs import jobs
 from tests.support.paths import ROOT
+from tests.support.systems import posix
 
 pytest.importorskip("distributed", reason="many processes need Dask: pip install 'sim-heating[plan]'")
 
+pytestmark = posix
 SCRIPT = Path(batch_jobs.__file__)
 
 

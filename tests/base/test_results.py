@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import shutil
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from sim_heating.base.files import (
     write_json,
     write_text_atomic,
 )
+from tests.support.systems import posix
 
 
 def interrupted(folder: Path) -> None:
@@ -113,7 +113,10 @@ def test_a_directory_of_a_longer_name_is_refused_before_the_work(tmp_path: Path)
         pytest.fail("there is no work to be done")
 
 
+@posix
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    import resource  # which Windows lacks
+
     write_text_atomic(tmp_path / "a", "old")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))  # which acts as a full disk
@@ -185,6 +188,7 @@ def test_a_list_of_results_is_no_permission_to_leave_the_directory(tmp_path: Pat
     assert (tmp_path / "precious").read_text() == "mine"
 
 
+@posix
 def test_a_symbolic_link_is_not_followed_to_replace_a_file(tmp_path: Path) -> None:
     out, precious = tmp_path / "out", tmp_path / "precious"
     run(out, a="1")
@@ -246,6 +250,7 @@ def write_all(folder: Path, files: dict[str, str]) -> None:
             write_text_atomic(partial / name, text)
 
 
+@posix
 def test_a_kill_at_any_file_operation_leaves_the_results_of_before_or_after(tmp_path: Path) -> None:
     counted = kill_and_judge(
         Case(lambda f: write_all(f / "out", FIRST), lambda f: write_all(f / "out", SECOND)), None, tmp_path
@@ -256,6 +261,7 @@ def test_a_kill_at_any_file_operation_leaves_the_results_of_before_or_after(tmp_
     assert bad(counted) == 0
 
 
+@posix
 def test_a_kill_at_any_file_operation_of_a_replacement_in_place_leaves_all_or_nothing(tmp_path: Path) -> None:
     """Files of a person, replaced because that is asked for: a table and the file of its control point."""
 
@@ -271,6 +277,7 @@ def test_a_kill_at_any_file_operation_of_a_replacement_in_place_leaves_all_or_no
     assert bad(counted) == 0
 
 
+@posix
 def test_reading_a_file_finishes_the_replacement_that_a_kill_interrupted(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write_all(out, FIRST)
@@ -286,6 +293,7 @@ def test_reading_a_file_finishes_the_replacement_that_a_kill_interrupted(tmp_pat
     assert names(out) == {"a", "sub", "new", MARKER}
 
 
+@posix
 def test_a_file_that_came_after_the_kill_is_kept(tmp_path: Path) -> None:
     out = tmp_path / "out"
     write_all(out, FIRST)

@@ -17,6 +17,7 @@ from sim_heating.base.files import files_written
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
+from tests.support.systems import posix
 
 SHORT = gliding(60.0, "V09T9527", vehicle="orbiter")
 POPU = '[[trajectory.manoeuvre]]\nkind = "popu"\n'
@@ -271,7 +272,8 @@ def test_a_flight_out_of_the_atmosphere_fails_with_status_1(workdir: Path, capsy
     assert not (workdir / "out").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@posix
+@pytest.mark.parametrize("number", [signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)])
 def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.Signals) -> None:
     if signal.getsignal(number) is signal.SIG_IGN:
         pytest.skip("what nohup started goes on through a hangup")

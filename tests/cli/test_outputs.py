@@ -13,6 +13,7 @@ from benchmarks.kills import bad, case, kill_and_judge, snapshot
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import PRACTICE, ROOT
+from tests.support.systems import posix
 
 
 @pytest.fixture
@@ -99,6 +100,7 @@ def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_
     ("command", "fresh", "moments"),
     [("predict", False, (3, 17, 27, 35, 42)), ("synthesize", True, (9, 38, 46)), ("fmu export", False, (2, 5, 8))],
 )
+@posix
 def test_a_command_killed_at_a_file_operation_leaves_whole_results_and_can_be_repeated(
     command: str, fresh: bool, moments: tuple[int, ...], tmp_path: Path
 ) -> None:

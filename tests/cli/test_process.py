@@ -17,7 +17,9 @@ import pytest
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
+from tests.support.systems import posix
 
+pytestmark = posix
 MODULE = (sys.executable, "-m", "sim_heating")
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "SIM_HEATING_AIRCRAFT_DATA": str(ROOT / "aircraft_data")}
 

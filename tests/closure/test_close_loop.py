@@ -33,6 +33,7 @@ from sim_heating.inputs.record import Record, Segments, load_record
 from sim_heating.inputs.sensor_model import quantise
 from sim_heating.simulation.predict import predict
 from tests.support.paths import BOARD, PRACTICE
+from tests.support.systems import posix
 
 
 @pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
@@ -204,6 +205,7 @@ def test_a_clock_in_milliseconds_is_refused_before_any_search(wrong: str, whose:
     assert not (tmp_path / "out").exists()
 
 
+@posix
 def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no_other(tmp_path: Path) -> None:
     records, out = tmp_path / "records", tmp_path / "out"
     for name in ("b06", "b07", "b99"):

@@ -18,6 +18,7 @@ from sim_heating.closure.revise.update import prepare_update, write_update
 from sim_heating.estimation.report.estimate_file import EstimatedParameter, read_estimate, write_estimate
 from sim_heating.inputs.vehicle import load_vehicle
 from tests.closure.test_update_tables import POINT, contents, edit, flown_records, update_and_write
+from tests.support.systems import posix
 
 __all__ = ["flown_records"]
 
@@ -106,6 +107,7 @@ def test_a_revert_leaves_no_folder_behind(workdir: Path) -> None:
 
 
 @pytest.mark.parametrize("deed", ["update", "revert", "copy"])
+@posix
 def test_a_kill_at_any_file_operation_leaves_one_whole_revision_or_the_other(deed: str, workdir: Path) -> None:
     """A sample of `python -m benchmarks.kills`, with effects, whose file is replaced together with the table."""
     fit = read_estimate("first.json")

@@ -23,6 +23,7 @@ from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import synthesize, write_records
 from sim_heating.trajectory.flight import Flight
 from tests.support.paths import SCENARIOS
+from tests.support.systems import posix
 
 SEEDS = range(1, 9)
 TRUTH = {"ratio.scale": 0.15, "ratio.d_alpha": 4e-4, "ratio.d_elevon": 3e-4, "ratio.d_bodyflap": 3e-4}
@@ -118,6 +119,7 @@ def test_derivatives_are_left_out_that_a_flight_cannot_tell_or_a_table_cannot_ho
     assert "the ratio table has one node in elevon_deg" in by_default.not_estimated["ratio.d_elevon"]
 
 
+@posix
 @pytest.mark.parametrize("scenario", FITTED)
 def test_the_revised_table_predicts_the_fitted_and_the_other_manoeuvre(
     flown_records: FlownRecords, scenario: str, tmp_path: Path

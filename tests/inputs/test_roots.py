@@ -26,7 +26,9 @@ from sim_heating.planning.optimal.spec import load_optimal_study
 from sim_heating.planning.study import load_study
 from sim_heating.trajectory.aero import load_aero
 from tests.support.paths import AIRCRAFT, ROOT, SCENARIOS, TILE
+from tests.support.systems import posix
 
+pytestmark = posix
 OUTSIDE = "outside the folders that may be read from here"
 FLOWN = '[trajectory]\nsource = "recorded"\nfile = "{file}"\n'
 MEASURED = AIRCRAFT / "orbiter" / "flight_data" / "sts96" / "tile_468.csv"

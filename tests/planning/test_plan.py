@@ -28,6 +28,7 @@ from sim_heating.planning.study import load_study
 from tests.support.browser import assert_harmless, hostile, needs_browser
 from tests.support.json_output import run_json
 from tests.support.studies import entry_3dof
+from tests.support.systems import posix
 
 STUDY = f"""
 format = "study/1"
@@ -87,6 +88,7 @@ def start(study, out, workers, **environment):
     return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
 
 
+@posix
 def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
     assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0

@@ -29,8 +29,9 @@ from sim_heating.trajectory.fmu.session import FmuSession
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import needs_compiler
 from tests.support.paths import ORBITER
+from tests.support.systems import posix
 
-pytestmark = needs_compiler
+pytestmark = [needs_compiler, posix]
 VEHICLE = load_vehicle(ORBITER)
 COLUMNS = {
     "altitude_m": "h", "velocity_m_s": "speed", "alpha_deg": "alpha", "beta_deg": 0.0, "elevon_deg": 0.0,
@@ -164,9 +165,9 @@ flight.fly(TrajectorySpec.model_validate(table), load_vehicle(%r), on_frame=lamb
 """
 
 
-@pytest.mark.parametrize(("sent", "temporary"), [(signal.SIGINT, []), (signal.SIGKILL, ["sim_heating_fmu_"])])
+@pytest.mark.parametrize(("sent", "temporary"), [("SIGINT", []), ("SIGKILL", ["sim_heating_fmu_"])])
 def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
-    sent: signal.Signals, temporary: list[str], binary: Path, tmp_path: Path
+    sent: str, temporary: list[str], binary: Path, tmp_path: Path
 ) -> None:
     path, own = glide_fmu(tmp_path / "glide.fmu", binary), tmp_path / "killed"
     own.mkdir()
@@ -178,7 +179,7 @@ def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
             assert flying.stdout is not None
             assert flying.stdout.readline() == b"flying\n"
             assert both_run(its_own)
-            flying.send_signal(sent)
+            flying.send_signal(getattr(signal, sent))
         except BaseException:
             flying.kill()  # else the block waits for it
             raise
