@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shlex
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
+import click
 import pytest
 
 import sim_heating as sh
+from sim_heating.cli import cli
 from tests.support.paths import ROOT
 
 DOCS = ROOT / "docs"
@@ -65,3 +70,33 @@ def test_the_reference_describes_every_public_name():
     page = (DOCS / "reference" / "api.md").read_text()
     described = " ".join(re.findall(r"<!-- autodoc: (.*?) -->", page)).split()
     assert sorted(described) == sorted(set(sh.__all__) - {"__version__"})
+
+
+def commands_shown() -> Iterator[tuple[str, list[str]]]:
+    """Commands that pages show in blocks: the page, and the words of each."""
+    for page in (*TOP, *PAGES):
+        for line in re.findall(r"^(?:    |)(?:\.venv/bin/|\$ )?(sim-heating [^\n]*)$", page.read_text(), re.MULTILINE):
+            with suppress(ValueError):  # an apostrophe in a sentence
+                yield page.relative_to(ROOT).as_posix(), shlex.split(line.replace("|", " "), comments=True)[1:]
+
+
+def test_commands_and_options_that_pages_show_exist():
+    wrong = []
+    for page, given in commands_shown():
+        command: click.Command | None = cli
+        words = list(given)
+        context = click.Context(cli)
+        while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+            command = command.get_command(context, words.pop(0))
+        if command is None:
+            wrong.append(f"{page}: sim-heating {' '.join(given)}: no such command")
+            continue
+        known = {name for p in command.get_params(context) for name in (*p.opts, *p.secondary_opts)} | {"--help"}
+        wrong += [f"{page}: {given[0]} {w}" for w in words if w.startswith("--") and w.partition("=")[0] not in known]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_notebooks_are_kept_without_outputs():
+    for path in (DOCS / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text())["cells"]
+        assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells), path.name
