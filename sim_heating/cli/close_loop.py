@@ -83,7 +83,7 @@ def close_loop(
     for row in rows:
         for line in row.get("fault_messages", ()):
             print_warning(line)
-    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, and a folder for each record")
+    CONSOLE.print(f"Wrote {out}: summary.json, summary.csv, report.html, and a folder for each record")
     report_files(out, all_files_written(out))
     report_results(out / "summary.json")
     failed = [row for row in rows if "failed" in row]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base.files import files_written
+from sim_heating.base.files import MARKER, files_written
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
@@ -83,7 +83,9 @@ def test_several_records_are_predicted_each_in_its_own_directory(workdir: Path) 
     assert main(["synthesize", "short.toml", "--out", "one"]) == 0
     assert main(["synthesize", "short.toml", "--out", "two"]) == 0
     assert main(["predict", "one", "two", "--out", "predicted"]) == 0
-    assert {p.name for p in (workdir / "predicted").iterdir()} == {"one", "two"}
+    assert {p.name for p in (workdir / "predicted").iterdir()} == {"one", "two", "report.html", MARKER}
+    fleet = (workdir / "predicted" / "report.html").read_text()
+    assert all(f'href="./{name}/report.html"' in fleet for name in ("one", "two"))
 
 
 def test_validate_recognises_a_vehicle_a_table_and_a_record(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:

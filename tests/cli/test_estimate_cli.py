@@ -271,6 +271,9 @@ def test_pictures_are_drawn_with_something_in_them(workdir: Path, tmp_path: Path
         colours = np.unique((picture[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)
         assert len(colours) > 50
         assert math.prod(picture.shape[:2]) > 200_000
+    page = (tmp_path / "fit" / "report.html").read_text()
+    assert page.count("<figure") == 2  # the chart of the record, in which its picture is, and the heating ratio
+    assert all(f">{name}<" in page for name in TRUTH)
 
 
 def test_a_fit_of_the_stack_alone_draws_no_ratio(workdir: Path, tmp_path: Path) -> None:

@@ -32,6 +32,8 @@ from sim_heating.closure.report import (
 from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.tell_apart import Experiment
+from sim_heating.closure.several.batch import summary_row
+from sim_heating.closure.several.batch_page import batch_page, residual_history
 from sim_heating.closure.statement import ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
@@ -241,6 +243,37 @@ def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
     assert np.count_nonzero(inked) > 300
     coloured = np.ptp(pixels, axis=2) > 0.2
     assert np.mean(coloured) > 0.003
+
+
+def test_a_batch_has_a_page_with_all_records_and_the_residuals_of_those_that_are_done():
+    row = json.loads(json.dumps(summary_row(closed())))
+    kept = json.loads(json.dumps(residual_history(closed())))
+    rows = [row, row | {"record": "A/other"}, {"record": "third", "failed": "no such <file>"}]
+    page = batch_page(rows, [kept, kept, None])
+    html = page_html(page)
+    assert html.count("<figure") == 2
+    assert 'href="./A/other/report.html"' in html
+    assert 'href="./third' not in html  # which has no page
+    assert page.warnings == ["third: no such <file>"]
+    sensors = [s.name for s in closed().record.used_sensors]
+    for chart in page.sections[1].charts:
+        assert [panel.label for panel in chart.panels] == [f"{name}, residual, K" for name in sensors]
+    largest = np.nanmax(np.abs(closed().before.residual_K), axis=1)  # no extreme is lost
+    shown = [np.max(np.abs(panel.curves[0].values)) for panel in page.sections[1].charts[0].panels]
+    used = [i for i, s in enumerate(closed().record.sensors) if s.used]
+    np.testing.assert_allclose(shown, largest[used], atol=0.0051)
+
+
+def test_the_charts_of_a_report_have_the_curves_of_its_pictures():
+    sections = {s.title: s for s in closure_page(closed()).sections}
+    (compared,), (missing,) = (sections[n].charts for n in ("Measured against predicted", "Residual as heating"))
+    used = [s.name for s in closed().record.used_sensors]
+    assert [p.label.split(",")[0] for p in compared.panels[: 2 * len(used)]] == [n for n in used for _ in "ab"]
+    names = [c.label.split(",")[0] for c in compared.panels[0].curves]
+    assert names == ["measured", "declared tables", "derivatives fitted", "with impingement-onset"]
+    after = closed().after
+    np.testing.assert_array_equal(compared.panels[1].curves[-1].values, after.residual_K[0])
+    np.testing.assert_array_equal(missing.panels[0].curves[0].values, closed().residual.delta_ratio)
 
 
 @needs_browser

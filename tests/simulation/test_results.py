@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,3 +143,17 @@ def test_conditions_without_a_common_film_coefficient_have_one_a_point(result: R
     flown = with_reference_heating(replace(result, points=points))
     assert "h_ref_kg_m2_s" not in flown
     np.testing.assert_array_equal(flown["LEE_UPPER_h_ref_kg_m2_s"], points["LEE_UPPER"].conditions["h_ref_kg_m2_s"])
+
+
+def test_the_page_of_a_run_has_the_histories_of_all_points_and_their_peaks(out: Path, result: RunResult) -> None:
+    page = (out / "report.html").read_text()
+    temperatures, heat, trajectory = (json.loads(text) for text in re.findall(r'application/json">([^<]*)<', page))
+    assert {c["label"] for c in temperatures["panels"][0]["curves"]} >= set(result.points)
+    assert {c["label"] for c in heat["panels"][0]["curves"]} == set(result.points)
+    assert "altitude, km" in {p["label"] for p in trajectory["panels"]}
+    assert [span[2] for span in trajectory["spans"]] == ["elevon pulses"]
+    for name, point in result.points.items():
+        (curve,) = (c for c in temperatures["panels"][0]["curves"] if c["label"] == name)
+        shown = curve["step"] * np.cumsum(curve["y"])
+        assert shown.max() == pytest.approx(point.history.surface_K.max(), abs=curve["step"])
+        assert f"{point.history.surface_K.max():.0f} K" in page

@@ -145,7 +145,8 @@ class Chart:
 
 def _drawable(curve: Curve) -> Curve:
     """A curve of no more samples than a picture shows."""
-    kept = decimated(np.asarray(curve.time_s, dtype=float), np.asarray(curve.values, dtype=float), MOST_INTERVALS)
+    time_s, values = np.asarray(curve.time_s, dtype=float), np.asarray(curve.values, dtype=float)
+    kept = decimated(time_s, values, MOST_INTERVALS, middle=curve.points)
     sigma = None if curve.sigma is None else curve.sigma[kept]
     return replace(curve, time_s=curve.time_s[kept], values=curve.values[kept], sigma=sigma)
 
@@ -161,11 +162,12 @@ def intervals_of(charts: Sequence[Chart]) -> int:
     return int(np.clip(PAGE_SAMPLES // (2 * max(curves, 1)), LEAST_INTERVALS, MOST_INTERVALS))
 
 
-def decimated(time_s: FloatArray, values: FloatArray, intervals: int) -> NDArray[np.intp]:
+def decimated(time_s: FloatArray, values: FloatArray, intervals: int, *, middle: bool = False) -> NDArray[np.intp]:
     """Indices of the samples that are drawn: of each interval of time the least and the greatest value.
 
     time_s    : (sample,) increasing;  values : (sample,) NaN is a gap, of which the first sample stays
     intervals : number of equal intervals of time; with no more than two samples in each, all are drawn
+    middle    : whether the median of each interval is drawn, too: dots between the extremes look like the whole then
     returns   : increasing; the first and the last finite sample are among them
     """
     finite = np.flatnonzero(np.isfinite(values) & np.isfinite(time_s))
@@ -177,7 +179,8 @@ def decimated(time_s: FloatArray, values: FloatArray, intervals: int) -> NDArray
     order = np.lexsort((y, number))
     changes = np.flatnonzero(np.diff(number[order]))
     least, greatest = np.append(0, changes + 1), np.append(changes, len(order) - 1)
-    kept = finite[np.unique(np.concatenate([order[least], order[greatest], [0, len(finite) - 1]]))]
+    medians = order[(least + greatest) // 2] if middle else order[:0]
+    kept = finite[np.unique(np.concatenate([order[least], medians, order[greatest], [0, len(finite) - 1]]))]
     return np.union1d(kept, gaps) if len(gaps) <= intervals else kept
 
 
@@ -199,7 +202,7 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
 
     def encoded(time_s: FloatArray, values: FloatArray, points: bool) -> dict[str, Any]:
         nonlocal reduced
-        kept = decimated(time_s, values, intervals)
+        kept = decimated(time_s, values, intervals, middle=points)
         reduced |= bool(np.count_nonzero(np.isfinite(values[kept])) < np.count_nonzero(np.isfinite(values)))
         if points:  # dots have no gaps
             kept = kept[np.isfinite(values[kept])]
@@ -236,8 +239,8 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
         "times": [_encoded_times(t) for t in times],
     }  # fmt: skip
     note = (
-        f"Curves of more than {2 * intervals} samples (up to {most}) are drawn by the least and the greatest value in "
-        f"each of {intervals} equal intervals of time; the files beside this page have every sample."
+        f"Curves of more than {2 * intervals} samples (up to {most}) are drawn by the least and the greatest value, "
+        f"dots by the median too, in each of {intervals} equal intervals of time; the CSV files have every sample."
     )
     return data, note if reduced else ""
 

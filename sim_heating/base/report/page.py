@@ -36,7 +36,7 @@ CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/u
 TABLE_SCRIPTS = ("table.js",)
 PALETTE = 200
 """Colours of a saved picture on a page."""
-RASTER_DPI = 90
+RASTER_DPI = 80
 """Resolution of the rasterized parts of a figure."""
 
 

@@ -15,7 +15,7 @@ from sim_heating.closure.report import PAGE, Closure, closures_table
 from sim_heating.estimation.report.plots import AFTER, BEFORE
 from sim_heating.simulation.report.charts import SHADES, record_spans, residual_limits, shown_span
 
-INTERVALS = 150
+INTERVALS = 200
 """Intervals of time of the residuals that are kept of each record."""
 MOST_CHARTS = 12
 """Records whose residuals are drawn: those farthest above their noise floor."""
@@ -30,7 +30,7 @@ def residual_history(found: Closure) -> dict[str, Any]:
         if sensor.used:
             fitted = residual_limits((found.after if found.added else found.before).residual_K[i][record.fit_mask()])
             for label, prediction, color in stages:
-                kept = decimated(record.time_s, prediction.residual_K[i], INTERVALS)
+                kept = decimated(record.time_s, prediction.residual_K[i], INTERVALS, middle=True)
                 kept = kept[np.isfinite(prediction.residual_K[i][kept])]
                 curves.append(
                     {
@@ -69,8 +69,8 @@ def batch_page(rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[st
             "" if len(worst) == len(done) else f" of the {len(worst)} records of {len(done)} farthest above their noise"
         )
         text = (
-            f"Measured minus predicted{which}, by the least and the greatest value in each of {INTERVALS} intervals of "
-            f"time; the page of a record has all samples. {SHADES}"
+            f"Measured minus predicted{which}, by the least, the median and the greatest value in each of {INTERVALS} "
+            f"intervals of time; the page of a record has more. {SHADES}"
         )
         sections.append(Section("Residuals side by side", [text], charts=charts))
     count = f"{len(rows) - len(failed)} of {len(rows)} records are done." if failed else f"{len(rows)} records."
