@@ -19,7 +19,7 @@ from tests.support.paths import ROOT
 INSIDE = ("aircraft_data", "scenarios", "fmu")
 """Folders of a checkout that a wheel has within the package."""
 LEFT = (".pyc", ".nbi", ".nbc", ".fmu")
-OUTSIDE = {"__pycache__", ".venv", ".git", ".hypothesis", ".mypy_cache", ".pytest_cache", ".ruff_cache"}
+OUTSIDE = {"__pycache__", "_build", ".venv", ".git", ".hypothesis", ".mypy_cache", ".pytest_cache", ".ruff_cache"}
 """What programs leave in a checkout: endings of files, and folders."""
 
 
