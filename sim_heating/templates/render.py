@@ -31,7 +31,7 @@ def _toml_value(value: Any) -> str:
     return tomlkit.item(value).as_string()
 
 
-def render_toml(template: str, schema: str, folder: str | os.PathLike[str], **values: Any) -> str:
+def render_toml(template: str, schema: str, folder: str | os.PathLike[str], /, **values: Any) -> str:
     """The text of a template of a TOML file in a folder, after the line by which editors find its schema.
 
     schema : name of the format, as `record`
