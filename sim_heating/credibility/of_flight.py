@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import display_path, file_digest
 from sim_heating.credibility.contributors import declares_sigma, peak_uncertainty
 from sim_heating.credibility.own_cases import samples_of
-from sim_heating.credibility.region import Samples
+from sim_heating.credibility.region import FLIGHT, Samples
 from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.sources import conditions_of_scenario, inputs_of_point
 from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts
@@ -78,7 +80,7 @@ def facts_of_study(
         model=tuple(dict.fromkeys(model_inputs)),
         conditions=tuple(conditions_of_scenario(scenario)),
         files={display_path(p): file_digest(p) for p in files if p.is_file()} | {f"vehicle {vehicle.name}": digest},
-        samples=tuple(samples),
+        samples=tuple(samples) or (Samples(FLIGHT, {}, np.zeros(0)),),
         sigma=all(m.ratio is not None and m.ratio.sigma is not None for m in models),
         folder=vehicle.directory,
         reviewed=digest,

@@ -22,12 +22,13 @@ from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
 from sim_heating.credibility.of_flight import facts_of_study
 from sim_heating.credibility.section import credibility_section
-from sim_heating.credibility.statement import Statement, assess
+from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.planning.dispersion.report import DISPERSION, with_dispersion
 from sim_heating.planning.envelope.report import ENVELOPE, NEXT_FLIGHT
 from sim_heating.planning.optimal.report import OPTIMAL
 from sim_heating.planning.part import Engine, PartResult, StudyPart
 from sim_heating.planning.study import Study, load_study
+from sim_heating.simulation.run import run
 
 FORMAT = "study-report/1"
 SUMMARY, PAGE = "study.json", "report.html"
@@ -55,8 +56,25 @@ class Plan:
         samples = [s for result in self.results.values() for s in result.samples]
         topics = [t for result in self.results.values() for t in result.topics]
         facts = facts_of_study(self.study.base, self.study.files, samples, topics)
+        if not samples:
+            facts = self._with_base_entry(facts)
         dispersion = self.results.get("dispersion")
         return assess(facts if dispersion is None else with_dispersion(facts, dispersion.data))
+
+    def _with_base_entry(self, facts: Facts) -> Facts:
+        """Facts with the conditions and temperatures of the base entry, which is flown once; as they are where it
+        cannot be flown."""
+        try:
+            flown = run(self.study.base).facts()
+        except (InputError, RunError):
+            return facts
+        return replace(
+            facts,
+            samples=flown.samples,
+            mesh_error_K=flown.mesh_error_K,
+            uncertainty=flown.uncertainty,
+            holds=flown.holds,
+        )
 
     def __repr__(self) -> str:
         failed = f", failed: {', '.join(self.failed)}" if self.failed else ""

@@ -19,7 +19,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.of_flight import facts_of_flight
-from sim_heating.credibility.statement import Statement, assess
+from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
@@ -118,12 +118,16 @@ class RunResult:
         histories = [p.history for p in self.points.values()]
         return histories_dataset(with_reference_heating(self), histories, sensors, self.limits, about)
 
+    def facts(self) -> Facts:
+        """Facts from which the credibility of the result follows."""
+        points = self.points.values()
+        models, flights, histories = ([getattr(p, n) for p in points] for n in ("model", "conditions", "history"))
+        return facts_of_flight(self.scenario, models, flights, histories, self.limits)
+
     @cached_property
     def credibility(self) -> Statement:
         """What supports the result, factor by factor."""
-        points = self.points.values()
-        models, flights, histories = ([getattr(p, n) for p in points] for n in ("model", "conditions", "history"))
-        return assess(facts_of_flight(self.scenario, models, flights, histories, self.limits))
+        return assess(self.facts())
 
     @property
     def limits(self) -> dict[str, dict[str, float | None]]:
