@@ -25,6 +25,8 @@ from sim_heating.base.files.csv_table import csv_text
 
 MISSING = "-"
 """Text of a missing value (None or NaN)."""
+SORTABLE = 8
+"""Rows above which it helps to sort and filter them."""
 
 
 @dataclass(frozen=True)

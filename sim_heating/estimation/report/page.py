@@ -10,7 +10,8 @@ import numpy as np
 
 from sim_heating.base.report.chart import Chart, Curve, Panel
 from sim_heating.base.report.page import Page, SavedPicture, Section
-from sim_heating.base.report.table import Column, Table
+from sim_heating.base.report.table import SORTABLE, Column, Table
+from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
@@ -19,8 +20,6 @@ from sim_heating.simulation.report.charts import flown_panels
 
 NOTABLE = 0.5
 """Magnitude of a correlation from which on it is listed."""
-SORTABLE = 8
-"""Rows above which a table can be sorted and filtered."""
 
 
 def estimate_page(
@@ -42,6 +41,7 @@ def estimate_page(
     sections = [
         _parameters_section(found, parameters), _errors_section(found), _comparison_section(fitted, fit_pictures),
         _residuals_section(found), *_pictures_section(pictures),
+        credibility_section(fitted.credibility.as_json()),
     ]  # fmt: skip
     return Page("; ".join(titles), subtitle.rstrip(", "), sections, _headline(fitted, found), fitted.warnings)
 

@@ -14,7 +14,8 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.report.chart import COLORS, Chart, Curve, Panel, distinct_styles
 from sim_heating.base.report.figure import MANOEUVRE_NAMES
 from sim_heating.base.report.page import Page, SavedPicture, Section
-from sim_heating.base.report.table import Column, Table
+from sim_heating.base.report.table import SORTABLE, Column, Table
+from sim_heating.credibility.section import credibility_section
 from sim_heating.inputs.record import Record
 from sim_heating.march.history import PointHistory
 from sim_heating.simulation.report.charts import (
@@ -28,8 +29,6 @@ from sim_heating.simulation.report.charts import (
 )
 from sim_heating.trajectory.flight import Window
 
-SORTABLE = 8
-"""Rows above which a table can be sorted and filtered."""
 PREDICTED = "tab:blue"
 
 
@@ -86,6 +85,7 @@ def run_page(
         Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),
         Section("Trajectory", charts=[trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
         *_manoeuvres_section(windows, pictures.manoeuvres), _events_section(found),
+        credibility_section(found["credibility"]),
     ]  # fmt: skip
     return Page(found["scenario"], subtitle, sections, warnings=list(filter(None, [found["beyond_reference"]])))
 
@@ -159,6 +159,7 @@ def prediction_page(
         _prediction_errors(found),
         Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
         Section("Wall", charts=[_wall_chart(history)]),
+        credibility_section(found["credibility"]),
     ]
     return Page(record.declared.title or record.declared.control_point, subtitle, sections, _outcome(found), warnings)
 
