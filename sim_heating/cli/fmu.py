@@ -40,15 +40,21 @@ def _archive(option: str, suffix: str, text: str, required: bool = False) -> Cal
     )
 
 
+def _native_platform() -> str:
+    from sim_heating.simulation.fmu_export.export import native_platform
+
+    return native_platform()
+
+
 FMI = click.option(
     "--fmi", type=click.Choice(["2", "3"]), default="3", show_default=True, help="version of the standard"
 )
 PLATFORMS = click.option(
     "--platforms",
-    default="linux",
-    show_default=True,
+    default=_native_platform,
+    show_default="that of this machine",
     callback=comma_list,
-    help="separated by commas; platforms other than linux need ziglang",
+    help="linux, linux-arm64, windows, macos, macos-arm64, separated by commas; those of other machines need ziglang",
 )
 
 

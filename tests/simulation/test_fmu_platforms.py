@@ -5,6 +5,7 @@ from __future__ import annotations
 import llvmlite.binding as llvm
 import pytest
 
+from sim_heating.simulation.fmu_export.export import native_platform
 from sim_heating.simulation.fmu_export.library import TARGETS
 
 RUNNING = {
@@ -21,3 +22,4 @@ RUNNING = {
 def test_only_the_platform_that_runs_is_native(running, monkeypatch):
     monkeypatch.setattr(llvm, "get_process_triple", lambda: RUNNING[running])
     assert [name for name, target in TARGETS.items() if target.native] == [running]
+    assert native_platform() == running

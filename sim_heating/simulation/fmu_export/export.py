@@ -20,13 +20,18 @@ from sim_heating.simulation.fmu_export.library import TARGETS, CompilationUnit, 
 from sim_heating.simulation.fmu_export.sampled_maps import map_files
 
 
+def native_platform() -> str:
+    """Name of the platform of the running process; `linux` where it is none of library.TARGETS."""
+    return next((name for name, target in TARGETS.items() if target.native), "linux")
+
+
 def export_fmu(
     vehicle: Vehicle | str | os.PathLike[str],
     out: str | os.PathLike[str],
     control_points: Sequence[str] | None = None,
     *,
     fmi: int = 3,
-    platforms: Sequence[str] = ("linux",),
+    platforms: Sequence[str] | None = None,
     columns: bool = False,
     input_timing: str = "held",
     progress: Progress = no_progress,
@@ -37,7 +42,7 @@ def export_fmu(
     out            : the FMU, a file that ends in .fmu
     control_points : names; all by default
     fmi            : version, 2 or 3
-    platforms      : keys of library.TARGETS
+    platforms      : keys of library.TARGETS; that of this machine by default
     columns        : h_ref and H_r are inputs, instead of the vehicle's reference heating
     input_timing   : "held" or "reached", the start value of the variable `input_timing` (docs/how_to/fmu.md)
     progress       : called with the fraction done and a line of text
@@ -50,6 +55,7 @@ def export_fmu(
     ...     image = sh.export_fmu("capsule", f"{folder}/capsule.fmu", ["FACE"])
     """
     require_replaceable(out)
+    platforms = platforms or [native_platform()]
     targets = targets_of(platforms, fmi)
     model = heating_model(vehicle, control_points, targets, columns=columns, input_timing=input_timing)
     write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)

@@ -34,7 +34,13 @@ from sim_heating.simulation.fmu_export.description import (
     xml_bytes,
 )
 from sim_heating.simulation.fmu_export.entry import ENTRY_UNITS, entry_image
-from sim_heating.simulation.fmu_export.export import fmu_bytes, heating_model, targets_of, write_archive
+from sim_heating.simulation.fmu_export.export import (
+    fmu_bytes,
+    heating_model,
+    native_platform,
+    targets_of,
+    write_archive,
+)
 from sim_heating.simulation.fmu_export.heating import heating_units
 from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
 from sim_heating.simulation.fmu_export.library import TIMING, TIMING_INTEGER
@@ -79,7 +85,7 @@ def export_ssp(
     control_points: Sequence[str] | None = None,
     *,
     title: str = "",
-    platforms: Sequence[str] = ("linux",),
+    platforms: Sequence[str] | None = None,
     input_timing: str = "held",
     progress: Progress = no_progress,
 ) -> System:
@@ -94,6 +100,7 @@ def export_ssp(
     raises  : InputError as `export_fmu`, and for another source of the trajectory
     """
     require_replaceable(out)
+    platforms = platforms or [native_platform()]
     targets = targets_of(platforms, FMI)
     vehicle = load_vehicle(vehicle)
     trajectory = entry_image(spec, vehicle.directory, title)
