@@ -34,6 +34,8 @@ HEADS = (
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )  # fmt: skip
 """Patterns of the names of columns, without their units; the first that fits holds."""
+UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
+"""Pattern of the names of columns that hold the uncertainty of others."""
 NAME_AND_UNIT = (
     r"(.*?)\s*[\[(<]\s*([^\])>]*)\s*[\])>]\s*", r"(.*\S)\s*/\s*(\S+)", r"(.*\S)\s*,\s*(\S+)", r"(.+)_([^_]+)",
     r"(.*\S)\s+(\S+)",
@@ -301,6 +303,8 @@ def _column(name: str, unit: str, cells: list[str]) -> CsvColumn:
     note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
     if clock:
         return CsvColumn(name, TIME, "s", values - np.nanmin(values), "clock times, counted from the first" + note)
+    if re.search(UNCERTAIN, name):
+        return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
     by_unit = next((kind for kind, si in SI_UNITS.items() if unit and si_factors(unit, si)), None)
     if by_unit is not None:
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)

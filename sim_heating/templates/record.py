@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -269,7 +270,11 @@ def write_new_record(
     times = measured.of_kind(TIME)[0].si
     initial_K, notes = _initial(given, sensors)
     surroundings_K = given.surroundings_K
-    if surroundings_K is None:
+    lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]
+    if surroundings_K is None and given.heat.reference != "none" and not lamp:
+        surroundings_K = 0.0
+        notes.append("surroundings at 0 K, the sky of a flight (--surroundings)")
+    elif surroundings_K is None:
         surroundings_K = initial_K
         notes.append(f"surroundings at {surroundings_K:g} K, as the wall at the start (--surroundings)")
     if given.back is None:
@@ -303,7 +308,7 @@ def write_new_record(
         layers=given.layers,
         materials=materials,
         reference=given.heat.reference,
-        lamp=given.heat.reference == "columns" and LAMP_ENTHALPY_J_KG in [value for _, value, _ in constants],
+        lamp=lamp,
         unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
         nose_radius_m=given.nose_radius_m,
         first_s=float(times[0]),
@@ -312,12 +317,22 @@ def write_new_record(
     )
     readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
     inputs = [measured.path]
-    with output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder:
+    with output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder, shown_at(folder, out):
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
         write_csv(folder / "thermocouples.csv", readings)
         record = load_record(folder)
     return record, [f"heated by {given.heat.note}", *notes, *given.notes]
+
+
+@contextmanager
+def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
+    """Errors about files of a directory in the making, with the paths that they will have."""
+    try:
+        yield
+    except InputError as error:
+        made, shown = display_path(folder), display_path(Path(out))
+        raise InputError(*(line.replace(made, shown) for line in error.problems)) from None
 
 
 def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
@@ -362,9 +377,8 @@ def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:
     else:
         low, high = (f([e for _, e in outer.material.emissivity]) for f in (min, max))
         span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        notes.append(
-            f"emittance {span}: that of {outer.name} in the library, an oxidised surface as a rule (--emissivity)"
-        )
+        doubt = ", an estimate" if "Emittance C" in (outer.material.note or "") else ""
+        notes.append(f"emittance {span}: that of {outer.name} in the library{doubt} (--emissivity)")
     return found, notes
 
 

@@ -29,6 +29,7 @@ from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME
 from sim_heating.simulation.scenario_check import check_vehicle
 from sim_heating.templates.materials import LayerInput, layer_input
+from sim_heating.templates.record import shown_at
 from sim_heating.templates.render import render, render_toml
 
 GLIDES_FROM = 0.6
@@ -159,8 +160,9 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
         made = folder / name
         for place, text in files.items():
             write_text_atomic(made / place, text)
-        write_tables(made, root=made)
-        check_vehicle(load_vehicle(made, root=made))
+        with shown_at(made, out):
+            write_tables(made, root=made)
+            check_vehicle(load_vehicle(made, root=made))
         for path in sorted(made.rglob("*")):
             if path.is_file():
                 target = folder / path.relative_to(made)

@@ -202,6 +202,33 @@ def test_a_tile_on_the_ground_takes_its_materials_from_the_library() -> None:
     assert record.conditions.columns.keys() >= {"alpha_deg", "elevon_deg"}  # of a wall at rest, in no file
 
 
+def test_a_flight_of_ones_own_takes_the_place_of_a_lamp() -> None:
+    """Conditions of a flight, a stack of the library: the uncertainties in the file are no thermocouple."""
+    flown = RECORDS / "sts96_480"
+    arguments = (
+        "--csv", flown / "thermocouples.csv", "--conditions", flown / "conditions.csv", "--layer", "RCG 12 mil",
+        "--layer", "LI-900 2 in", "--layer", "al2024 0.1 in", "--depth", "STS96_480_surface=12mil", "--point", "TILE",
+    )  # fmt: skip
+    made = run("new", "record", *arguments, "--nose-radius", "1ft", "--out", "a")
+    assert made.exit_code == 0, made.exception
+    assert "surroundings at 0 K" in made.output
+    record = load_record("a")
+    assert [s.depth_m for s in record.sensors] == [pytest.approx(12 * 2.54e-5)]
+    assert record.declared.heating.reference == "columns"
+    said = refused("new", "record", *arguments, "--reference", "sutton-gravs", "--out", "b")
+    assert said.startswith("b/record.toml, [heating]")
+    assert "did you mean `sutton-graves`?" in said
+
+
+def test_depths_and_layers_that_are_missing_are_asked_for_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_heating.cli.new._interactive", lambda: True)
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    answers = "copper 3 mm\n\nback\n2 kW/m2\n"
+    made = CliRunner().invoke(cli, ["new", "record", "--csv", "t.csv", "--out", "a"], input=answers)
+    assert made.exit_code == 0, made.exception
+    assert load_record("a").sensors[0].depth_m == 0.003
+
+
 def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
     """Stack, flight, heating and noise of a shipped record; one CSV file and no other edit."""
     flown = load_record(RECORDS / "sts96_480")
