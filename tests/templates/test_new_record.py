@@ -83,7 +83,7 @@ PLATE = (
 
 def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit() -> None:
     """A plate with 6 % more heat capacity than the library's copper: every command runs, and finds the 6 %."""
-    time_s = np.arange(0.0, 301.0, 3.0)
+    time_s = np.arange(0.0, 301.0, 5.0)
     noise = np.random.default_rng(3).normal(0.0, 0.3, len(time_s))
     write_logger_file(Path("temps.csv"), time_s, plate_K(time_s, heat_capacity=1.06) + noise)
     made = run("new", "record", "--csv", "temps.csv", *PLATE, "--out", "plate")

@@ -97,7 +97,7 @@ class ProfiledInformation:
         power = np.einsum("ij,ij->j", columns, self.information @ columns)
         b = columns.T @ self.score
         resolved = power > 1e-12 * float(np.max(power, initial=0.0))
-        z = np.divide(b, np.sqrt(power), out=np.zeros_like(b), where=resolved)
+        z = np.divide(b, np.sqrt(np.maximum(power, 0.0)), out=np.zeros_like(b), where=resolved)
         amplitude = np.divide(b, power, out=np.zeros_like(b), where=resolved)
         fits = [
             ShapeFit(s, float(a), float(x), 0.5 * float(x) ** 2, self.share(0.5 * float(x) ** 2))
