@@ -15,9 +15,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.measure import RESULTS, Figure
+from benchmarks.page import markdown_table
 from sim_heating.base.files import text_digest, write_json
-from sim_heating.credibility.evidence import EVIDENCE, case_as_json
+from sim_heating.credibility.evidence import EVIDENCE, case_as_json, shipped_evidence
 from sim_heating.credibility.own_cases import case_of_record
+from sim_heating.credibility.rules import rules
+from sim_heating.credibility.section import RANGES
 from sim_heating.simulation.predict import Prediction, predict
 
 ROOT = RESULTS.parents[1]
@@ -78,10 +81,11 @@ def claims() -> list[dict[str, Any]]:
 
 
 def _claim(of: str, claim: str, figure: Mapping[str, Any], file: str) -> dict[str, Any]:
-    command = "closure_challenge" if file.startswith("closure_challenge") else file
+    command = {"closure_challenge_null": ".closure_challenge --classes null",
+               "closure_challenge_share": ".closure_challenge --share 0.2"}.get(file, f" {file}")  # fmt: skip
     return {"of": of, "claim": claim, "value": round(figure["value"], 4), "bound": round(figure["target"], 4),
             "at_least": figure["at_least"],
-            "command": f"python -m benchmarks {command}", "file": f"benchmarks/results/{file}.json",
+            "command": f"python -m benchmarks{command}", "file": f"benchmarks/results/{file}.json",
             "key": figure["what"]}  # fmt: skip
 
 
@@ -143,3 +147,44 @@ def run() -> list[Figure]:
                           "", 0.0))  # fmt: skip
     figures += [Figure(f"{c['name']}: RMSE of the declared prediction", c["rmse_K"], "K") for c in found["cases"]]
     return figures
+
+
+def table_of(marked: str) -> str | None:
+    """Table of a marked part of a page, `credibility, PART`; None for another benchmark."""
+    name, _, part = marked.partition(", ")
+    return {"rules": _rules, "cases": _cases, "region": _region}[part]() if name == "credibility" else None
+
+
+def _rules() -> str:
+    """Every factor with the rule of each level."""
+    rows: list[list[object]] = []
+    for factor in rules().factors:
+        rows.append([f"**{factor.title}**", "", f"{factor.about[0].upper()}{factor.about[1:]}"])
+        rows += [["", level, factor.rule(level)] for level in range(len(factor.levels) + 1)]
+    return markdown_table(["factor", "level", "rule"], rows)
+
+
+def _cases() -> str:
+    """Measured data sets with the errors of their predictions."""
+    heads = ["data set", "what", "readings", "RMSE, K", "largest error, K", "rise, K", "RMSE over rise"]
+    rows = [
+        [f"`{c.name}`", c.title.partition(":")[0], c.n, f"{c.rmse_K:.1f}", f"{c.max_abs_K:.0f}", f"{c.rise_K:.0f}",
+         f"{c.rmse_K / c.rise_K:.0%}"]
+        for c in shipped_evidence().cases
+    ]  # fmt: skip
+    return markdown_table(heads, rows)
+
+
+def _region() -> str:
+    """Conditions that each data set covers, by range of Mach numbers."""
+    heads = ["data set", "Mach", "alpha, deg", "log10 Re", "wall, K", "RMSE there, K"]
+    rows = [
+        [f"`{c.name}`", *(_ends(b.limits.get(n), form) for n, form in RANGES), f"{b.rmse_K:.0f}"]
+        for c in shipped_evidence().cases
+        for b in c.bands
+    ]
+    return markdown_table(heads, rows)
+
+
+def _ends(ends: tuple[float, float] | None, form: str) -> str:
+    return "" if ends is None else f"{ends[0]:{form}} to {ends[1]:{form}}"

@@ -30,7 +30,7 @@ from typing import Any
 
 import click
 
-from benchmarks import reliability
+from benchmarks import credibility, reliability
 from benchmarks.measure import RESULTS
 from benchmarks.page import DOCS, filled
 from sim_heating.base.files.text import write_text_atomic
@@ -69,7 +69,7 @@ def stale_figures(page: Path) -> list[Stale]:
 def updated(text: str) -> str:
     """Text of a page with every figure and table as the results have it now."""
     text = MARKED.sub(lambda m: f"{m[1]}{quoted(m[2], m[3], m[4])}{m[6]}", text)
-    return filled(text, reliability.table_of)
+    return filled(filled(text, reliability.table_of), credibility.table_of)
 
 
 def quoted(name: str, key: str, spec: str = "") -> str:

@@ -104,6 +104,8 @@ def add(record: Path, force: bool, root: Path | None) -> None:
     The case is written into the folder `validation` of the current directory, or into the one that
     SIM_HEATING_VALIDATION names; commands that are run there take it into account.
     """
+    from dataclasses import replace
+
     from sim_heating.base.files.package import package_version
     from sim_heating.credibility.own_cases import case_of_record, write_case
     from sim_heating.inputs.record import load_record
@@ -111,7 +113,7 @@ def add(record: Path, force: bool, root: Path | None) -> None:
 
     loaded = load_record(record, root=root)
     with progress_line(f"predicting {loaded.name}"):
-        case = case_of_record(loaded, predict(loaded).residual_K)
+        case = replace(case_of_record(loaded, predict(loaded).residual_K), own=True)
     path = write_case(case, f"sim-heating {package_version()}", replace=force)
     _print_cases([case])
     CONSOLE.print(f"Wrote {path}", soft_wrap=True)

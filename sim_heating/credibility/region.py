@@ -75,7 +75,7 @@ class ValidationCase:
 
     name, title : of the record;  kind : `flight` or `ground test`;  vehicle, control_point : as the record names them
     source      : where the measurements come from, empty where the record does not say
-    digest      : of the record's files
+    files       : digest of the record's files
     rmse_K, max_abs_K, n : errors of the prediction over all used readings [K]
     rise_K      : greatest less least reading [K]
     own         : whether a user added it
@@ -87,7 +87,7 @@ class ValidationCase:
     vehicle: str
     control_point: str
     source: str
-    digest: str
+    files: str
     rmse_K: float
     max_abs_K: float
     n: int
