@@ -11,6 +11,7 @@ from typing import Any
 
 from sim_heating.base.files.package import PACKAGE
 from sim_heating.base.progress import Progress
+from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.table import Table
 from sim_heating.credibility.region import Samples
 from sim_heating.planning.study import HASH_LENGTH, Study
@@ -53,6 +54,7 @@ class PartResult:
     data                    : plain values, for study.json
     tables, pictures, notes : for the page; a note is one line
     samples                 : conditions of its nominal flight, for the credibility of the study
+    charts                  : for the page; the pictures show the same on paper
     topics                  : of the equations that it uses besides those of the base entry
     """
 
@@ -62,6 +64,7 @@ class PartResult:
     notes: tuple[str, ...] = ()
     samples: tuple[Samples, ...] = ()
     topics: tuple[str, ...] = ()
+    charts: tuple[Chart, ...] = ()
 
     def __repr__(self) -> str:
         return (

@@ -173,6 +173,7 @@ def page_of(plan: Plan, folder: Path) -> Page:
             points=result.notes,
             tables=result.tables,
             pictures=[SavedPicture(folder / p.file, p.caption) for p in result.pictures],
+            charts=result.charts,
         )
         for name, result in plan.results.items()
     ]

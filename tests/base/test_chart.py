@@ -94,7 +94,11 @@ def record_chart(name: str, start_s: float = 200.0) -> Chart:
 def fleet() -> Table:
     """Records with what was found in them; one has no error."""
     columns = [Column("record"), Column("finding", is_text=True), Column("RMSE", format=".2f", unit="K")]
-    rows = [[f"p{i}", "transition" if i % 3 else "none", None if i == 4 else float((7 * i) % 12)] for i in range(12)]
+    columns.append(Column("estimate", is_text=True))
+    rows = [
+        [f"p{i}", "transition" if i % 3 else "none", None if i == 4 else float((7 * i) % 12), f"{0.5 - i * i:g} +- 0.1"]
+        for i in range(12)
+    ]
     return Table(
         "Fleet", columns, rows, sortable=True, choices=["finding"], links=[f"p{i}/report.html" for i in range(12)]
     )
@@ -139,6 +143,7 @@ def test_a_reader_zooms_sorts_filters_and_prints(page, tmp_path):
         _hide_a_curve(shown)
         _sort_and_filter(shown)
         shown.resize(390)
+        _zoom_by_two_fingers(shown)
         assert shown.evaluate("document.documentElement.scrollWidth") <= 390
         shown.call("Emulation.setEmulatedMedia", media="print")
         assert shown.evaluate(PICTURES) == [True] * 3
@@ -179,6 +184,19 @@ def _zoom(shown):
     assert shown.evaluate(DISABLED) == [True] * 3
 
 
+def _zoom_by_two_fingers(shown):
+    shown.evaluate("document.querySelector('.u-over').scrollIntoView({block: 'center'})")
+    settle(shown)
+    x, y, width, height = shown.evaluate(PLACE)
+    for kind, apart in (("touchStart", 0.2), ("touchMove", 0.4), ("touchMove", 0.8)):
+        fingers = [{"x": x + (0.5 + k * apart / 2) * width, "y": y + height / 2, "id": k} for k in (-1, 1)]
+        shown.call("Input.dispatchTouchEvent", type=kind, touchPoints=fingers)
+    shown.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    settle(shown)
+    assert shown.evaluate(DISABLED) == [False] * 3
+    shown.evaluate(f"{RESET}[0].click()")
+
+
 def _hide_a_curve(shown):
     pressed = f"{KEYS}.map((k) => k.ariaPressed)"
     assert shown.evaluate(pressed) == ["true"] * 6
@@ -193,6 +211,8 @@ def _sort_and_filter(shown):
     assert shown.evaluate(SHOWN) == [*(r[0] for r in ordered), "p4"]
     shown.evaluate(CLICK_SORT.format("RMSE"))
     assert shown.evaluate(SHOWN) == [*(r[0] for r in ordered[::-1]), "p4"]  # what is missing stays last
+    shown.evaluate(CLICK_SORT.format("estimate"))
+    assert shown.evaluate(SHOWN) == [r[0] for r in table.rows[::-1]]  # by the number that the text begins with
     shown.evaluate(CLICK_SORT.format("record"))
     assert shown.evaluate(SHOWN) == [r[0] for r in table.rows]  # p2 before p10
     assert shown.evaluate("document.querySelector('th').ariaSort") == "ascending"

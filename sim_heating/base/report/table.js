@@ -40,7 +40,13 @@
     text.addEventListener("input", filter);
     for (const [select] of choices) select.addEventListener("change", filter);
 
-    const value = (row, k) => row.cells[k].dataset.value;
+    // A number in full where the program wrote one, else that at the beginning of the text ("0.012 +- 0.003"), where all
+    // cells of the column begin so.
+    const leading = (row, k) => /^[-+]?\.?\d/.test(row.cells[k].textContent);
+    const estimates = heads.map((_, k) => rows.some((row) => leading(row, k)) && rows.every((row) => leading(row, k)
+      || ["", "-"].includes(row.cells[k].textContent)));
+    const value = (row, k) => row.cells[k].dataset.value
+      ?? (estimates[k] && leading(row, k) ? String(parseFloat(row.cells[k].textContent)) : undefined);
     const sort = (k) => {
       const ascending = heads[k].getAttribute("aria-sort") !== "ascending";
       heads.forEach((head, i) => head.setAttribute("aria-sort", i !== k ? "none" : ascending ? "ascending" : "descending"));

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import count
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from sim_heating.credibility.own_cases import samples_of
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study
+from sim_heating.simulation.report.charts import temperature_chart, trajectory_chart
 
 PICTURE, CONDITIONS = "optimal_entry.png", "optimal_conditions.csv"
 
@@ -49,7 +50,14 @@ def optimal_part(study: Study, folder: Path, _engine: Engine, progress: Progress
         samples_of(entry.conditions.at(h.time_s[t]), h.surface_K[t])
         for h, t in zip(entry.histories, times, strict=True)
     )
-    return PartResult(_data(entry), tables, (picture,), (head, *entry.notes), samples, ("optimal entry",))
+    charts = [trajectory_chart(entry.conditions, [])]
+    if entry.histories:
+        limits = {p.point: {"surface_K": p.surface_limit_K, "bondline_K": p.bondline_limit_K} for p in entry.peaks}
+        charts.insert(0, temperature_chart(entry.histories, [], limits))
+    return PartResult(
+        _data(entry), tables, (picture,), (head, *entry.notes), samples, ("optimal entry",),
+        tuple(replace(chart, pictured=False) for chart in charts),
+    )  # fmt: skip
 
 
 OPTIMAL = StudyPart(optimal_part, lambda _: (PICTURE, CONDITIONS))

@@ -14,7 +14,7 @@ from sim_heating.base.report.figure import ANGLES, MANOEUVRE_NAMES
 from sim_heating.base.report.page import Picture, SavedPicture
 from sim_heating.inputs.record import Record
 from sim_heating.march.history import PointHistory
-from sim_heating.simulation.report.plots import HOT_STRUCTURE
+from sim_heating.simulation.report.plots import HOT_STRUCTURE, LIMITS_SHOWN
 from sim_heating.trajectory.flight import Window
 
 MARGIN = 0.2
@@ -118,6 +118,10 @@ def window_spans(windows: Sequence[Window]) -> list[Span]:
     return [Span(w.start_s, w.end_s, MANOEUVRE_NAMES.get(w.kind, w.kind), MANOEUVRE) for w in windows]
 
 
+def _shaded(windows: Sequence[Window]) -> str:
+    return " Shaded: manoeuvres." if windows else ""
+
+
 def temperature_chart(
     points: Sequence[PointHistory],
     windows: Sequence[Window],
@@ -137,16 +141,15 @@ def temperature_chart(
         curves = [Curve(p.name, p.time_s, getattr(p, key), **s) for p, s in shown]
         for p, s in shown:
             limit = limits.get(p.name, {}).get(key)
-            if limit is not None and len(ordered) <= 4:
+            if limit is not None and np.isfinite(limit) and len(ordered) <= LIMITS_SHOWN:
                 ends = p.time_s[[0, -1]]
                 curves.append(Curve(f"{p.name}, limit", ends, np.full(2, limit), s["color"], dash=(2, 4)))
         if curves:
             panels.append(Panel(label, curves, 1.3 if key == "surface_K" else 1.0))
     caption = (
-        "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline. "
-        "Shaded: manoeuvres."
+        "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline."
     )
-    return Chart("Temperatures", panels, caption, spans=window_spans(windows), picture=picture)
+    return Chart("Temperatures", panels, f"{caption}{_shaded(windows)}", spans=window_spans(windows), picture=picture)
 
 
 def heat_chart(
@@ -168,7 +171,7 @@ def heat_chart(
             ("heat_load_J_m2", 1e6, "heat load, MJ/m2"),
         )
     ]
-    caption = "Heat at the surface of the control points. Shaded: manoeuvres."
+    caption = f"Heat at the surface of the control points.{_shaded(windows)}"
     return Chart("Heat at the surface", panels, caption, spans=window_spans(windows), picture=picture)
 
 
@@ -186,5 +189,5 @@ def trajectory_chart(
         if name in flown and np.ptp(flown[name]) > 0.0:
             panels.append(Panel(label, [Curve(label.partition(",")[0], t, flown[name] / unit, COLORS[0])], 0.5))
     panels += flown_panels(flown, 0.6)
-    caption = "The flight. Shaded: manoeuvres."
+    caption = f"The flight.{_shaded(windows)}"
     return Chart("Trajectory", panels, caption, spans=window_spans(windows), picture=picture)
