@@ -146,9 +146,7 @@ def temperature_chart(
                 curves.append(Curve(f"{p.name}, limit", ends, np.full(2, limit), s["color"], dash=(2, 4)))
         if curves:
             panels.append(Panel(label, curves, 1.3 if key == "surface_K" else 1.0))
-    caption = (
-        "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline."
-    )
+    caption = "Surface and bondline temperatures of the control points, hottest first; hot structure has no bondline."
     return Chart("Temperatures", panels, f"{caption}{_shaded(windows)}", spans=window_spans(windows), picture=picture)
 
 
