@@ -10,7 +10,7 @@ sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 project = "sim_heating"
 author = "the authors of sim_heating"
 release = version = distribution("sim-heating").version
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx_click", "site_pages"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "site_pages"]
 exclude_patterns = ["_build", "_ext"]
 default_role = "code"
 highlight_language = "none"
@@ -38,3 +38,4 @@ html_css_files = ["site.css"]
 html_title = f"sim_heating {release}"
 html_copy_source = False
 html_show_sphinx = False
+html_show_copyright = False

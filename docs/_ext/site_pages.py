@@ -16,7 +16,6 @@ import inspect
 import re
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import click
 import flowchart
@@ -27,7 +26,6 @@ from sim_heating.cli import COMMANDS, cli
 
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 FIELD = re.compile(r"^([a-z_]\w*(?:, [a-z_]\w*)*) +: +(?=\S)")
-COMMAND_PAGES = "```{click} site_commands:commands\n:prog: sim-heating\n:nested: full\n```"
 EQUATIONS = re.compile(r"docs/([\w/]+)\.md")
 
 
@@ -38,9 +36,7 @@ def written_for_the_site(app: Sphinx, docname: str, content: list[str]) -> None:
         return
     folder = Path(app.env.doc2path(docname)).parent
     text = re.sub(r"<!-- autodoc: ([\w ]+) -->", lambda m: autodoc(m[1].split()), text)
-    text = text.replace(
-        "<!-- commands -->", fenced("```{click} site_commands:commands\n:prog: sim-heating\n:nested: full\n```")
-    )
+    text = text.replace("<!-- commands -->", commands())
     text = re.sub(r"```mermaid\n(.*?)```", lambda m: flowchart.svg(m[1]), text, flags=re.DOTALL)
     text = LINK.sub(lambda m: download(m, folder, Path(app.srcdir)), text)
     if docname.rpartition("/")[2] in ("index", "README"):
@@ -138,20 +134,40 @@ def equations(app: Sphinx, doctree: nodes.document) -> None:
             node.children = [nodes.Text(f"\\begin{{equation*}}\n{body}\n\\end{{equation*}}")]
 
 
-def commands_module() -> ModuleType:
-    """The commands as sphinx-click reads them: a group with all of them imported."""
-    context = click.Context(cli)
-    made = ModuleType("site_commands")
-    known: dict[str, Any] = {name: cli.get_command(context, name) for name in COMMANDS}
-    made.commands = click.Group("sim-heating", commands=known, help=cli.help)  # type: ignore[attr-defined]
-    return made
+def commands() -> str:
+    """All commands with their arguments and options, as their help states them."""
+    top = click.Context(cli, info_name="sim-heating")
+    known = {name: cli.get_command(top, name) for name in COMMANDS}
+    return "\n".join(section(command, click.Context(command, top, name)) for name, command in known.items() if command)
+
+
+def section(command: click.Command, context: click.Context) -> str:
+    """Heading, usage, help and a table of the options of a command, and those of its own commands."""
+    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
+    text = "\n\n".join(
+        "\n".join(f"    {line}" for line in p.splitlines()[1:]) if p.startswith("\b") else escaped(" ".join(p.split()))
+        for p in paragraphs
+    )
+    usage = "    " + " ".join([context.command_path, *command.collect_usage_pieces(context)])
+    records = [p.get_help_record(context) for p in command.get_params(context)]
+    rows = [f"| `{option}` | {escaped(about)} |".replace("\n", " ") for option, about in filter(None, records)]
+    parts = [f"## {context.command_path}", text, usage, "\n".join(["| option | |", "|---|---|", *rows])]
+    if isinstance(command, click.Group):
+        for name in command.list_commands(context):
+            below = command.get_command(context, name)
+            if below:
+                parts.append(section(below, click.Context(below, context, name)))
+    return "\n\n".join(parts) + "\n"
+
+
+def escaped(text: str) -> str:
+    """Text of a help page as Markdown: symbols as they are, what is in backticks as code."""
+    parts = re.split(r"(`[^`]+`)", text)
+    return "".join(p if p.startswith("`") else re.sub(r"([|*_<\[$])", r"\\\1", p) for p in parts)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect to the build."""
-    import sys
-
-    sys.modules["site_commands"] = commands_module()
     app.connect("source-read", written_for_the_site)
     app.connect("autodoc-process-docstring", docstring)
     app.connect("doctree-read", equations)
