@@ -149,7 +149,7 @@ def section(command: click.Command, context: click.Context) -> str:
         for p in paragraphs
     )
     usage = "    " + " ".join([context.command_path, *command.collect_usage_pieces(context)])
-    records = [p.get_help_record(context) for p in command.get_params(context)]
+    records = [p.get_help_record(context) for p in command.params]
     rows = [f"| `{option}` | {escaped(about)} |".replace("\n", " ") for option, about in filter(None, records)]
     parts = [f"## {context.command_path}", text, usage, "\n".join(["| option | |", "|---|---|", *rows])]
     if isinstance(command, click.Group):
