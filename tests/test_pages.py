@@ -87,7 +87,9 @@ def test_commands_and_options_that_pages_show_exist():
         words = list(given)
         context = click.Context(cli)
         while isinstance(command, click.Group) and words and not words[0].startswith("-"):
-            command = command.get_command(context, words.pop(0))
+            inner = command.make_context("group", words, resilient_parsing=True)  # which may add a default command
+            first, *words = [*inner._protected_args, *inner.args]
+            command = command.get_command(inner, first)
         if command is None:
             wrong.append(f"{page}: sim-heating {' '.join(given)}: no such command")
             continue
