@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
+from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.curves import NAME as CURVE_NAME
 from sim_heating.closure.curves import curve_words, write_curve
 from sim_heating.closure.plots import (
@@ -37,18 +38,13 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
-from sim_heating.closure.search.adequacy import ADEQUATE
 from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
-from sim_heating.credibility.of_records import held_out, ratio_uncertainty
 from sim_heating.credibility.section import credibility_section
-from sim_heating.credibility.statement import Answer, assess
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
 
-LIKELY = 0.95
-"""Calibrated probability of a finding from which the conclusion counts as robust."""
 NAME, PAGE = "closure.json", "report.html"
 FILES = (NAME, PAGE, HEATING_NAME, CURVE_NAME)
 
@@ -159,25 +155,14 @@ class Closure:
     @cached_property
     def credibility(self) -> Credibility:
         """What supports the finding, factor by factor."""
-        s, facts = self.statement, self.after.facts("closed loop", with_peak=False)
-        p = s.probability
-        sigma = {n: e.sigma for n, e in self.parameters.items() if math.isfinite(e.sigma)}
-        errors = self.after.segment_errors()
-        adequate = s.adequacy is not None and s.adequacy.p_value >= ADEQUATE
-        p_value = "no test of adequacy" if s.adequacy is None else f"p-value of adequacy {s.adequacy.p_value:.2g}"
-        found = replace(
-            facts,
-            topics=facts.topics | {"estimates", "sensitivities"},
-            sigma=bool(sigma),
-            uncertainty=ratio_uncertainty(sigma, [self.record], self.reference),
-            consistent=Answer(adequate, p_value),
-            holds=Answer(
-                p is not None and p >= LIKELY and not self.faults,
-                "no calibrated probability of the finding" if p is None else f"probability of the finding {p:.2f}",
-            ),
-            varied=held_out(*(None if errors[n] is None else errors[n]["rmse_K"] for n in ("fit", "holdout"))),
+        return credibility_of_finding(
+            self.statement,
+            [self.after],
+            self.parameters,
+            self.reference,
+            self.after.segment_errors(),
+            faulty=bool(self.faults),
         )
-        return assess(found)
 
     def __repr__(self) -> str:
         errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))

@@ -5,7 +5,7 @@
     factor = "history"
     level = 2
     person = "A. Engineer, heat shield group"
-    date = 2026-11-20
+    date = "2026-11-20"
     statement = "Flown on two vehicles before; report HS-12."
     reviewed = "sha256:..."
 
@@ -41,9 +41,19 @@ class Review(Declared):
     factor: str = Field(description="name of a factor")
     level: int = Field(ge=0, le=HIGHEST, description="0 to 4, by the rules of `sim-heating credibility rules`")
     person: str = Field(min_length=1, description="name, and on whose behalf")
-    date: datetime.date = Field(description="of the review")
+    date: datetime.date = Field(description='of the review, as "2026-11-20"')
     statement: str = Field(min_length=1, description="what was found")
     reviewed: str = Field(pattern="^sha256:[0-9a-f]{64}$", description="digest of what was reviewed")
+
+    @field_validator("date", mode="before")
+    @classmethod
+    def _read_date(cls, value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        try:
+            return datetime.date.fromisoformat(value)
+        except ValueError:
+            raise ValueError(f'"{value}" is no date; write it as "2026-11-20"') from None
 
     @field_validator("factor")
     @classmethod
@@ -122,7 +132,7 @@ def add_review(folder: Path, review: Review) -> Path:
     if not isinstance(entries, tomlkit.items.AoT):
         raise InputError(f"{display_path(path)}: `review` is written inline; write [[review]] tables")
     entry = tomlkit.table()
-    for key, value in review.model_dump().items():
+    for key, value in review.model_dump(mode="json").items():
         entry[key] = value
     entries.append(entry)
     write_text_atomic(path, tomlkit.dumps(document))

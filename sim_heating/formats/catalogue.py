@@ -134,6 +134,12 @@ FORMATS: tuple[FileFormat, ...] = (
         ("scenarios/*.toml", "examples/entry_fmu.toml", "examples/shock_passage.toml"),
     ),
     ModelFormat(
+        "credibility", "credibility.toml", "credibility: signed reviews of a vehicle or a record",
+        "Stands next to `vehicle.toml` or `record.toml`; `sim-heating credibility review` adds to it. A review counts "
+        "while `reviewed` is the digest of the other files there: [the statement](../../evidence/credibility.md).",
+        "examples/credibility.toml", "credibility.reviews:ReviewFile", ("examples/credibility.toml",),
+    ),
+    ModelFormat(
         "vehicle", "vehicle.toml", "vehicle: its reference length, reference heating, transition and catalysis",
         "A vehicle is a directory with `vehicle.toml`, [`control_points/*.toml`](control_point.md), "
         "[`materials/*.toml`](material.md) and [`ratio_tables/*.csv`](ratio_table.md); with [`aero/`](aero.md) and "

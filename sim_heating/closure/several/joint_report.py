@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,15 @@ from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
 from sim_heating.base.report.table import Column, Table
+from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
 from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint_search import JointSearch
 from sim_heating.closure.statement import ParameterEstimate, Statement, finite
+from sim_heating.credibility.section import credibility_section
+from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
 from sim_heating.simulation.predict import Prediction
 
@@ -73,6 +76,15 @@ class JointClosure:
         if self.search.explained:
             return " + ".join(" or ".join(names) for names in self.statement.alternatives)
         return self.effects[0].name
+
+    @cached_property
+    def credibility(self) -> Credibility:
+        """What supports the joint finding, factor by factor."""
+        faulty = any(c.faults for c in self.closures)
+        reference = self.closures[0].reference
+        return credibility_of_finding(
+            self.statement, self.after, self.parameters, reference, self.pooled(self.after), faulty=faulty
+        )
 
     def pooled(self, predictions: Sequence[Prediction]) -> dict[str, Any]:
         """rmse_K, max_abs_K and n over all records' fit and holdout segments; None where none has a sample."""
@@ -176,6 +188,7 @@ def joint_closure_json(found: JointClosure) -> dict[str, Any]:
         "remarks": found.remarks(),
         "warnings": list(found.warnings),
         "program": f"sim-heating {package_version()}",
+        "credibility": found.credibility.as_json(),
     }  # fmt: skip
 
 
@@ -227,6 +240,7 @@ def joint_page(found: JointClosure) -> Page:
     ]  # fmt: skip
     before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
+    sections.append(credibility_section(found.credibility.as_json()))
     return Page(
         f"{len(found.closures)} records, jointly", subtitle, sections,
         (found.in_words(), f"{found.certainty()} {errors}"),
