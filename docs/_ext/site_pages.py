@@ -104,7 +104,9 @@ def docstring(app: Sphinx | None, what: str, name: str, obj: object, options: ob
             if not fields:
                 made.append("")
             fields = True
-            made.append(f":{field[1]}: {plain(line[field.end() :])}")
+            names = field[1].replace(", ", ",")
+            kind = names if names in ("returns", "raises") else f"param {names}"
+            made.append(f":{kind}: {plain(line[field.end() :])}")
         elif fields and line.startswith(" "):
             made.append("   " + plain(line.strip()))
         else:
