@@ -33,7 +33,7 @@ def test_a_prediction_states_its_credibility_and_the_command_shows_why(board: Pa
     shown = capsys.readouterr().out
     assert "not assessed" in shown
     assert "no statement of" in shown
-    assert "construction of the wall" in shown
+    assert "material black-paint" in shown  # an estimate of confidence C
 
 
 def test_an_own_case_joins_the_region_until_it_is_removed(board: Path, capsys):
