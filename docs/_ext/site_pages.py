@@ -83,10 +83,9 @@ def download(found: re.Match[str], folder: Path, docs: Path) -> str:
 
 def toctree(text: str) -> str:
     """Table of contents of a page that lists others: its links to pages, in their order."""
-    pages = [
-        m[2] for m in LINK.finditer(text) if m[2].endswith((".md", ".ipynb")) and not re.match(r"[a-z]+:|\.\./", m[2])
-    ]
-    entries = [re.sub(r"\.(md|ipynb)$", "", p) for p in dict.fromkeys(pages)]
+    pages = dict.fromkeys(m[2] for m in LINK.finditer(text) if not re.match(r"[a-z]+:|\.\./", m[2]))
+    own = [p for p in pages if "/" not in p or re.search(r"/(index|README)\.md$", p)]
+    entries = [re.sub(r"\.(md|ipynb)$", "", p) for p in own if p.endswith((".md", ".ipynb"))]
     return fenced("\n".join(["```{toctree}", ":hidden:", "", *entries, "```"])) if entries else ""
 
 
