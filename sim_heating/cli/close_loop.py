@@ -138,6 +138,8 @@ def _print_rows(rows: list[dict[str, Any]]) -> None:
 
 def _print_details(report: Closure) -> None:
     """Print faults of the data, parameters of the effects, proposals and warnings of one record."""
+    from sim_heating.estimation.report.remarks import further_warnings
+
     for fault in report.faults:
         print_warning(fault.message)
     CONSOLE.print(f"{report.statement.in_words()}. {report.statement.certainty()}")
@@ -151,7 +153,9 @@ def _print_details(report: Closure) -> None:
     if report.effects[0].name == "unknown":
         for line in report.evidence.proposal():
             CONSOLE.print(line)
-    for line in report.warnings:
+    for remark in report.remarks:
+        print_warning(remark.in_words)
+    for line in further_warnings(report.warnings, report.remarks):
         print_warning(line)
     CONSOLE.print(f"Calibration: {report.false_alarm}")
 

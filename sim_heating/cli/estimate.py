@@ -223,6 +223,7 @@ def estimate(
         _estimate_trend(records, out, stated, segments, root)
         return
     from sim_heating.estimation.fit import estimate as fit_records
+    from sim_heating.estimation.report.remarks import further_warnings
     from sim_heating.estimation.report.report import estimate_contents, estimate_table, output_files, write_fit
     from sim_heating.inputs.record import load_records
 
@@ -246,7 +247,9 @@ def estimate(
             CONSOLE.print(f"{name}: tied to {other}")
     for name, why in found.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
-    for line in fitted.warnings:
+    for remark in found.remarks:
+        print_warning(remark.in_words)
+    for line in further_warnings(fitted.warnings, found.remarks):
         print_warning(line)
     if fitted.innovations is not None:
         CONSOLE.print(fitted.innovations.levels.noise.summary())

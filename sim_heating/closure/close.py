@@ -44,6 +44,7 @@ from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
+from sim_heating.estimation.report.remarks import remarks
 from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
 from sim_heating.heating.effects import effects
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
@@ -209,6 +210,7 @@ def _closure(result: SearchResult, fitted: FitResult) -> Closure:
             *_residual_warning(result, residual_after),
             *collinear_directions(fitted),
         ],
+        remarks=remarks(fitted),
     )
 
 

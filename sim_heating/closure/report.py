@@ -41,6 +41,8 @@ from sim_heating.closure.record_checks import DataFault
 from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility
+from sim_heating.estimation.report.estimate_file import Remark
+from sim_heating.estimation.report.remarks import further_warnings
 from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
@@ -115,6 +117,7 @@ class Closure:
     faults        : errors of the record itself
     false_alarm   : chance of naming an effect where there is none, with its calibration
     warnings      : on the fit and its residual
+    remarks       : on estimates that nature does not have, or that mean less than their sigma says
     """
 
     record: Record
@@ -134,6 +137,7 @@ class Closure:
     faults: Sequence[DataFault] = ()
     false_alarm: str = ""
     warnings: Sequence[str] = ()
+    remarks: Sequence[Remark] = ()
 
     @property
     def named(self) -> str:
@@ -197,6 +201,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "data_faults": [{"kind": f.kind, "message": f.message} for f in found.faults],
         "false_alarm": found.false_alarm,
         "warnings": list(found.warnings),
+        "remarks": [remark.model_dump() for remark in found.remarks],
         "program": f"sim-heating {package_version()}",
         "credibility": found.credibility.as_json(),
     }  # fmt: skip
@@ -220,7 +225,7 @@ def closure_page(found: Closure) -> Page:
     title = record.declared.title or record.declared.control_point
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
-    warnings = [*(f.message for f in found.faults), *found.warnings]
+    warnings = [*(f.message for f in found.faults), *further_warnings(found.warnings, found.remarks)]
     sections = [
         *_not_effects_section(found), *tell_apart_section(found.statement),
         _errors_section(found), *_adequacy_section(found),
@@ -378,7 +383,8 @@ def _parameters_section(found: Closure) -> Section:
     reference = ", ".join(f"{n} {v:.4g}" for n, v in zip(RATIO_VARIABLES, found.reference, strict=True))
     caption = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
     columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g"), "unit"]
-    return Section("Estimated parameters", tables=[Table(caption, columns, rows, strong=list(range(of_effects)))])
+    table = Table(caption, columns, rows, strong=list(range(of_effects)))
+    return Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])
 
 
 def _sigma_cell(p: ParameterEstimate) -> float | str:

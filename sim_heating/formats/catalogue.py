@@ -235,6 +235,8 @@ FORMATS: tuple[FileFormat, ...] = (
             "data_faults": "errors of the record itself: `kind`, `message`",
             "false_alarm": "chance of naming an effect where nothing is missing",
             "warnings": "on the fit and its residual",
+            "remarks": "estimates that nature does not have, or that mean less than their sigma says: `kind`, "
+            "`parameters`, `message`, `meaning`",
             "program": "name and version of the program",
         },
     ),

@@ -35,6 +35,7 @@ from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
 from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.report.remarks import further_warnings, remarks
 from sim_heating.inputs.record import Record, load_records
 
 if TYPE_CHECKING:
@@ -206,8 +207,14 @@ def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult 
         candidates=_candidates(search, shares),
         parameters=estimated,
         after=after,
-        warnings=() if fitted is None else fitted.warnings,
+        warnings=() if fitted is None else _warnings(fitted),
     )
+
+
+def _warnings(fitted: FitResult) -> list[str]:
+    """Warnings on a joint fit, and remarks on its estimates."""
+    found = remarks(fitted)
+    return [*(remark.in_words for remark in found), *further_warnings(fitted.warnings, found)]
 
 
 def _would_tell_apart(loops: Sequence[ClosedLoop], alternatives: Sequence[Sequence[str]]) -> list[Experiment]:

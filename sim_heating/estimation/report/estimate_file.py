@@ -77,6 +77,27 @@ class EstimatedParameter(Extensible):
         return f"{prior}, {within}" if prior else within
 
 
+class Remark(Extensible):
+    """Something about an estimate that nature does not have, or that its sigma does not say.
+
+    kind       : `emittance above 1`, `negative ratio`, `negative conductivity`, `on its bound`, `far from prior` or
+                 `correlated`
+    parameters : names of the parameters that it is about
+    message    : what was found
+    meaning    : what it usually means
+    """
+
+    kind: str
+    parameters: list[str]
+    message: str
+    meaning: str
+
+    @property
+    def in_words(self) -> str:
+        """What was found and what it usually means, in a sentence."""
+        return f"{self.message}: {self.meaning}"
+
+
 class FixedParameter(Extensible):
     """A parameter that was not estimated, at a value that is not the declared one.
 
@@ -198,6 +219,7 @@ class Estimate(Extensible):
     effects             : those of the fitted model, in addition to what the records declare
     program             : name and version
     record_names        : of each record, as in the names of its parameters; None: those of the directories
+    remarks             : on estimates that nature does not have, or that mean less than their sigma says
     """
 
     format: Literal["estimate/1"]
@@ -223,6 +245,7 @@ class Estimate(Extensible):
     effects: list[FittedEffect] = Field(default=[])
     program: str | None = None
     record_names: list[str] | None = None
+    remarks: list[Remark] = Field(default=[])
 
     def __repr__(self) -> str:
         values = ", ".join(f"{n}={p.value:.5g} +- {p.sigma:.2g} {p.unit}" for n, p in self.parameters.items())
@@ -368,7 +391,7 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "fixed", "ties",
-                "record_names")  # fmt: skip
+                "record_names", "remarks")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
 

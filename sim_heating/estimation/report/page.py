@@ -15,6 +15,7 @@ from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.report.remarks import further_warnings
 from sim_heating.estimation.trend import Trend
 from sim_heating.simulation.report.charts import flown_panels
 
@@ -43,7 +44,13 @@ def estimate_page(
         _residuals_section(found), *_pictures_section(pictures),
         credibility_section(fitted.credibility.as_json()),
     ]  # fmt: skip
-    return Page("; ".join(titles), subtitle.rstrip(", "), sections, _headline(fitted, found), fitted.warnings)
+    return Page(
+        "; ".join(titles),
+        subtitle.rstrip(", "),
+        sections,
+        _headline(fitted, found),
+        further_warnings(fitted.warnings, found.remarks),
+    )
 
 
 def _headline(fitted: FitResult, found: Estimate) -> tuple[str, str]:
@@ -73,6 +80,7 @@ def _parameters_section(found: Estimate, parameters: Table) -> Section:
     ]
     points += [f"{n}: tied to {other}" for n, other in found.ties.items() if n != other]
     points += [f"{n}: not estimated, {why}" for n, why in found.not_estimated.items()]
+    points += [remark.in_words for remark in found.remarks]
     strongest = sorted(found.correlation.items(), key=lambda item: -abs(item[1]))
     rows = [[*pair.split(PAIR), rho] for pair, rho in strongest if abs(rho) >= NOTABLE]
     columns = [Column("parameter"), Column("and", is_text=True), Column("correlation", format="+.3f")]

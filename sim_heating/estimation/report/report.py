@@ -33,6 +33,7 @@ from sim_heating.estimation.report.estimate_file import (
     excursions,
     write_estimate,
 )
+from sim_heating.estimation.report.remarks import remarks, short_remarks
 from sim_heating.estimation.trend import Trend
 from sim_heating.inputs.record import Record, pooled_rmse_K, record_digest
 from sim_heating.march.ensemble import condition_history
@@ -92,6 +93,7 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "program": f"sim-heating {package_version()}",
             "credibility": fitted.credibility.as_json(),
             "record_names": [r.name for r in records] if any(r.label for r in records) else None,
+            "remarks": remarks(fitted),
         }
     )
 
@@ -109,6 +111,10 @@ def estimate_table(title: str, estimate: Estimate) -> Table:
     if any(before):
         columns.append(Column("prior, bounds", is_text=True))
         rows = [[*row, text] for row, text in zip(rows, before, strict=True)]
+    remarked = [short_remarks(estimate.remarks, name) for name in estimate.parameters]
+    if any(remarked):
+        columns.append(Column("remark", is_text=True))
+        rows = [[*row, text] for row, text in zip(rows, remarked, strict=True)]
     return Table(title, columns, rows)
 
 

@@ -1,0 +1,70 @@
+"""Estimates that nature does not have are remarked, each with what it usually means; the fits are real ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.report.remarks import (
+    BOUND,
+    CORRELATION,
+    EMITTANCE,
+    MEANINGS,
+    NEGATIVE_CONDUCTIVITY,
+    PRIOR,
+    remarks,
+)
+from tests.support.json_output import run_json
+from tests.support.paths import BOARD, PRACTICE, TILE
+
+EMISSIVITY = "stack.emissivity_factor"
+RADIATIVE = "stack.rsi.radiative_conductivity"
+
+
+@pytest.fixture(scope="module")
+def overheated() -> FitResult:
+    """A tile whose declared heating is raised by 30 %: only its emittance may take that up."""
+    return estimate(TILE, [EMISSIVITY], fixed={"ratio.scale": 0.3})
+
+
+def test_an_emittance_above_1_is_remarked_first(overheated: FitResult) -> None:
+    first = remarks(overheated)[0]
+    assert (first.kind, first.parameters) == (EMITTANCE, [EMISSIVITY])
+    assert "the heating of the model is too large" in first.meaning
+
+
+def test_a_bound_that_is_reached_and_a_prior_that_is_left_are_remarked(overheated: FitResult) -> None:
+    found = {remark.kind: remark.message for remark in remarks(overheated)}
+    assert found[BOUND] == f"{EMISSIVITY} is on its bound, 1.5"
+    assert found[PRIOR] == f"{EMISSIVITY} is 14.3 sigmas of its prior from its mean (1 +- 0.035)"
+
+
+def test_heating_and_emittance_of_one_record_are_correlated() -> None:
+    (remark,) = remarks(estimate(PRACTICE / "p06", ["ratio.scale", EMISSIVITY]))
+    assert (remark.kind, remark.parameters) == (CORRELATION, ["ratio.scale", EMISSIVITY])
+
+
+def test_a_conductivity_by_radiation_below_0_is_remarked() -> None:
+    fitted = estimate(BOARD, [RADIATIVE], fixed={"stack.rsi.conductivity_factor": 2.0})
+    assert [r.kind for r in remarks(fitted)] == [NEGATIVE_CONDUCTIVITY]
+
+
+def test_a_good_fit_has_none() -> None:
+    assert remarks(estimate(PRACTICE / "p06", ["ratio.scale", "ratio.d_alpha"])) == []
+
+
+def test_the_command_states_them_in_table_file_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    arguments = ["--parameters", EMISSIVITY, "--fix", "ratio.scale=0.3", "--out", str(out)]
+    printed = run_json(capsys, "estimate", str(TILE), *arguments)
+    written = json.loads((out / "estimate.json").read_text())["remarks"]
+    assert printed["results"]["remarks"] == written
+    assert {r["kind"] for r in written} == {EMITTANCE, BOUND, PRIOR}
+    page = (out / "report.html").read_text()
+    for remark in written:
+        assert remark["meaning"] == MEANINGS[remark["kind"]]
+        assert remark["meaning"] in page
+        assert any(remark["message"] in line for line in printed["warnings"])
