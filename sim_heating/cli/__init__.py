@@ -44,6 +44,7 @@ COMMANDS = {
     "plan": "plan",
     "credibility": "credibility",
     "fmu": "fmu",
+    "completion": "completion",
 }
 """Command -> module of this folder that defines it; the order is that of the help text."""
 
