@@ -49,6 +49,29 @@ COMMANDS = {
 """Command -> module of this folder that defines it; the order is that of the help text."""
 
 
+EXAMPLES = {
+    "run": "run scenarios/popu_mach20.toml --out out/popu",
+    "synthesize": "synthesize scenarios/popu_mach20.toml --out out/records",
+    "predict": "predict scenarios/records/sts96_468 --out out/predicted",
+    "demo": "demo --out out",
+    "validate": "validate scenarios/popu_mach20.toml scenarios/records/practice/p06 orbiter",
+    "estimate": "estimate out/records/V09T9527 --out out/fit",
+    "design": "design scenarios/design_popu.toml --out out/design",
+    "close-loop": "close-loop scenarios/records/practice/p08 --out out/closed",
+    "update-tables": "update-tables out/fit --vehicle orbiter --out out/vehicles",
+    "campaign": "campaign scenarios/campaigns/sts2_sts4.toml --out out/campaign",
+    "figures": "figures scenarios/records/practice/p06 --only 5-8 --out out/figures",
+    "ratio-tables": "ratio-tables capsule",
+    "measured-records": "measured-records scenarios/sts96.toml --out out/measured",
+    "plan": "plan scenarios/studies/small_envelope.toml --out out/plan",
+    "fmu": "fmu export orbiter --out out/orbiter.fmu",
+    "new": "new record --csv temperatures.csv --layer 'LI-900 51 mm' --out out/record",
+    "credibility": "credibility add scenarios/records/sts96_468",
+    "completion": "completion bash",
+}
+"""Command -> the example of its help; commands that state their own are absent."""
+
+
 class LazyGroup(click.Group):
     """A group that imports the module of a command when the command is called."""
 
@@ -65,6 +88,8 @@ class LazyGroup(click.Group):
         module = import_module(f"{__name__}.{COMMANDS[cmd_name]}")
         command = getattr(module, cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
+        if command.epilog is None and cmd_name in EXAMPLES:
+            command.epilog = f"Example: sim-heating {EXAMPLES[cmd_name]}"
         return with_common_options(command)
 
 

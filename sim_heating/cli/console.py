@@ -106,7 +106,30 @@ def comma_list(_: click.Context, parameter: click.Parameter, value: str | None) 
     return names
 
 
-OUT = click.option("--out", required=True, callback=results_directory, help="directory for the results")
+def _replace_others(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Value of --force, which holds until the command ends."""
+    if value:
+        from sim_heating.base.files import replacing_others
+
+        context.with_resource(replacing_others())
+
+
+FORCE = click.option(
+    "--force",
+    is_flag=True,
+    is_eager=True,  # before the directory of the results is checked
+    expose_value=False,
+    callback=_replace_others,
+    help="replace files of the names of the results, whoever wrote or changed them; other files stay",
+)
+_OUT = click.option("--out", required=True, callback=results_directory, help="directory for the results")
+
+
+def OUT(command: Callable[..., Any]) -> Callable[..., Any]:
+    """A command with the options --out and --force."""
+    return _OUT(FORCE(command))
+
+
 PATH = click.Path(path_type=Path)
 ROOT = click.option(
     "--root",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.cli.console import CONSOLE, PATH, ROOT, comma_list, progress_line
+from sim_heating.cli.console import CONSOLE, FORCE, PATH, ROOT, comma_list, progress_line
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ def fmu() -> None:
 
 @fmu.command("export")
 @click.argument("vehicle")
+@FORCE
 @_archive("--out", ".fmu", "the FMU")
 @_archive("--ssp", ".ssp", "the heating with the trajectory that drives it, as one system (SSP 1.0, FMI 2)")
 @click.option("--trajectory", type=PATH, help='with --ssp: scenario with source = "entry-3dof", whose trajectory it is')
@@ -190,6 +191,7 @@ def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:
 
 @fmu.command("trajectory")
 @click.argument("scenario", type=PATH)
+@FORCE
 @_archive("--out", ".fmu", "the FMU", required=True)
 @FMI
 @PLATFORMS

@@ -10,6 +10,7 @@ import click
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import (
     CONSOLE,
+    FORCE,
     PATH,
     ROOT,
     comma_list,
@@ -33,6 +34,7 @@ LEGEND = (
 @click.command(epilog="Example: sim-heating parameters scenarios/records/practice/p06")
 @click.argument("path", metavar="RECORD|SCENARIO", type=PATH)
 @click.option("--out", callback=optional_directory, help="directory for parameters.json and parameters.csv")
+@FORCE
 @click.option(
     "--point",
     "points",

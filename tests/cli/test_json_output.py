@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.files import read_json
-from sim_heating.cli import cli, main
+from sim_heating.cli import COMMANDS, cli, main
 from sim_heating.cli.output import CommandReport
 from tests.support.json_output import run_json
 from tests.support.paths import AIRCRAFT, ROOT, TILE
@@ -124,3 +124,13 @@ def test_the_object_is_whole_in_a_process_of_its_own(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["results"]["paths"][0]["kind"] == "record"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_every_command_has_an_example_whose_files_exist(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "--help"]) == 0
+    example = " ".join(capsys.readouterr().out.partition("Example: ")[2].split())
+    assert example.startswith(f"sim-heating {name}")
+    assert all((ROOT / word).exists() for word in example.split() if word.startswith("scenarios/"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 from benchmarks.kills import bad, case, kill_and_judge, snapshot
 from sim_heating.cli import main
 from tests.support.gliding import gliding
-from tests.support.paths import PRACTICE, ROOT
+from tests.support.paths import PRACTICE, ROOT, TILE
 from tests.support.systems import posix
 
 
@@ -108,3 +109,34 @@ def test_a_command_killed_at_a_file_operation_leaves_whole_results_and_can_be_re
     counted = kill_and_judge(case(command, fresh), moments, tmp_path)
     assert counted["kills"] == len(moments)
     assert bad(counted) == 0, counted
+
+
+@pytest.mark.filterwarnings("default")
+def test_force_replaces_files_of_these_names_and_no_other(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = workdir / "out"
+    out.mkdir()
+    (out / "summary.json").write_text("mine")
+    (out / "notes.txt").write_text("mine too")
+    assert main(["predict", str(TILE), "--out", "out"]) == 2
+    assert main(["predict", str(TILE), "--out", "out", "--force"]) == 0
+    assert "replaced summary.json, which `predict` had not written" in capsys.readouterr().err
+    assert json.loads((out / "summary.json").read_text())["record"] == "tile"
+    assert (out / "notes.txt").read_text() == "mine too"
+    capsys.readouterr()
+    assert main(["predict", str(TILE), "--out", "out", "--force"]) == 0  # its own results: nothing to state
+    assert "replaced" not in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("default")
+def test_force_replaces_the_results_of_another_command_but_not_a_changed_one(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = workdir / "out"
+    assert main(["parameters", str(TILE), "--out", "out"]) == 0
+    (out / "parameters.csv").write_text("mine now")
+    assert main(["predict", str(TILE), "--out", "out"]) == 2
+    assert main(["predict", str(TILE), "--out", "out", "--force"]) == 0
+    assert "replaced parameters.json" in capsys.readouterr().err
+    assert (out / "parameters.csv").read_text() == "mine now"
+    assert not (out / "parameters.json").exists()
+    assert main(["predict", str(TILE), "--out", "out"]) == 0  # they are its own results now

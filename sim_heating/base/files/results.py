@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +30,31 @@ from sim_heating.base.files.transaction import (
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
 MARKER_FORMAT = "sim_heating-output/2"
+REPLACE_OTHERS = "SIM_HEATING_REPLACE_OTHERS"
+"""Environment variable that is set within `replacing_others`: processes that a command starts inherit it."""
+
+
+@contextmanager
+def replacing_others() -> Iterator[None]:
+    """Within the block, results replace files of the same names, whoever wrote or changed them.
+
+    Results of another command that are unchanged are removed, as those of the same command are. All other files stay.
+    A warning names what was replaced.
+    """
+    before = os.environ.get(REPLACE_OTHERS)
+    os.environ[REPLACE_OTHERS] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[REPLACE_OTHERS]
+        else:
+            os.environ[REPLACE_OTHERS] = before
+
+
+def replaces_others() -> bool:
+    """Whether results may replace files that others wrote or changed."""
+    return bool(os.environ.get(REPLACE_OTHERS))
 
 
 def json_text(data: Any) -> str:
@@ -129,7 +155,13 @@ def output_directory(
             yield folder
             _write_marker(folder, command)
             old = _results_to_replace(target, command, files_below(folder))
+            foreign = _others(target, command, old)
             commit(target, old)
+        if foreign:
+            warnings.warn(
+                f"{display_path(target)}: replaced {_listed(foreign)}, which `{command}` had not written, or not so",
+                stacklevel=3,
+            )
 
 
 def require_writable(
@@ -238,9 +270,10 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     names  : files to be written
     raises : InputError where these are another command's, were changed, or where another file has one of the names
     """
+    names = set(names)
     found = _read_marker(target)
     earlier, files = found if found is not None else (command, {})
-    if earlier != command:
+    if earlier != command and not replaces_others():
         raise InputError(
             f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
             "directory"
@@ -248,6 +281,11 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
     for name in {*files, *names}:
         require_plain(target, name)
+    if replaces_others() and not any((target / name).is_dir() for name in there):
+        # a listed result that was changed, and is not written again, is a person's file
+        gone = [n for n in there if n in names or has_digest(target / n, files[n])]
+        marker = [] if found is None else [MARKER]
+        return {name: file_digest(target / name) for name in (*marker, *gone)}
     foreign = [name for name in there if name not in files]
     if foreign:
         raise InputError(
@@ -262,6 +300,18 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
         )
     own = {} if found is None else {MARKER: file_digest(target / MARKER)}
     return own | {name: files[name] for name in there}
+
+
+def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:
+    """Those of the files that are replaced which another command or a person wrote or changed."""
+    found = _read_marker(target)
+    own = found[1] if found is not None and found[0] == command else {}
+    return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, own.get(n, ""))]
+
+
+def _listed(names: list[str]) -> str:
+    """Names of files in a sentence: the first six, and how many there are."""
+    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:6])} and {len(names) - 6} more"
 
 
 def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:
