@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals
@@ -72,6 +73,12 @@ EXAMPLES = {
 """Command -> the example of its help; commands that state their own are absent."""
 
 
+COMPLETED = (
+    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "vehicle", "vehicles", "flights"
+)  # fmt: skip
+"""Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
+
+
 class LazyGroup(click.Group):
     """A group that imports the module of a command when the command is called."""
 
@@ -90,7 +97,7 @@ class LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         if command.epilog is None and cmd_name in EXAMPLES:
             command.epilog = f"Example: sim-heating {EXAMPLES[cmd_name]}"
-        return with_common_options(command)
+        return with_common_options(_with_completion(command))
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -105,6 +112,23 @@ def cli() -> None:
         from sim_heating.heating.effects import user_effect_files
 
         user_effect_files()  # a folder that does not exist is refused by all commands, whether they use effects or not
+
+
+def _complete_paths(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """What an argument is completed to; the module is imported by a completion alone."""
+    from sim_heating.cli.completion import complete_paths
+
+    return complete_paths(context, parameter, incomplete)
+
+
+def _with_completion(command: click.Command) -> click.Command:
+    """A command, and those below it, whose paths are completed."""
+    for parameter in command.params:
+        if parameter.name in COMPLETED and parameter._custom_shell_complete is None:
+            parameter._custom_shell_complete = _complete_paths
+    for below in command.commands.values() if isinstance(command, click.Group) else ():
+        _with_completion(below)
+    return command
 
 
 with_common_options(cli)

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 FORMAT = "command/1"
 JSON_OPTION, QUIET_OPTION = "--json", "--quiet"
@@ -157,13 +156,6 @@ def name_command(context: click.Context | None) -> None:
         _current.command = context.command_path.partition(" ")[2]
 
 
-def _complete_paths(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """What an argument is completed to; the module is imported by a completion alone."""
-    from sim_heating.cli.completion import complete_paths
-
-    return complete_paths(context, parameter, incomplete)
-
-
 COMMON_OPTIONS = (
     click.Option(
         [JSON_OPTION], is_flag=True, is_eager=True, expose_value=False, callback=_enter_name,
@@ -174,18 +166,9 @@ COMMON_OPTIONS = (
 """Options that the group and all its commands take. They are found in the arguments, as wrong usage is reported too."""
 
 
-COMPLETED = (
-    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "vehicle", "vehicles", "flights"
-)  # fmt: skip
-"""Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
-
-
 def with_common_options(command: click.Command) -> click.Command:
-    """A command, and those below it, with the options that all commands have, and with completion of paths."""
+    """A command, and those below it, with the options that all commands have."""
     if COMMON_OPTIONS[0] not in command.params:
-        for parameter in command.params:
-            if parameter.name in COMPLETED and parameter._custom_shell_complete is None:
-                parameter._custom_shell_complete = _complete_paths
         command.params += COMMON_OPTIONS
     for below in command.commands.values() if isinstance(command, click.Group) else ():
         if below is not None:
