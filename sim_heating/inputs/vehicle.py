@@ -105,7 +105,9 @@ class ControlPoint:
         if isinstance(self.pressure, ModifiedNewtonian):
             turns = (self.pressure.elevon_factor, self.pressure.bodyflap_factor)
         tables = (self.ratio, self.flow.laminar, self.flow.turbulent)
-        return tuple(n for n, k in zip(SURFACES, turns, strict=True) if k != 0.0 or depends_on(n, *tables))
+        needed = {name for used in self.effects for name in used.effect.needs}
+        turned = (n for n, k in zip(SURFACES, turns, strict=True) if k != 0.0 or n in needed or depends_on(n, *tables))
+        return tuple(turned)
 
     def without_effects(self, names: Collection[str]) -> ControlPoint:
         """The point without those of its declared effects that bear one of these names; what the flow at its edge is

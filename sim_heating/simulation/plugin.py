@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import FRAME
+from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import limit_message
@@ -110,6 +110,8 @@ class HeatingPlugin:
         names = list(vehicle.control_points) if control_points is None else list(control_points)
         self.points = [vehicle.control_point(name) for name in names]
         self.names = tuple(names)
+        # A frame of a vehicle without control surfaces needs no deflections.
+        self._spared = ("jets", *(s for s in SURFACES if s not in vehicle.surfaces))
         self.longest_step_s = longest_step_s
         models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in self.points]
         if nodes is not None:
@@ -131,7 +133,7 @@ class HeatingPlugin:
 
     def reset(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Start: initial temperatures of the stacks at the time and conditions of this frame."""
-        values = _values(frame)
+        values = _values(frame, self._spared)
         # Checked before anything changes: after a refused frame the plug-in is as it was.
         invalid = k.implausible(values)
         if invalid != k.GOOD:
@@ -159,7 +161,7 @@ class HeatingPlugin:
         raises : InputError for a value that is NaN or out of range, and for a clock that goes back or jumps; the state
                  is unchanged. RunError where a step did not converge: reset or restore
         """
-        values = _values(frame)
+        values = _values(frame, self._spared)
         outcome = self.watch(values)
         if outcome != k.GOOD:
             self.handle(values, outcome)
@@ -314,14 +316,14 @@ def _value_problem(values: FloatArray, place: int) -> str:
 _SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)
 
 
-def _values(frame: FloatArray | Mapping[str, float]) -> FloatArray:
-    """A frame as (len(FRAME),) float64."""
+def _values(frame: FloatArray | Mapping[str, float], spared: Sequence[str] = ("jets",)) -> FloatArray:
+    """A frame as (len(FRAME),) float64; what is spared may be absent, and is 0."""
     if isinstance(frame, np.ndarray):
         if frame.shape != _SHAPE or frame.dtype != _DTYPE:
             raise InputError(f"plug-in: a frame is {len(FRAME)} float64 values: {', '.join(FRAME)}")
         return frame
     unknown = [name for name in frame if name not in FRAME]
-    missing = [name for name in FRAME if name not in frame and name != "jets"]
+    missing = [name for name in FRAME if name not in frame and name not in spared]
     if unknown or missing:
         what = f"unknown `{unknown[0]}`" if unknown else f"`{missing[0]}` is missing"
         raise InputError(f"plug-in: {what}; a frame has {', '.join(FRAME)}")

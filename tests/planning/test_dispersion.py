@@ -374,6 +374,19 @@ def test_a_trim_beyond_the_elevons_travel_is_reported_and_does_not_count_as_with
     assert f"in 16 of 16 flights, for {result.columns['end_s'][0] + 0.5:.0f} s at most" in lines[0]
 
 
+def test_a_vehicle_without_an_elevon_is_in_trim(tmp_path):
+    """A capsule trims by its centre of gravity: there is no travel to be at an end of."""
+    path = tmp_path / "study.toml"
+    path.write_text(
+        'format = "study/1"\ntitle = "capsule"\nvehicle = "capsule"\ncontrol_points = ["HOT_SKIN"]\nsoak_s = 0.0\n'
+        f"{entry_3dof('mach = 20.0')}[dispersion]\nflights = 16\nscrambles = 2\nseed = 1\nindex_flights = 0\n"
+        '[[dispersion.input]]\nname = "entry.gamma_deg"\nsigma = 0.02\n'
+    )
+    entry = DispersedEntry(load_study(path))
+    first = next(iter(batches_of(entry).values()))[0]
+    assert not entry.fly(first)["untrimmed_s"].any()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

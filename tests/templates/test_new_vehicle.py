@@ -85,6 +85,17 @@ def test_a_trajectory_and_a_record_of_a_vehicle_without_surfaces_need_no_deflect
     assert not sh.load_record("record").conditions["bodyflap_deg"].any()
 
 
+def test_frames_of_a_host_without_control_surfaces_need_no_deflections() -> None:
+    frame = {"time_s": 0.0, "altitude_m": 74e3, "velocity_m_s": 6800.0, "alpha_deg": 20.0, "beta_deg": 0.0}
+    frame["rho_kg_m3"] = 4.6e-5
+    plugin = sh.HeatingPlugin(sh.load_vehicle("capsule"), ["FACE"])
+    plugin.reset(frame)
+    plugin.step(frame | {"time_s": 0.5})
+    assert plugin.surface_K["FACE"] > 293.0
+    with pytest.raises(InputError, match="`elevon_deg` is missing"):
+        sh.HeatingPlugin(sh.load_vehicle("orbiter"), ["V09T9527"]).reset(frame)
+
+
 def test_a_trajectory_of_a_vehicle_with_surfaces_needs_their_deflections() -> None:
     made("vehicle", *GLIDER, "--out", "glider")
     Path("track.csv").write_text(

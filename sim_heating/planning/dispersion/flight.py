@@ -287,8 +287,10 @@ def fly_kernel(
             if k % every == 0:
                 flights.rows[f, k // every] = row
                 flights.frame_counts[f] = k // every + 1
+            # a vehicle without an elevon, whose travel is 0, trims by its centre of gravity
             trimmed = vehicle[ELEVON_LOW] < row[_ELEVON] < vehicle[ELEVON_HIGH]
-            flights.untrimmed_s[f] += dt_s if not trimmed else 0.0
+            has_elevon = vehicle[ELEVON_LOW] < vehicle[ELEVON_HIGH]
+            flights.untrimmed_s[f] += dt_s if has_elevon and not trimmed else 0.0
             k += 1
             if not going:
                 flights.outcome[f] = COMPLETED

@@ -182,7 +182,7 @@ class EntrySearch:
         ]
         low, high = self.aero.entry.flight[[ELEVON_LOW, ELEVON_HIGH]]
         untrimmed = (flown["elevon_deg"] <= low) | (flown["elevon_deg"] >= high)
-        if np.any(untrimmed):
+        if low < high and np.any(untrimmed):  # a vehicle without an elevon trims by its centre of gravity
             duration = float(np.sum(np.gradient(flown.time_s)[untrimmed]))
             first = flown.time_s[untrimmed][0]
             lines.append(f"elevon at an end of its travel for {duration:.0f} s from {first:.0f} s: not in trim")
