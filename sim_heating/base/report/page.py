@@ -13,6 +13,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -34,8 +35,9 @@ from sim_heating.base.report.table import Table
 TEMPLATE = "page.html.j2"
 CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/uPlot.min.css"
 TABLE_SCRIPTS = ("table.js",)
+RASTER = re.compile(rb"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 PALETTE = 200
-"""Colours of a saved picture on a page."""
+"""Colours of a picture of pixels on a page."""
 RASTER_DPI = 80
 """Resolution of the rasterized parts of a figure."""
 
@@ -78,7 +80,17 @@ class SavedPicture:
 
 def _svg(figure: Figure) -> bytes:
     with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # identifiers in the file are the same in each run
-        return picture_file(figure, "svg", dpi=RASTER_DPI, metadata={"Date": None})
+        drawing = picture_file(figure, "svg", dpi=RASTER_DPI, metadata={"Date": None})
+    return RASTER.sub(lambda found: _with_palette(base64.b64decode(found[1])), drawing)
+
+
+def _with_palette(raster: bytes) -> bytes:
+    """A rasterized part of a figure as a data URL with a palette of colours and transparencies."""
+    buffer = io.BytesIO()
+    with Image.open(io.BytesIO(raster)) as picture:
+        few = picture.convert("RGBA").quantize(PALETTE, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        few.save(buffer, "PNG", optimize=True)
+    return _data_url("image/png", buffer.getvalue()).encode()
 
 
 def _data_url(media: str, content: bytes) -> str:
