@@ -117,7 +117,7 @@ def close_all(
             require_writable(folder, COMMAND, expected=files, inputs=records)
         outcome = run_batches(
             jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
-            is_current=results_are_there, progress=progress,
+            is_current=_closure_is_there, progress=progress,
         )  # fmt: skip
         rows, residuals = [], []
         for label, job in zip(labels, jobs, strict=True):
@@ -183,10 +183,14 @@ def _close_record(task: Task) -> bytes:
 def results_are_there(job: Job, finished: bytes) -> bool:
     """Whether the folder of a finished job, `task.out`, still holds what was written into it."""
     try:
-        known = json.loads(finished)
-        return "residuals" in known and bool(known["results"] == results_digest(job.task.out))
+        return bool(json.loads(finished)["results"] == results_digest(job.task.out))
     except (ValueError, KeyError, TypeError):  # written by an earlier version
         return False
+
+
+def _closure_is_there(job: Job, finished: bytes) -> bool:
+    """Whether a record's closed loop is there, with the residuals that the page of all records draws."""
+    return results_are_there(job, finished) and "residuals" in json.loads(finished)
 
 
 def summary_row(report: Any) -> dict[str, Any]:
