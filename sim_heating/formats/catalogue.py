@@ -238,6 +238,7 @@ FORMATS: tuple[FileFormat, ...] = (
             "remarks": "estimates that nature does not have, or that mean less than their sigma says: `kind`, "
             "`parameters`, `message`, `meaning`",
             "program": "name and version of the program",
+            "credibility": "self-assessment: the level of each factor with its reason, and what it was computed from",
         },
     ),
 )  # fmt: skip
