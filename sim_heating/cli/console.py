@@ -143,6 +143,8 @@ TEXT_INTERVAL_S = 15.0
 """Least time [s] between two lines of progress on one stage, where the output is not a terminal."""
 ESTIMATE_AFTER_S = 2.0
 """Time [s] after which a remaining time is estimated."""
+ESTIMATE_FROM = 0.03
+"""Fraction done from which a remaining time is estimated: before, compilation would count many times."""
 
 
 @contextmanager
@@ -182,7 +184,8 @@ def _progress_text(title: str) -> Callable[[float, str], None]:
         if 0.0 < fraction < 1.0:
             elapsed_s = now_s - begun_s
             left = f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
-            line += f" ({100.0 * fraction:.0f} %{left if elapsed_s > ESTIMATE_AFTER_S else ''})"
+            is_known = elapsed_s > ESTIMATE_AFTER_S and fraction >= ESTIMATE_FROM
+            line += f" ({100.0 * fraction:.0f} %{left if is_known else ''})"
         last_stage, last_s = stage, now_s
         ERRORS.print(f"{line} ...")
 
