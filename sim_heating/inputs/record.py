@@ -705,7 +705,10 @@ def _check_record(
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.
-    declared = declared.model_copy(update={"conditions": ConditionsFile(file=declared.conditions.file)})
+    stated = declared.conditions.model_dump(include={"file", "source", "confidence"}, exclude_unset=True)
+    declared = declared.model_copy(
+        update={"conditions": ConditionsFile(**{"file": declared.conditions.file, **stated})}
+    )
     raise_problems(
         [
             *_condition_problems(conditions, declared),

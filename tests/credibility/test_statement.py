@@ -78,6 +78,7 @@ def test_a_board_under_a_lamp_has_no_mach_number_and_is_compared_with_ground_tes
     statement = board.credibility
     assert statement.region.within.keys() == {"kaowool_board"}
     assert set(statement.region.outside) <= {"wall_K"}
+    assert levels(statement)["input_pedigree"] == 3  # its record states the source of its flux, confidence A
 
 
 def test_verification_rows_that_are_gone_lower_verification(facts: Facts):
