@@ -38,7 +38,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
 )
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
-from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
+from sim_heating.closure.table_prior.findings import table_error, table_findings
 from sim_heating.closure.table_prior.prior import table_prior
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.inference.newton import NewtonSettings
@@ -208,7 +208,6 @@ def _closure(result: SearchResult, fitted: FitResult) -> Closure:
             *fitted.warnings,
             *_forms(result),
             *_residual_warning(result, residual_after),
-            *collinear_directions(fitted),
         ],
         remarks=remarks(fitted),
     )

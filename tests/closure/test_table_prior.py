@@ -17,11 +17,12 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
     table_log_prior,
 )
-from sim_heating.closure.table_prior.findings import collinear_directions, table_error, table_findings
+from sim_heating.closure.table_prior.findings import table_error, table_findings
 from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
 from sim_heating.closure.table_prior.prior import DEFAULT_SIGMA, _of_default_sigma, table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import joint_reference
+from sim_heating.estimation.report.remarks import remarks
 from sim_heating.heating.effects import use
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, correlation
@@ -103,11 +104,10 @@ def trimmed(record: Record) -> Record:
     )
 
 
-def test_an_elevon_that_follows_alpha_is_named_as_collinear() -> None:
+def test_an_elevon_that_follows_alpha_is_remarked_as_correlated_with_it() -> None:
     record = trimmed(record_with([], 4)[0])
-    lines = collinear_directions(estimate([record], ["ratio.d_alpha", "ratio.d_elevon"]))
-    assert len(lines) == 1
-    assert "ratio.d_alpha and ratio.d_elevon cannot be told apart" in lines[0]
+    found = remarks(estimate([record], ["ratio.d_alpha", "ratio.d_elevon"]))
+    assert [(r.kind, r.parameters) for r in found] == [("correlated", ["ratio.d_alpha", "ratio.d_elevon"])]
 
 
 def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_excludes() -> None:

@@ -13,22 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from scipy.stats import chi2
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.parameters import EFFECT_PREFIX, MODEL
+from sim_heating.base.parameters import MODEL
 from sim_heating.closure.table_prior.prior import TablePrior
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.observability import variables_of
-from sim_heating.heating.effects.added_curve import ADDED_CURVE
 
 MOST_SIGMA = 3.0
 """Sigmas of table and bounds together by which an estimate may be off."""
-COLLINEAR = 0.95
-"""Correlation of two estimates above which a record does not tell them apart."""
 NAMED_COMPONENT = 0.3
 """Component of a combination of unit length above which a parameter is named."""
 INDEPENDENT = 0.1
@@ -122,24 +118,6 @@ def table_word(name: str) -> str:
         return "magnitude"
     second = "second " if name.endswith("2") else ""
     return f"{second}{'-'.join(variables)} derivative"
-
-
-def collinear_directions(fit: FitResult) -> list[str]:
-    """One line for each pair of estimates that the records cannot tell apart, the closest first.
-
-    Values of a curve are left out: they belong together, and their level is that of the magnitude.
-    """
-    R = fit.correlation
-    single = [k for k, name in enumerate(fit.labels) if not name.startswith(f"{EFFECT_PREFIX}{ADDED_CURVE}.")]
-    pairs = [(a, b) for a, b in combinations(single, 2) if abs(R[a, b]) > COLLINEAR]
-    return [
-        f"{fit.labels[a]} and {fit.labels[b]} cannot be told apart in {_records(fit)}: correlation {R[a, b]:.3f}"
-        for a, b in sorted(pairs, key=lambda p: -abs(R[p]))
-    ]
-
-
-def _records(fit: FitResult) -> str:
-    return "this record" if len(fit.problem.record_fits) == 1 else "these records"
 
 
 def _listed(words: Sequence[str]) -> str:

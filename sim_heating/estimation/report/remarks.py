@@ -6,6 +6,7 @@ Each states the parameters, what is remarkable, and what it usually means. They 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.estimation.report.estimate_file import Remark
+from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.march.history import PointHistory, negative_ratio_s
 from sim_heating.march.point import PointModel
 
@@ -123,9 +125,10 @@ def _far_from_priors(fitted: FitResult) -> Iterator[Remark]:
 
 
 def _correlations(fitted: FitResult) -> Iterator[Remark]:
+    """Values of a curve are left out: they belong together, and their level is that of the magnitude."""
     rho, labels = fitted.correlation, fitted.labels
-    pairs = [(i, j) for i in range(len(labels)) for j in range(i + 1, len(labels))]
-    for i, j in sorted((p for p in pairs if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p])):
+    single = [k for k, name in enumerate(labels) if not name.startswith(f"{EFFECT_PREFIX}{ADDED_CURVE}.")]
+    for i, j in sorted((p for p in combinations(single, 2) if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p])):
         found = f"{labels[i]} and {labels[j]} have a correlation of {rho[i, j]:+.3f}"
         yield _remark(CORRELATION, [labels[i], labels[j]], found)
 
