@@ -268,7 +268,7 @@ def write_new_record(
     """
     sensors = sensor_columns(measured)
     times = measured.of_kind(TIME)[0].si
-    initial_K, notes = _initial(given, sensors)
+    initial_K, notes = _initial(given, times, sensors)
     surroundings_K = given.surroundings_K
     lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]
     if surroundings_K is None and given.heat.reference != "none" and not lamp:
@@ -345,17 +345,34 @@ def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
     )
 
 
-def _initial(given: RecordInput, sensors: Sequence[CsvColumn]) -> tuple[float, list[str]]:
-    """Initial temperature [K], and notes: given, or the mean of the first readings."""
+def _initial(given: RecordInput, times: FloatArray, sensors: Sequence[CsvColumn]) -> tuple[float, list[str]]:
+    """Initial temperature [K], and notes: given, or the mean of the readings before the heating, or of the first.
+
+    times : (reading,) [s]
+    """
     if given.initial_K is not None:
         return given.initial_K, []
-    first = [float(np.median(s.si[np.isfinite(s.si)][:FIRST_READINGS])) for s in sensors]
+    cold = times <= _heated_from_s(given.heat)
+    first = []
+    for s in sensors:
+        before, found = s.si[cold & np.isfinite(s.si)], s.si[np.isfinite(s.si)]
+        # median: without a known start of the heating the last of them may be heated
+        first.append(float(np.mean(before) if len(before) else np.median(found[:FIRST_READINGS])))
     mean = float(f"{np.mean(first):.5g}")
-    notes = [f"wall at {mean:g} K at the start, the mean of the first readings (--initial)"]
+    which = "readings before the heating" if cold.any() else "first readings"
+    notes = [f"wall at {mean:g} K at the start, the mean of the {which} (--initial)"]
     if max(first) - min(first) > UNEVEN_K:
         apart = max(first) - min(first)
         notes.append(f"the first readings differ by {apart:.1f} K: state initial_profile in [stack] where that is real")
     return mean, notes
+
+
+def _heated_from_s(heat: Heat) -> float:
+    """Time [s] until which a stated flux or film is 0; minus infinity where it is not from the start on."""
+    history = next((heat.columns[n] for n in ("q_add_W_m2", "h_ref_kg_m2_s") if n in heat.columns), None)
+    if history is None or history[0] != 0.0 or not np.any(history):
+        return -math.inf
+    return float(heat.columns["time_s"][np.argmax(history != 0.0) - 1])
 
 
 def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:

@@ -98,6 +98,14 @@ def export_ssp(
     control_points, platforms, input_timing, progress : as in `export_fmu`
     returns : what was written
     raises  : InputError as `export_fmu`, and for another source of the trajectory
+
+    >>> from tempfile import TemporaryDirectory
+    >>> import sim_heating as sh
+    >>> flight = sh.load_scenario("scenarios/capsule.toml").declared.trajectory
+    >>> with TemporaryDirectory() as folder:
+    ...     system = sh.export_ssp("capsule", flight, f"{folder}/capsule.ssp", ["FACE"])
+    >>> len(system.connections)
+    8
     """
     require_replaceable(out)
     platforms = platforms or [native_platform()]
