@@ -19,7 +19,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of
-from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault
+from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault, with_noise
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
@@ -128,11 +128,12 @@ def close_loop(
     of_clock = clock_fault(record)
     if of_clock is not None:
         raise InputError(of_clock.message)
+    record, of_noise = with_noise(record)
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found")
     fitted = refit(result)
     progress(0.9, "residual as heating")
-    return ClosedLoop(result, fitted, _closure(result, fitted))
+    return ClosedLoop(result, fitted, _closure(result, fitted, of_noise))
 
 
 def refit(result: SearchResult) -> FitResult:
@@ -174,8 +175,8 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     return priors
 
 
-def _closure(result: SearchResult, fitted: FitResult) -> Closure:
-    """The results of a search and its refit, for the report."""
+def _closure(result: SearchResult, fitted: FitResult, notes: Sequence[str] = ()) -> Closure:
+    """The results of a search and its refit, for the report; `notes` on the record come first of its warnings."""
     before, values = result.before, result.before.fit.values
     residual = residual_heating(before.problem, values)
     after = fitted.after[0]
@@ -205,6 +206,7 @@ def _closure(result: SearchResult, fitted: FitResult) -> Closure:
         faults=[] if not_effects else faults,
         false_alarm=false_alarm_statement(),
         warnings=[
+            *notes,
             *fitted.warnings,
             *_forms(result),
             *_residual_warning(result, residual_after),

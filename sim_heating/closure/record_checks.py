@@ -13,6 +13,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.estimation.fit import rms_normalised_residual
+from sim_heating.estimation.inference.noise import noise_of_readings
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
@@ -131,3 +132,22 @@ def magnitude_fault(problem: FitProblem, values: FloatArray) -> DataFault | None
         "throughout. No table has so large an error: check the reference heating (nose radius, units of density and "
         "of the film coefficient, the model that the ratio refers to) and the trajectory.",
     )
+
+
+def with_noise(record: Record) -> tuple[Record, list[str]]:
+    """The record with a noise for each sensor that declares none, from its readings alone, and a line on each.
+
+    With the noise of a misfit as that of the sensor every model would explain the record.
+    """
+    found: dict[str, float] = {}
+    for sensor, T in zip(record.sensors, record.temperatures_K(record.sensors), strict=True):
+        if sensor.noise_sigma_K is None:
+            sigma = noise_of_readings(record.time_s, T, sensor.lsb_K)
+            found |= {} if sigma is None else {sensor.name: float(f"{sigma:.3g}")}
+    sensors = [s.model_copy(update={"noise_sigma_K": found.get(s.name, s.noise_sigma_K)}) for s in record.sensors]
+    lines = [
+        f"sensor {name}: no noise is declared; {sigma:g} K, from differences of neighbouring readings; declare "
+        "noise_sigma_K where it is known"
+        for name, sigma in found.items()
+    ]
+    return record.with_sensors(sensors) if found else record, lines

@@ -459,6 +459,11 @@ class Record:
         other = Segments(fit=[list(s) for s in segments], holdout=self.declared.segments.holdout)
         return replace(self, declared=self.declared.model_copy(update={"segments": other}))
 
+    def with_sensors(self, sensors: Sequence[Sensor]) -> Record:
+        """The record with other declarations of its thermocouples, of which it has the columns."""
+        thermocouples = self.declared.thermocouples.model_copy(update={"sensor": list(sensors)})
+        return replace(self, declared=self.declared.model_copy(update={"thermocouples": thermocouples}))
+
     def noise_floor_K(
         self, mask: ArrayLike | None = None, estimated_sigma_K: Mapping[str, float] | None = None
     ) -> float:

@@ -40,7 +40,7 @@ from sim_heating.inputs.record import (
 )
 from sim_heating.templates.materials import LayerInput, describe_source
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
-from sim_heating.templates.quantities import quantity, require_known
+from sim_heating.templates.quantities import NUMBER, quantity, require_known
 from sim_heating.templates.render import render_toml
 from sim_heating.thermal.stack import PressureTable, Sensor
 
@@ -196,6 +196,8 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         raise InputError(
             f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({known}), nor a file{hint}"
         )
+    if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
+        raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
     flux_W_m2 = float(f"{factor * quantity(lamp, 'W/m2', '--lamp', f'--lamp {FLUX_EXAMPLE}'):.12g}")
     if lit_s is None:
         meaning = "flux that the surface absorbs, from the first row to the last"
@@ -214,6 +216,10 @@ def _lit(times: FloatArray, lit_s: tuple[float, float]) -> tuple[FloatArray, Flo
     on, off = lit_s
     if not times[0] <= on < off:
         raise InputError(f"--lit {on:g},{off:g}: give two times in s, from {times[0]:g} s on, the first one earlier")
+    if on >= times[-1]:
+        raise InputError(
+            f"--lit {on:g},{off:g}: the readings end at {times[-1]:g} s; give the times in s on their clock"
+        )
     edges = np.round([on, on + RISE_S, off, off + RISE_S], 6)
     clock = np.unique(np.concatenate((times[[0]], edges, np.maximum(times[[-1]], edges[-1]))))
     lit = np.interp(clock, edges, [0.0, 1.0, 1.0, 0.0])

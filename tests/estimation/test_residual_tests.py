@@ -15,7 +15,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.estimation.inference.bounds import ChannelResiduals, CramerRaoBounds, cramer_rao_bounds
 from sim_heating.estimation.inference.identifiability import correlation, covariance, directions
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, likelihood, reading_intervals
-from sim_heating.estimation.inference.noise import estimate_noise
+from sim_heating.estimation.inference.noise import estimate_noise, noise_of_readings
 from sim_heating.estimation.inference.residual_tests import chi_square, normality, sensor_residuals, whiteness
 from sim_heating.inputs.sensor_model import quantise
 from sim_heating.thermal.stack import Sensor
@@ -368,3 +368,28 @@ def test_residuals_that_are_all_the_same_have_no_noise_to_test() -> None:
         normality(np.full(20, 2.0))
     with pytest.raises(InputError, match="all 0"):
         whiteness(np.arange(20.0), np.zeros(20))
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3, 2.0])
+def test_the_noise_of_readings_is_found_without_a_model(sigma: float) -> None:
+    """A plate that is heated from 10 to 130 s and cools, at intervals that are not all alike, with two spikes."""
+    rng = np.random.default_rng(11)
+    t = np.sort(rng.uniform(0.0, 300.0, 400))
+    T = 300.0 + 1.5 * np.clip(t - 10.0, 0.0, 120.0) - 0.2 * np.clip(t - 130.0, 0.0, None)
+    reading = T + rng.normal(0.0, sigma, len(t))
+    reading[[50, 200]] += 100.0
+    reading[120:130] = np.nan
+    assert noise_of_readings(t, reading) == pytest.approx(sigma, rel=0.25)
+
+
+def test_the_noise_of_a_recorder_that_averages_is_not_that_of_its_neighbours_alone() -> None:
+    white = np.random.default_rng(12).normal(0.0, 1.0, 4004)
+    averaged = np.convolve(white, np.full(5, 0.2), "valid")
+    found = noise_of_readings(np.arange(4000.0), averaged)
+    assert 0.8 * np.std(averaged) < found < 1.2 * np.std(averaged)
+
+
+def test_a_coarse_word_hides_the_noise_and_few_readings_have_none() -> None:
+    t = np.arange(200.0)
+    assert noise_of_readings(t, np.round(t / 50.0) * 5.0, 5.0) == pytest.approx(0.5)
+    assert noise_of_readings(t[:15], t[:15]) is None

@@ -183,6 +183,9 @@ def test_a_lamp_may_be_a_column_of_the_file_or_a_file_of_its_own() -> None:
     assert load_record("b").conditions["q_add_W_m2"][-1] == pytest.approx(900.0)
     Path("short.csv").write_text("time_s,flux_W_m2\n0,1000\n5,1000\n")
     assert "covers 0 to 5 s" in refused("new", "record", *arguments, "--lamp", "short.csv", "--out", "c")
+    assert "--lamp 20: has no unit; write" in refused("new", "record", *arguments, "--lamp", "20", "--out", "c")
+    late = ("--lamp", "20 kW/m2", "--lit", "10000,130000")
+    assert "the readings end at" in refused("new", "record", *arguments, *late, "--out", "c")
 
 
 def test_a_tile_on_the_ground_takes_its_materials_from_the_library() -> None:

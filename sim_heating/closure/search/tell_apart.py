@@ -32,7 +32,6 @@ from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.inputs.record import Record
-from sim_heating.thermal.stack import Sensor
 
 REPEATED = "the same flight again"
 PERIOD_S = {"alpha_deg": 30.0, "beta_deg": 20.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0}
@@ -162,7 +161,7 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
         yield from _recorders(record)
     for place, sensor in extra_sensors(record.declared.stack, record.used_sensors):
         columns = {**record.thermocouples, sensor.column: record.thermocouples[record.used_sensors[0].column]}
-        changed = replace(_with_sensors(record, [*record.sensors, sensor]), thermocouples=columns)
+        changed = replace(record.with_sensors([*record.sensors, sensor]), thermocouples=columns)
         where = "at the bondline" if place == "bondline" else place
         yield _Flight(f"a thermocouple {where}", place, changed)
     yield from _manoeuvres(record)
@@ -175,7 +174,7 @@ def _recorders(record: Record) -> Iterator[_Flight]:
         for s in record.sensors
     ]
     if finer != list(record.sensors):
-        yield _Flight(f"recorder words of {FINER_BITS} bits", "words", _with_sensors(record, finer))
+        yield _Flight(f"recorder words of {FINER_BITS} bits", "words", record.with_sensors(finer))
     t = record.time_s
     between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(MORE_OFTEN) / MORE_OFTEN).ravel()
     often = np.append(between, t[-1])
@@ -183,12 +182,6 @@ def _recorders(record: Record) -> Iterator[_Flight]:
     interval = float(np.median(np.diff(often)))
     changed = replace(record, thermocouples={"time_s": often, **columns})
     yield _Flight(f"readings every {interval:.2g} s", "rate", changed)
-
-
-def _with_sensors(record: Record, sensors: Sequence[Sensor]) -> Record:
-    """The record with other thermocouples, of which it has the columns."""
-    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": list(sensors)})
-    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
 
 
 def _manoeuvres(record: Record) -> Iterator[_Flight]:

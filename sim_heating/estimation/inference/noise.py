@@ -25,6 +25,10 @@ FLOOR = 0.1
 """Least sigma over the step of a word: below it the likelihood of a sample is that of its interval alone."""
 LIKELIHOOD_DROP = 0.5 * float(chi2.ppf(0.95, 1))
 """Drop of the log likelihood at the 95% limits [-], 1.92."""
+NORMAL_MEDIAN, CLIPPED_FROM = 1.4826, 3.5
+"""Standard deviation of a normal variable over the median of its magnitude, and number of them that are clipped."""
+STRIDES, MIN_DIFFERENCES, LEAST_NOISE_K = (1, 2, 4), 20, 1e-3
+"""Distances of readings that differences are taken over, the least number of them, and the least noise [K]."""
 POINTS = 32
 """Values of sigma on the first grid of the search."""
 
@@ -57,6 +61,45 @@ class NoiseEstimate:
         if self.is_bounded_below:
             return f"sensor {sensor}: noise {self.sigma_K:.3g} K ({self.lower_K:.3g} to {self.upper_K:.3g})"
         return f"sensor {sensor}: noise below {self.upper_K:.3g} K, hidden by rounding; declare noise_sigma_K"
+
+
+def noise_of_readings(time_s: FloatArray, reading_K: FloatArray, step_K: float = 0.0) -> float | None:
+    """Noise of a sensor from its readings alone, without a model: third divided differences of neighbouring readings.
+
+    time_s, reading_K : (reading,) times [s], and temperatures [K], NaN where a sample was lost
+    step_K            : step of the recorder's word [K]; 0 without one
+    returns           : standard deviation [K], at least a tenth of a step; None from fewer than MIN_DIFFERENCES
+
+    Of four readings the combination that any quadratic in time leaves at 0 is scaled to the variance of one
+    reading. Its root mean square is the standard deviation, without those beyond 3.5 times 1.4826 times the
+    median of its magnitude, the standard deviation of normal noise: switches of a lamp, and spikes. The largest
+    of the values over every reading, every second and every fourth is taken: the noise of a recorder that
+    averages is correlated from one reading to the next. What a temperature bends within four readings counts as
+    noise, so that sparse readings give too much rather than too little. Source: the scale by the median,
+    Rousseeuw and Croux, J. Am. Stat. Assoc. 88 (1993).
+    """
+    good = np.isfinite(reading_K)
+    t, T = np.asarray(time_s)[good], np.asarray(reading_K)[good]
+    scales = [[_difference_scale(t[start::k], T[start::k]) for start in range(k)] for k in STRIDES]
+    means = [float(np.mean([s for s in own if s is not None])) for own in scales if None not in own]
+    if not means:
+        return None
+    sigma = max(means)
+    return max(math.sqrt(max(sigma**2 - step_K**2 / 12.0, 0.0)), FLOOR * step_K, LEAST_NOISE_K)
+
+
+def _difference_scale(t: FloatArray, T: FloatArray) -> float | None:
+    """Scale of third divided differences; None from too few."""
+    count = len(t) - 3
+    if count < MIN_DIFFERENCES:
+        return None
+    times = np.array([t[i : i + count] for i in range(4)])
+    gaps = times[:, None, :] - times[None, :, :] + np.eye(4)[:, :, None]
+    weights = 1.0 / np.prod(gaps, axis=1)
+    weights /= np.sqrt(np.sum(weights**2, axis=0))
+    z = sum(w * T[i : i + count] for i, w in enumerate(weights))
+    scale = NORMAL_MEDIAN * float(np.median(np.abs(z)))
+    return float(np.sqrt(np.mean(z[np.abs(z) <= CLIPPED_FROM * scale] ** 2)))
 
 
 def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float = 0.0) -> NoiseEstimate:

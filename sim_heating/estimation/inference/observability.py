@@ -9,7 +9,6 @@ than it is known to, and for which the ratio table has nodes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -277,6 +276,5 @@ def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
         return record, []
     if len(stuck) == len(record.used_sensors):
         raise InputError(f"{'; '.join(lines)}; no sensor remains to estimate from")
-    sensors = [s.model_copy(update={"used": s.used and s.name not in stuck}) for s in record.sensors]
-    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
-    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples})), lines
+    used = [s.model_copy(update={"used": s.used and s.name not in stuck}) for s in record.sensors]
+    return record.with_sensors(used), lines

@@ -138,9 +138,7 @@ def _read_K(s: PredictedSamples) -> FloatArray:
 
 def _with_sensors(record: Record, changed: Callable[[Sensor], dict[str, object]]) -> Record:
     """The record with other declarations of its sensors."""
-    sensors = [s.model_copy(update=changed(s)) for s in record.sensors]
-    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
-    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+    return record.with_sensors([s.model_copy(update=changed(s)) for s in record.sensors])
 
 
 def swap(a: Sensor, b: Sensor) -> RecordChange:

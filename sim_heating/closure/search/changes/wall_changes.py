@@ -130,9 +130,8 @@ def _with_thickness(record: Record, changed: Sequence[int], factor: float) -> Re
     profile = stack.initial_profile and [[moved(x), T_K] for x, T_K in stack.initial_profile]
     sensors = [s.model_copy(update={"depth_m": moved(s.depth_m)}) for s in record.sensors]
     changed_stack = stack.model_copy(update={"layer": layers, "initial_profile": profile})
-    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
-    declared = record.declared.model_copy(update={"stack": changed_stack, "thermocouples": thermocouples})
-    return replace(record, declared=declared)
+    moved_record = record.with_sensors(sensors)
+    return replace(moved_record, declared=moved_record.declared.model_copy(update={"stack": changed_stack}))
 
 
 def with_layers(record: Record, layers: Sequence[Layer], materials: Mapping[str, Material]) -> Record:
