@@ -463,7 +463,7 @@ def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]
 
 
 def _uninformed(problem: FitProblem, values: FloatArray, optional: Collection[str]) -> dict[str, str]:
-    """Those of the optional parameters of a problem that the records do not inform, with the reason, at a parameter
+    """Optional parameters of a problem that the records do not inform, with the reason, at a parameter
     vector."""
     labels = [u.label if u.label in optional else "" for u in problem.unknowns]
     if not any(labels):

@@ -303,7 +303,7 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
 
 
 def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:
-    """Those of the files that are replaced which another command or a person wrote or changed."""
+    """Files that are replaced although another command or a person wrote or changed them."""
     found = _read_marker(target)
     own = found[1] if found is not None and found[0] == command else {}
     return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, own.get(n, ""))]
