@@ -16,7 +16,7 @@ PACKAGE = ROOT / "sim_heating"
 PAGE = ROOT / "docs" / "development" / "architecture.md"
 FOLDERS = (
     "base", "heating", "thermal", "trajectory", "march", "inputs", "credibility", "simulation", "templates",
-    "estimation", "closure", "campaign", "planning", "formats", "cli",
+    "estimation", "closure", "live", "campaign", "planning", "formats", "cli",
 )  # fmt: skip
 """Folders in the order of the data: each imports only from those before it."""
 BEGIN, END = "<!-- drawn from the imports: python -m tests.support.structure -->\n", "<!-- end -->\n"
