@@ -1,4 +1,4 @@
-"""Recognise a path as a record, ratio table, vehicle, scenario, campaign, study or material, and check it."""
+"""Recognise a path as a record, ratio table, vehicle, scenario, campaign, link, study or material, and check it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
-FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "study/1", "optimal-entry/1")
+FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "link/1", "study/1", "optimal-entry/1")
 
 
 @dataclass(frozen=True)
 class CheckedPath:
     """A path without fault.
 
-    kind    : record, ratio table, vehicle, scenario, campaign, study or material
+    kind    : record, ratio table, vehicle, scenario, campaign, link, study or material
     summary : one line for a person
     """
 
@@ -72,6 +72,8 @@ def _toml(place: Path, root: Path | None) -> CheckedPath:
         return _scenario(place, root)
     if data.get("format") == "campaign/1":
         return _campaign(place, root)
+    if data.get("format") == "link/1":
+        return _link(place, root)
     if data.get("format") == "study/1":
         return _study(place, root)
     if data.get("format") == "optimal-entry/1":
@@ -130,6 +132,15 @@ def _campaign(place: Path, root: Path | None) -> CheckedPath:
         for record in [] if source.records is None else record_directories(source.records):
             load_record(record, root=root)
     return CheckedPath("campaign", place, f"campaign {campaign.title}")
+
+
+def _link(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.live.mapping import FieldMapping
+    from sim_heating.live.spec import load_link
+
+    link = load_link(place, root=root)
+    FieldMapping(link)
+    return CheckedPath("link", place, f"link {link.title}: {len(link.points)} control points")
 
 
 def _study(place: Path, root: Path | None) -> CheckedPath:

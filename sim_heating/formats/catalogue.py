@@ -186,6 +186,19 @@ FORMATS: tuple[FileFormat, ...] = (
         "", "scenarios/campaigns/sts2_sts4.toml", "campaign.spec:CampaignFile", ("scenarios/campaigns/*.toml",),
     ),
     ModelFormat(
+        "link", "LINK.toml", "link to a flight that is being flown: its telemetry, and what is estimated from it",
+        "Read by `live`. Each `[[source]]` gives messages with fields; `[time]`, `[conditions]` and `[[sensor]]` state "
+        "which field is what, in which unit. A column of flight conditions without an entry is a field of its own name "
+        "and unit; so is a sensor, by its `column`, or by `POINT.COLUMN` where several have that column. Units are "
+        "those that pint knows, such as `ft`, `ft/s`, `slug/ft3`, `degF`. A null or an empty text is a lost sample.\n\n"
+        "**Columns in several messages.** A message with all columns is a frame at once. Columns that come apart are "
+        "gathered by their time; where a later time comes first, absent ones have their latest values.\n\n"
+        "**The journal.** Each message is given to the operating system as it comes and forced to the disk every "
+        "`fsync_s`: a link that is killed loses none, a machine that loses power at most so much. "
+        "`live --to-record` makes a [record](record.md) of it.",
+        "scenarios/live/popu_lines.toml", "live.spec:LinkFile", ("scenarios/live/*.toml",),
+    ),
+    ModelFormat(
         "study", "STUDY.toml", "study: dispersed entries, envelopes, the next flight's manoeuvres",
         "Read by `plan`. Exactly one of `scenario` and `[trajectory]` gives the base entry.",
         "scenarios/studies/small_envelope.toml", "planning.study:StudyFile", ("scenarios/studies/*.toml",),

@@ -39,7 +39,7 @@ def _by_dotted_name(tables: Any) -> Any:
     return found
 
 
-def _dotted(value: Any) -> BeforeValidator:
+def dotted(value: Any) -> BeforeValidator:
     """Validator of a table by dotted names, of which TOML makes tables in tables where they have no quotes."""
     return BeforeValidator(_by_dotted_name, json_schema_input_type=dict[str, value | dict[str, Any]])
 
@@ -51,11 +51,11 @@ class ParameterSettings(Declared):
 
     parameters: list[str] | None = Field(default=None, min_length=1, description="names of parameters")
     reference: ReferenceCondition | None = None
-    fix: Annotated[dict[str, float], _dotted(float)] = Field(default_factory=dict, description="name = value")
-    prior: Annotated[dict[str, list[float] | Literal["flat"]], _dotted(list[float] | Literal["flat"])] = Field(
+    fix: Annotated[dict[str, float], dotted(float)] = Field(default_factory=dict, description="name = value")
+    prior: Annotated[dict[str, list[float] | Literal["flat"]], dotted(list[float] | Literal["flat"])] = Field(
         default_factory=dict, description='name = [mean, sigma], or "flat"'
     )
-    bound: Annotated[dict[str, list[float]], _dotted(list[float])] = Field(
+    bound: Annotated[dict[str, list[float]], dotted(list[float])] = Field(
         default_factory=dict, description="name = [least, greatest]"
     )
     tie: list[list[str]] = Field(default_factory=list, description='[["name", "name", ...], ...]')

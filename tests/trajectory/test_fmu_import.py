@@ -25,6 +25,7 @@ from benchmarks.small_fmus import (
     platform_folder,
 )
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.units import conversion, known_unit
 from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle
@@ -33,7 +34,7 @@ from sim_heating.trajectory.flight import Flight
 from sim_heating.trajectory.fmu import flight as fmu
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, aerodynamic_angles
 from sim_heating.trajectory.fmu.model import read_fmu
-from sim_heating.trajectory.fmu.units import BaseUnit, conversion, known_unit, unit_of_fmu
+from sim_heating.trajectory.fmu.units import BaseUnit, unit_of_fmu
 from sim_heating.trajectory.jsbsim.host import euler_angles
 from sim_heating.trajectory.spec import TrajectorySpec
 from tests.support.fmus import needs_compiler

@@ -26,13 +26,13 @@ import numpy as np
 from sim_heating.base.conditions import EXTRAS, FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
+from sim_heating.base.files.units import Conversion
 from sim_heating.heating.atmosphere import standard_sound_kernel
 from sim_heating.trajectory import point_mass as pm
 from sim_heating.trajectory.aero import flown_aero
 from sim_heating.trajectory.dispersed_air import air_kernel, dispersion_block
 from sim_heating.trajectory.entry3dof import flight_block
 from sim_heating.trajectory.fmu.model import FmuModel
-from sim_heating.trajectory.fmu.units import Conversion
 from sim_heating.trajectory.guidance import clip, resolve_guidance
 from sim_heating.trajectory.spec import FmuVariable, TrajectorySpec
 from sim_heating.trajectory.trimmed_aero import aero_block, lift_drag_kernel, low_speed_rows

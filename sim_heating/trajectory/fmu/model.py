@@ -17,8 +17,9 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, repeated_name, suggestion
+from sim_heating.base.files.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit
 from sim_heating.trajectory.fmu.archive import DESCRIPTION, read_archive
-from sim_heating.trajectory.fmu.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit, unit_of_fmu
+from sim_heating.trajectory.fmu.units import unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
 
 VERSIONS = ("2.0", "3.")

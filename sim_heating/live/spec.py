@@ -1,0 +1,527 @@
+"""A link as a file: where the telemetry comes from, which of its fields are what, and what is estimated from it.
+
+format = "link/1"
+title = "..."
+vehicle = "orbiter"                 # whose control points are followed, or
+# records = ["../records/p06"]      # control points as records declare them
+control_points = ["V09T9527"]       # those with thermocouples where absent
+[[source]]                          # kind = "json-lines", "jsbsim", "ccsds", "mqtt" or "replay"; several are merged
+kind = "json-lines"
+transport = "udp"
+port = 5500
+[time]                              # field and unit of the flight time
+[conditions]                        # column = "field", or { field, unit }, or { constant }
+altitude_m = { field = "h", unit = "ft" }
+[[sensor]]                          # sensor = "V09T9527", with field, unit, or the word of the recorder
+[estimate]                          # parameters, priors, wandering ratio, lateness, start
+[ahead]                             # futures, horizon, probability of "knock it off by"
+[missing]                           # the sequential test of the innovations
+[output]                            # page, lines of JSON, metrics
+[journal]                           # how often what came is forced to the disk
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from sim_heating.base.conditions import DESCRIPTIONS, FRAME, SURFACES
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import (
+    Declared,
+    LocatedError,
+    Location,
+    check,
+    display_path,
+    raise_problems,
+    read_toml,
+    repeated_name,
+    roots_of,
+    suggestion,
+)
+from sim_heating.base.files.roots import Roots
+from sim_heating.base.parameters import MODEL, layer_parameter
+from sim_heating.inputs.fit_settings import dotted
+from sim_heating.inputs.record import Record, ReferenceCondition, load_records
+from sim_heating.inputs.scenario import Scenario, load_scenario
+from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
+from sim_heating.thermal.stack import Sensor
+
+LOOPBACK = "127.0.0.1"
+DRIVING = ("q_add_W_m2", "T_surroundings_K", "T_back_K")
+"""Columns that change at a wall without flow."""
+PORT = Field(default=5500, ge=1, le=65535, description="port, 1 to 65535")
+
+
+# Sources -------------------------------------------------------------------------------------------------------------
+
+
+class Network(Declared):
+    """Where the bytes come from.
+
+    transport : "udp": datagrams sent to this machine; "tcp-server": others connect to it; "tcp-client": it connects to
+                others; "stdin": standard input; "file": a file from its beginning to its end
+    host      : address to listen on, or to connect to
+    file      : file of transport = "file", relative to the link file
+    """
+
+    quantities: ClassVar = {"port": None}
+
+    transport: Literal["udp", "tcp-server", "tcp-client", "stdin", "file"] = "udp"
+    host: str = LOOPBACK
+    port: int = PORT
+    file: str | None = None
+
+    @model_validator(mode="after")
+    def _check_file(self) -> Network:
+        if (self.file is None) == (self.transport == "file"):
+            raise LocatedError((("file",), 'goes with transport = "file" and no other; add or remove it'))
+        return self
+
+
+class JsonLines(Network):
+    """Lines of JSON, one object a line; a datagram may hold several lines."""
+
+    kind: Literal["json-lines"] = Field(description='"json-lines"')
+
+
+class JSBSimOutput(Network):
+    """JSBSim's own output of type SOCKET: a line of labels, then lines of values.
+
+    fields : names of the values in order, for an output that began before the link did and so sent no labels
+    """
+
+    kind: Literal["jsbsim"] = Field(description='"jsbsim"')
+    fields: list[str] = Field(default=[])
+
+
+class Packets(Network):
+    """CCSDS space packets described by an XTCE document.
+
+    xtce      : the document, relative to the link file
+    container : name of its root container
+    apid      : application process identifiers of the packets that are read; all where absent
+    """
+
+    kind: Literal["ccsds"] = Field(description='"ccsds"')
+    xtce: str
+    container: str = "CCSDSPacket"
+    apid: list[int] | None = Field(default=None, min_length=1)
+
+
+class Mqtt(Declared):
+    """Topics of an MQTT broker; a payload is a JSON object, or a number or text, whose field is the topic.
+
+    host     : address of the broker
+    user     : name at the broker; the password is read from the environment variable SIM_HEATING_MQTT_PASSWORD
+    """
+
+    quantities: ClassVar = {"port": None}
+
+    kind: Literal["mqtt"] = Field(description='"mqtt"')
+    host: str = LOOPBACK
+    port: int = Field(default=1883, ge=1, le=65535, description="port, 1 to 65535")
+    topics: list[str] = Field(min_length=1, description="topics, as `vehicle/+/temperature`")
+    user: str | None = None
+
+
+class Replay(Declared):
+    """A recorded flight, sent again.
+
+    record : directory of the record, relative to the link file; the first of `records` where absent
+    speed  : flight seconds a second; 0 as fast as it goes
+    """
+
+    quantities: ClassVar = {"speed": None}
+
+    kind: Literal["replay"] = Field(description='"replay"')
+    record: str | None = None
+    speed: float = Field(default=1.0, ge=0.0, le=1e6, description="flight seconds a second; 0 as fast as it goes")
+
+
+Source = Annotated[JsonLines | JSBSimOutput | Packets | Mqtt | Replay, Discriminator("kind")]
+
+
+# Mapping -------------------------------------------------------------------------------------------------------------
+
+
+class TimeField(Declared):
+    """The field that holds the flight time.
+
+    zero : time of the field at flight time 0, in its unit, as the start of a day or of the flight
+    """
+
+    quantities: ClassVar = {"zero": None}
+
+    field: str = Field(default="time_s", min_length=1, description="name of the field")
+    unit: str = Field(default="s", description="its unit, as `s` or `ms`")
+    zero: float = 0.0
+
+
+class ConditionField(Declared):
+    """A column of flight conditions: the field that holds it with its unit, or a constant in the column's unit."""
+
+    quantities: ClassVar = {"constant": None}
+
+    field: str | None = Field(default=None, min_length=1, description="name of the field")
+    unit: str | None = Field(default=None, description="unit of the field; that of the column where absent")
+    constant: float | None = Field(default=None, description="value at all times, in the unit of the column")
+
+    @model_validator(mode="after")
+    def _check_one(self) -> ConditionField:
+        if (self.field is None) == (self.constant is None):
+            raise ValueError("give either `field` or `constant`, not both and not neither")
+        if self.constant is not None and self.unit is not None:
+            raise LocatedError((("unit",), "is that of a field; a constant is in the unit of its column"))
+        return self
+
+
+class SensorField(Declared):
+    """The field that holds a thermocouple's words.
+
+    sensor        : name of the thermocouple
+    control_point : its control point, where several have a sensor of this name
+    unit          : unit of the field or of what `calibration` gives, as `K` or `degC`
+    calibration   : [c0, c1, ...]: temperature in `unit` = c0 + c1 w + c2 w^2 ... of the word w that is sent
+    codes         : true: the words are codes of the recorder that the sensor declares by `bits` and `range_K`
+    time          : field with the time of this sensor's sample, in the unit of [time]; that of the message where absent
+    """
+
+    quantities: ClassVar = {"calibration": None}
+
+    sensor: str = Field(min_length=1)
+    control_point: str | None = None
+    field: str = Field(min_length=1, description="name of the field")
+    unit: str = "K"
+    calibration: list[float] | None = Field(default=None, min_length=2)
+    codes: bool = False
+    time: str | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _check_word(self) -> SensorField:
+        if self.codes and (self.calibration is not None or self.unit != "K"):
+            raise LocatedError((("codes",), "gives K by the declared range; remove `calibration` and `unit`"))
+        return self
+
+
+# What is done with it ------------------------------------------------------------------------------------------------
+
+
+class EstimateSettings(Declared):
+    """What is estimated at every control point.
+
+    parameters      : dotted names; the magnitude of the heating ratio where absent
+    wander_per_sqrt_s : standard deviation that the heating ratio gains in the square root of a second, as a fraction of
+                      itself; 0: constant parameters only
+    lateness_s      : samples up to so much behind the latest one are put where they belong; later ones are not used
+    jump_s          : a frame so much after or before the last one is a jump of the clock
+    start           : "circuit": initial temperatures from the first readings; "declared": those of the stack
+    relinearise_s   : flight time between new linearisations of the parameters
+    """
+
+    quantities: ClassVar = {
+        "fix": None,
+        "prior": None,
+        **dict.fromkeys(("wander_per_sqrt_s", "lateness_s", "jump_s", "relinearise_s")),
+    }
+
+    parameters: list[str] | None = Field(default=None, min_length=1)
+    reference: ReferenceCondition | None = None
+    fix: Annotated[dict[str, float], dotted(float)] = Field(default_factory=dict, description="name = value")
+    prior: Annotated[dict[str, list[float]], dotted(list[float])] = Field(
+        default_factory=dict, description="name = [mean, sigma]"
+    )
+    wander_per_sqrt_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    lateness_s: float = Field(default=2.0, ge=0.0, le=60.0)
+    jump_s: float = Field(default=30.0, gt=0.0, le=1e4)
+    start: Literal["circuit", "declared"] = "circuit"
+    relinearise_s: float = Field(default=1.0, gt=0.0, le=100.0)
+
+    @field_validator("prior")
+    @classmethod
+    def _check_priors(cls, values: dict[str, list[float]]) -> dict[str, list[float]]:
+        problems: list[tuple[Location, str]] = [
+            ((name,), f"{value} is not [mean, sigma] with a sigma above 0")
+            for name, value in values.items()
+            if len(value) != 2 or not value[1] > 0.0
+        ]
+        if problems:
+            raise LocatedError(*problems)
+        return values
+
+    @field_validator("parameters")
+    @classmethod
+    def _check_names(cls, names: list[str] | None) -> list[str] | None:
+        for name in names or []:
+            if name not in MODEL and layer_parameter(name) is None and not name.startswith(("sensor.", "effect.")):
+                raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL)}")
+        return names
+
+
+class AheadSettings(Declared):
+    """The look-ahead.
+
+    horizon_s   : how far ahead temperatures are predicted, 10 to 600
+    scenario    : scenario of the nominal flight with its manoeuvre, relative to the link file; without one, the present
+                  conditions held are the only future
+    keep        : probability with which stopping the manoeuvre at "knock it off by" keeps all limits
+    every_s     : time between two predictions
+    """
+
+    quantities: ClassVar = dict.fromkeys(("horizon_s", "keep", "every_s"))
+
+    horizon_s: float = Field(default=60.0, ge=10.0, le=600.0)
+    scenario: str | None = None
+    keep: float = Field(default=0.95, gt=0.5, lt=1.0)
+    every_s: float = Field(default=1.0, ge=0.1, le=60.0)
+
+
+class MissingSettings(Declared):
+    """The sequential test of the innovations.
+
+    false_alarms_per_hour : rate of alarms where nothing is missing
+    """
+
+    quantities: ClassVar = dict.fromkeys(("false_alarms_per_hour",))
+
+    false_alarms_per_hour: float = Field(default=0.01, gt=0.0, le=10.0)
+
+
+class OutputSettings(Declared):
+    """Where the state goes.
+
+    page    : whether a page is served
+    host    : address of the page; any but this machine's own needs a token, which is printed at the start
+    port    : port of the page
+    rate_Hz : states a second, at most 10
+    lines   : "host:port" to send lines of JSON to, by UDP
+    metrics : whether Prometheus metrics are served at /metrics
+    """
+
+    quantities: ClassVar = dict.fromkeys(("port", "rate_Hz"))
+
+    page: bool = True
+    host: str = LOOPBACK
+    port: int = Field(default=8750, ge=0, le=65535, description="port of the page; 0 for any that is free")
+    rate_Hz: float = Field(default=10.0, gt=0.0, le=10.0)
+    lines: str | None = None
+    metrics: bool = True
+
+
+class JournalSettings(Declared):
+    """How what came is kept.
+
+    fsync_s : each message is given to the operating system at once, and forced to the disk after so much time; 0 after
+              each message
+    """
+
+    quantities: ClassVar = {"fsync_s": None}
+
+    fsync_s: float = Field(default=1.0, ge=0.0, le=60.0)
+
+
+def _condition_tag(value: Any) -> str:
+    return "field" if isinstance(value, str) else "table"
+
+
+class LinkFile(Declared):
+    """Contents of a link file.
+
+    records     : records whose declared stacks, tables and sensors are followed, in place of a vehicle
+    conditions  : column of flight conditions -> field of the messages; a field of the column's name where absent
+    sensor      : a field of the sensor's `column` where a sensor has no entry
+    """
+
+    quantities: ClassVar = {"conditions": None}
+
+    format: str = Field(pattern="^link/1$", description='"link/1"')
+    title: str = ""
+    note: str = ""
+    vehicle: str | None = Field(default=None, description="name of a vehicle, or its directory relative to the file")
+    records: list[str] | None = Field(default=None, min_length=1)
+    control_points: list[str] | None = Field(default=None, min_length=1)
+    source: list[Source] = Field(default=[], description="[[source]], at least one but for a replay")
+    time: TimeField = TimeField()
+    conditions: dict[
+        str,
+        Annotated[
+            Annotated[str, Tag("field")] | Annotated[ConditionField, Tag("table")], Discriminator(_condition_tag)
+        ],
+    ] = Field(default={})
+    sensor: list[SensorField] = Field(default=[])
+    estimate: EstimateSettings = EstimateSettings()
+    ahead: AheadSettings = AheadSettings()
+    missing: MissingSettings = MissingSettings()
+    output: OutputSettings = OutputSettings()
+    journal: JournalSettings = JournalSettings()
+
+    @field_validator("conditions")
+    @classmethod
+    def _check_columns(cls, conditions: dict[str, Any]) -> dict[str, Any]:
+        known = [name for name in DESCRIPTIONS if name != "time_s"]
+        problems: list[tuple[Location, str]] = [
+            ((name,), "is the time; name its field in [time]" if name == "time_s" else _unknown_column(name, known))
+            for name in conditions
+            if name not in known
+        ]
+        if problems:
+            raise LocatedError(*problems)
+        return conditions
+
+    @model_validator(mode="after")
+    def _check_points(self) -> LinkFile:
+        if (self.vehicle is None) == (self.records is None):
+            raise ValueError("give either `vehicle` or `records`, not both and not neither")
+        if (name := repeated_name(self.control_points or [])) is not None:
+            raise LocatedError((("control_points",), f"`{name}` is repeated; name it once"))
+        return self
+
+
+def _unknown_column(name: str, known: Sequence[str]) -> str:
+    return f"unknown column of flight conditions{suggestion(name, known)}"
+
+
+# The link ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LinkPoint:
+    """A control point of a link: its name and its thermocouples."""
+
+    name: str
+    sensors: tuple[Sensor, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A checked link with its vehicle or its records.
+
+    path     : of the file; of a link that was made without one, the file that its names would be relative to
+    vehicle  : whose control points are followed; None where `records` declare them
+    records  : by name of the control point; empty where the vehicle declares them
+    points   : control points with their sensors, in order
+    columns  : columns of flight conditions that a frame needs
+    scenario : of the nominal flight, or None
+    roots    : folders in which it may name files
+    """
+
+    path: Path
+    declared: LinkFile
+    vehicle: Vehicle | None
+    records: Mapping[str, Record]
+    points: tuple[LinkPoint, ...]
+    columns: tuple[str, ...]
+    scenario: Scenario | None
+    roots: Roots
+
+    def __repr__(self) -> str:
+        return f"<Link {self.title!r}: {len(self.points)} control points, {len(self.declared.source)} sources>"
+
+    @property
+    def title(self) -> str:
+        """Title of the link, or the name of its file."""
+        return self.declared.title or self.path.stem
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the control points in order."""
+        return tuple(p.name for p in self.points)
+
+    def sensor(self, point: str, name: str) -> Sensor:
+        """A sensor by the names of its control point and of itself; KeyError where there is none."""
+        return next(s for p in self.points if p.name == point for s in p.sensors if s.name == name)
+
+    def file(self, name: str, key: str) -> Path:
+        """The path of a file that a key names; InputError where it leads outside the folders of the link."""
+        return self.roots.named(name, key)
+
+
+def load_link(path: str | os.PathLike[str] | Link, *, root: str | os.PathLike[str] | None = None) -> Link:
+    """Read and check a link file, its vehicle or records, and its scenario.
+
+    path   : of the TOML file; a link that has been loaded is returned as it is
+    root   : folder that it may name files in, as `load_scenario` takes it
+    raises : InputError with one line a problem
+
+    >>> from sim_heating.live.spec import load_link
+    >>> load_link("scenarios/live/popu_lines.toml").names
+    ('V09T9527',)
+    """
+    if isinstance(path, Link):
+        return path
+    return make_link(read_toml(path, LinkFile), path, root=root)
+
+
+def make_link(
+    declared: LinkFile | Mapping[str, Any], path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None
+) -> Link:
+    """A link from its contents, checked as one that is read from a file.
+
+    declared : contents, or plain data of them
+    path     : file that its names are relative to; it need not exist
+    raises   : InputError with one line a problem
+    """
+    place = Path(path)
+    if not isinstance(declared, LinkFile):
+        declared = check(dict(declared), LinkFile, display_path(place))
+    roots = roots_of(place, root)
+    vehicle, records = None, {}
+    if declared.vehicle is not None:
+        vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
+        roots = roots_of(place, root, vehicle.directory)
+        given = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
+    else:
+        loaded = load_records([roots.named(r, "`records`") for r in declared.records or []], root=root)
+        names = [r.declared.control_point for r in loaded]
+        if (name := repeated_name(names)) is not None:
+            raise InputError(f"{display_path(place)}: two records are of control point {name}; leave one out")
+        records = dict(zip(names, loaded, strict=True))
+        given = {name: tuple(r.sensors) for name, r in records.items()}
+    points = _points(declared, given, place)
+    scenario = None
+    if declared.ahead.scenario is not None:
+        scenario = load_scenario(roots.named(declared.ahead.scenario, "[ahead]: `scenario`"), root=root)
+    columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
+    link = Link(place, declared, vehicle, records, points, columns, scenario, roots)
+    raise_problems(_scenario_problems(link))
+    return link
+
+
+def _points(declared: LinkFile, given: Mapping[str, tuple[Sensor, ...]], place: Path) -> tuple[LinkPoint, ...]:
+    """The control points that are followed."""
+    chosen = declared.control_points
+    if chosen is None:
+        chosen = [name for name, sensors in given.items() if sensors] or list(given)
+    unknown = [name for name in chosen if name not in given]
+    raise_problems(
+        [f"{display_path(place)}: `control_points`: unknown control point `{n}`{suggestion(n, given)}" for n in unknown]
+    )
+    return tuple(LinkPoint(name, given[name]) for name in chosen)
+
+
+def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, Record]) -> tuple[str, ...]:
+    """Columns of flight conditions that a frame needs: those of a host for a vehicle, those of the records else."""
+    if vehicle is not None:
+        spared = ("time_s", "jets", *(s for s in SURFACES if s not in vehicle.surfaces))
+        needed = [name for name in FRAME if name not in spared]
+    else:
+        first = next(iter(records.values()))
+        needed = [name for name in first.conditions.names if name in DESCRIPTIONS and name != "time_s"]
+        if first.declared.heating.reference == "none":  # a wall at rest: what is not sent is as it was at the start
+            needed = [n for n in needed if n in declared.conditions or n in DRIVING]
+    return tuple(dict.fromkeys([*needed, *declared.conditions]))
+
+
+def _scenario_problems(link: Link) -> list[str]:
+    """A scenario of another vehicle."""
+    if link.scenario is None or link.vehicle is None or link.scenario.vehicle.name == link.vehicle.name:
+        return []
+    return [
+        f"{display_path(link.path)}, [ahead]: `scenario`: flies {link.scenario.vehicle.name}, the link follows "
+        f"{link.vehicle.name}; they must be one vehicle"
+    ]
