@@ -26,6 +26,8 @@ from pathlib import Path
 from struct import Struct
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
 from sim_heating.base.files.paths import make_durable, os_error_reason
@@ -146,6 +148,12 @@ def _opened(path: Path) -> Any:
         raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name the journal of a link") from None
 
 
+def remove_ended(path: Path) -> None:
+    """Remove a journal whose link has ended; for a flight that can be sent again. One that was cut off stays."""
+    if path.is_file() and read_head(path).is_closed:
+        path.unlink()
+
+
 class Journal:
     """A journal that is written.
 
@@ -155,8 +163,8 @@ class Journal:
     fsync_s : time after which entries are forced to the disk [s]; 0 for each
     raises  : InputError where the file holds a flight that has ended, or cannot be written
 
-    `problem` is one line while the disk takes nothing, else "". `dropped` counts entries that did not fit in memory
-    meanwhile. Use as a context, or call `close`.
+    `is_resumed` is whether it was gone on with. `problem` is one line while the disk takes nothing, else "". `dropped`
+    counts entries that did not fit in memory meanwhile. `close` it in the end.
     """
 
     def __init__(self, path: Path, link: Mapping[str, Any], place: Path, *, fsync_s: float = 1.0) -> None:
@@ -167,16 +175,27 @@ class Journal:
         self._retry_at = 0.0
         self._lock = threading.Lock()
         self._ended = threading.Event()
-        resumed = path.is_file() and path.stat().st_size > 0
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._held = FileLock(path.with_suffix(".lock"))
+            self._held.acquire(timeout=0)
+            resumed = path.is_file() and path.stat().st_size > 0
             if resumed:
                 self._size = self._whole_size(path)
                 self._file = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
                 os.ftruncate(self._file, self._size)
             else:
                 self._file = self._made(path, link, place)
+        except Timeout:
+            rule = "another link writes it; end that one, or name another directory"
+            raise InputError(f"{display_path(path)}: {rule}") from None
         except OSError as error:
+            self._held.release()
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
+        except InputError:
+            self._held.release()
+            raise
+        self.is_resumed = resumed
         os.lseek(self._file, 0, os.SEEK_END)
         self._synced = self._size
         self._thread = threading.Thread(target=self._keep_synced, name="journal", daemon=True)
@@ -194,7 +213,6 @@ class Journal:
 
     def _made(self, path: Path, link: Mapping[str, Any], place: Path) -> int:
         """A new file with its header, whole or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
         head = {"format": FORMAT, "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
         data = json.dumps(head | {"path": str(place.absolute()), "link": link}).encode() + b"\n"
         temporary = path.with_name(f".{path.name}.new")
@@ -276,3 +294,4 @@ class Journal:
         self._write()
         self._sync()
         os.close(self._file)
+        self._held.release()

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, raise_problems, suggestion
+from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_problems, suggestion
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import Conversion, conversion, known_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
@@ -102,8 +102,14 @@ class _Word:
             assert self.sensor.range_K is not None
             return self.sensor.range_K[0] + word * self.sensor.lsb_K
         value = self.convert(_polynomial(self.calibration, word) if self.calibration else word)
-        if not 0.0 < value <= HOTTEST_K:
+        if value > HOTTEST_K:
             raise InputError(f"`{self.field}`: {value:g} K is not a temperature")
+        if self.sensor.calibration is None and value < COLDEST_K:
+            raise InputError(f"`{self.field}`: {value:g} K {celsius_rule()}")
+        if self.sensor.bits is not None and self.sensor.range_K is not None:
+            low, high = self.sensor.range_K
+            if not low - self.sensor.lsb_K <= value <= high + self.sensor.lsb_K:
+                raise InputError(f"`{self.field}`: {value:g} K is outside the recorder's {low:g} to {high:g} K")
         return value
 
 
@@ -137,7 +143,10 @@ class FieldMapping:
         self._time = declared.time.field
         self._seconds = unit_conversion(declared.time.unit, "s", f"{place}, [time]: `unit`")
         self._zero = declared.time.zero
-        self._constants = {
+        # what a record has and no field gives is as it was at the start, as the pressure at a wall at rest
+        first = next((link.records[name] for name in link.names if link.records), None)
+        flown = {} if first is None else first.conditions.columns
+        self._constants = {n: float(v[0]) for n, v in flown.items() if n not in ("time_s", *link.columns)} | {
             name: value.constant
             for name, value in declared.conditions.items()
             if isinstance(value, ConditionField) and value.constant is not None

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.conditions import DESCRIPTIONS, FRAME, SURFACES
@@ -297,20 +298,17 @@ class OutputSettings(Declared):
 
     page    : whether a page is served
     host    : address of the page; any but this machine's own needs a token, which is printed at the start
-    port    : port of the page
     rate_Hz : states a second, at most 10
-    lines   : "host:port" to send lines of JSON to, by UDP
-    metrics : whether Prometheus metrics are served at /metrics
+    lines   : other displays that lines of JSON are sent to: "udp://HOST:PORT" or "ws://HOST:PORT"
     """
 
     quantities: ClassVar = dict.fromkeys(("port", "rate_Hz"))
 
     page: bool = True
     host: str = LOOPBACK
-    port: int = Field(default=8750, ge=0, le=65535, description="port of the page; 0 for any that is free")
+    port: int = Field(default=8465, ge=0, le=65535, description="port of the page; 0 for any that is free")
     rate_Hz: float = Field(default=10.0, gt=0.0, le=10.0)
-    lines: str | None = None
-    metrics: bool = True
+    lines: list[str] = Field(default=[])
 
 
 class JournalSettings(Declared):
@@ -478,6 +476,7 @@ def make_link(
     else:
         loaded = load_records([roots.named(r, "`records`") for r in declared.records or []], root=root)
         names = [r.declared.control_point for r in loaded]
+        raise_problems(_apart(loaded, place))
         if (name := repeated_name(names)) is not None:
             raise InputError(f"{display_path(place)}: two records are of control point {name}; leave one out")
         records = dict(zip(names, loaded, strict=True))
@@ -490,6 +489,22 @@ def make_link(
     link = Link(place, declared, vehicle, records, points, columns, scenario, roots)
     raise_problems(_scenario_problems(link))
     return link
+
+
+def replayed(
+    link: Link | None, record: str | os.PathLike[str], speed: float, *, root: str | os.PathLike[str] | None = None
+) -> Link:
+    """A link whose only source is a record that is sent again, by the names and units of a record.
+
+    link  : whose control points, estimate and outputs are used; None for those of the record
+    speed : flight seconds a second; 0 as fast as it goes
+    """
+    source = {"kind": "replay", "record": str(Path(record).absolute()), "speed": float(speed)}
+    if link is None:
+        place = Path(record).absolute().with_suffix(".toml")
+        return make_link({"format": "link/1", "records": [source["record"]], "source": [source]}, place, root=root)
+    declared = link.declared.model_dump(exclude_unset=True, exclude={"time", "conditions", "sensor"})
+    return make_link(declared | {"source": [source]}, link.path, root=root)
 
 
 def _points(declared: LinkFile, given: Mapping[str, tuple[Sensor, ...]], place: Path) -> tuple[LinkPoint, ...]:
@@ -515,6 +530,18 @@ def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, 
         if first.declared.heating.reference == "none":  # a wall at rest: what is not sent is as it was at the start
             needed = [n for n in needed if n in declared.conditions or n in DRIVING]
     return tuple(dict.fromkeys([*needed, *declared.conditions]))
+
+
+def _apart(records: Sequence[Record], place: Path) -> list[str]:
+    """Records whose conditions differ: a frame holds one value of each column."""
+    first = records[0].conditions
+    return [
+        f"{display_path(place)}: `records`: {r.name} and {records[0].name} differ in their conditions, as in their own "
+        "h_ref_kg_m2_s; follow one of them, or the control points of a vehicle"
+        for r in records[1:]
+        if first.names != r.conditions.names
+        or any(not np.array_equal(first[name], r.conditions[name]) for name in first.names)
+    ]
 
 
 def _scenario_problems(link: Link) -> list[str]:

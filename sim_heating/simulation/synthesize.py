@@ -247,8 +247,27 @@ def declaration(
     scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor], windows: Sequence[Window] = ()
 ) -> RecordFile:
     """Content of record.toml for a control point with these sensors, and the manoeuvres flown in these windows."""
-    vehicle = scenario.vehicle
-    data = point_declaration(vehicle, point, f"{scenario.title}: {point.title}", sensors) | {"flight": scenario.flight}
+    return record_declaration(scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows)
+
+
+def record_declaration(
+    vehicle: Vehicle,
+    point: ControlPoint,
+    sensors: Sequence[Sensor],
+    title: str,
+    flight: str,
+    windows: Sequence[Window] = (),
+    *,
+    measured: bool = False,
+) -> RecordFile:
+    """Content of record.toml for a vehicle's control point: its sensors, stack, materials and declared heating.
+
+    title, flight : of what was flown
+    windows       : of the manoeuvres that were flown
+    measured      : whether the readings are a measurement
+    """
+    data = point_declaration(vehicle, point, f"{title}: {point.title}", sensors) | {"flight": flight}
+    data["measured"] = measured
     if windows:
         data["manoeuvre"] = [vars(window) for window in windows]
     heating = {

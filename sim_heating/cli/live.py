@@ -1,0 +1,186 @@
+"""The command `sim-heating live`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sim_heating.cli.console import (
+    CONSOLE,
+    ERRORS,
+    FORCE,
+    PATH,
+    ROOT,
+    optional_directory,
+    print_outputs,
+    print_warning,
+)
+
+if TYPE_CHECKING:
+    from sim_heating.live.engine import LinkEngine
+    from sim_heating.live.outputs.published import Output
+    from sim_heating.live.spec import Link
+
+
+@click.command()
+@click.argument("link", type=PATH, required=False)
+@click.option("--out", callback=optional_directory, help="directory of journal and results; default: out/NAME OF LINK")
+@FORCE
+@click.option("--replay", type=PATH, metavar="RECORD", help="send this record again in place of the link's sources")
+@click.option("--speed", type=click.FloatRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
+@click.option("--demo", is_flag=True, help="fly the Mach-20 POPU in JSBSim at 10x, stream it and open the page")
+@click.option("--headless", is_flag=True, help="serve no page")
+@click.option("--host", metavar="ADDRESS", help="address of the page; other machines than this one need its token")
+@click.option("--port", type=click.IntRange(0, 65535), help="port of the page; 0 for any that is free")
+@click.option("--to-record", type=PATH, metavar="JOURNAL", help="make records of a journal, and end")
+@ROOT
+def live(
+    link: Path | None,
+    out: Path | None,
+    replay: Path | None,
+    speed: float | None,
+    demo: bool,
+    headless: bool,
+    host: str | None,
+    port: int | None,
+    to_record: Path | None,
+    root: Path | None,
+) -> None:
+    """Follow a flight while it is flown: telemetry in by a LINK file, estimate and prediction out.
+
+    Ctrl-C ends the link and writes its results. A link that was killed goes on from its journal when it is started
+    again with the same --out.
+    """
+    if to_record is not None:
+        _make_records(to_record, link, out, root)
+        return
+    _check_options(link, replay, demo, speed)
+    _need_extra(headless)
+    loaded, stream = _link_of(link, replay, demo, speed, root)
+    options = {k: v for k, v in {"host": host, "port": port}.items() if v is not None}
+    directory = out if out is not None else Path("out") / ("live-demo" if demo else loaded.path.stem)
+    _follow(loaded, directory, headless, demo, options, stream, is_repeatable=demo or replay is not None)
+
+
+def _check_options(link: Path | None, replay: Path | None, demo: bool, speed: float | None) -> None:
+    if demo and (link is not None or replay is not None):
+        raise click.UsageError("--demo flies by itself; give neither LINK nor --replay")
+    if not demo and link is None and replay is None:
+        raise click.UsageError("Missing argument 'LINK', --replay RECORD or --demo.")
+    if speed is not None and replay is None and not demo:
+        raise click.UsageError("--speed is that of --replay or --demo")
+
+
+def _need_extra(headless: bool) -> None:
+    from sim_heating.live.sources.extra import need_extra
+
+    need_extra(*(() if headless else ("starlette", "uvicorn", "websockets", "prometheus_client")))
+
+
+def _make_records(journal: Path, link: Path | None, out: Path | None, root: Path | None) -> None:
+    from sim_heating.live.spec import load_link
+    from sim_heating.live.to_record import to_record
+
+    if out is None:
+        raise click.UsageError("--to-record needs --out, the directory of the records")
+    given = None if link is None else load_link(link, root=root)
+    records, notes = to_record(journal, out, given, root=root)
+    for line in notes:
+        print_warning(line)
+    names = sorted(p.name for p in out.iterdir() if not p.name.startswith("."))
+    print_outputs(out, names, {"control_points": list(records), "notes": notes})
+
+
+def _link_of(
+    link: Path | None, replay: Path | None, demo: bool, speed: float | None, root: Path | None
+) -> tuple[Link, Any]:
+    """The link that is followed, and what opens its sources where these are not the file's own."""
+    from sim_heating.live.sources import open_source
+    from sim_heating.live.spec import load_link, replayed
+
+    if demo:
+        from sim_heating.live.demo import demo_link, flight_source
+
+        return demo_link(), flight_source(10.0 if speed is None else speed)
+    loaded = None if link is None else load_link(link, root=root)
+    if replay is not None:
+        loaded = replayed(loaded, replay, 1.0 if speed is None else speed, root=root)
+    assert loaded is not None
+    return loaded, open_source
+
+
+def _follow(
+    link: Link,
+    directory: Path,
+    headless: bool,
+    demo: bool,
+    options: dict[str, Any],
+    open_sources: Any,
+    *,
+    is_repeatable: bool,
+) -> None:
+    from sim_heating.live.engine import make_engine
+    from sim_heating.live.journal import NAME, Journal, remove_ended
+    from sim_heating.live.results import RESULT, write_results
+    from sim_heating.live.run import run
+
+    if is_repeatable:
+        remove_ended(directory / NAME)
+    contents = link.declared.model_dump(mode="json", exclude_unset=True)
+    journal = Journal(directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s)
+    ended = False
+    try:
+        engine = make_engine(link, journal)
+        outputs = _outputs(engine, headless, options, opens_browser=demo)
+        state = run(engine, outputs, resume=journal.is_resumed, open_sources=open_sources)
+        ended = True
+    finally:
+        journal.close(is_end=ended)
+    if journal.problem:
+        print_warning(journal.problem)
+    names, notes = write_results(engine, state, directory)
+    for line in (*engine.remarks.lines(), *notes):
+        print_warning(line)
+    print_outputs(directory, [NAME, *names], RESULT)
+
+
+def _outputs(engine: LinkEngine, headless: bool, options: dict[str, Any], *, opens_browser: bool) -> list[Output]:
+    """The outputs of a link: its page, and the displays that it sends lines to."""
+    link, declared = engine.link, engine.link.declared.output
+    outputs: list[Output] = []
+    for address in declared.lines:
+        from sim_heating.live.outputs.lines import lines_to
+
+        outputs.append(lines_to(address))
+    if headless or not declared.page:
+        return outputs
+    from sim_heating.live.outputs.display import Display
+    from sim_heating.live.outputs.server import PageServer
+
+    if link.vehicle is not None:
+        display = Display.of_vehicle(link.vehicle, link.names, link.title)
+    else:
+        display = Display.of_records([link.records[name] for name in link.names], link.title)
+    server = PageServer(display, **{"host": declared.host, "port": declared.port, **options})
+    return [_Announced(server, opens_browser), *outputs]
+
+
+class _Announced:
+    """A page whose address is printed when it is served."""
+
+    def __init__(self, server: Any, opens_browser: bool) -> None:
+        self._server, self._opens_browser = server, opens_browser
+
+    async def start(self) -> None:
+        await self._server.start()
+        ERRORS.print(f"page: {self._server.url}")
+        if self._opens_browser and CONSOLE.is_terminal:
+            click.launch(self._server.url)
+
+    def publish(self, published: Any) -> None:
+        self._server.publish(published)
+
+    async def stop(self) -> None:
+        await self._server.stop()

@@ -1,0 +1,52 @@
+"""Results of a link: live.json with the last state and all remarks, and the flight as records."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import output_directory, write_json
+from sim_heating.base.files.package import package_version
+from sim_heating.inputs.record import write_record
+from sim_heating.live.engine import LinkEngine
+from sim_heating.live.journal import NAME
+from sim_heating.live.state import State, plain
+from sim_heating.live.to_record import RECORDS, longest_stretch, records_of, samples_of
+
+FORMAT = "live/1"
+RESULT = "live.json"
+
+
+def summary(engine: LinkEngine, state: State) -> dict[str, Any]:
+    """Contents of live.json: what came, the last state, all remarks."""
+    return {
+        "format": FORMAT,
+        "title": engine.link.title,
+        "control_points": list(engine.link.names),
+        "counts": dict(engine.counts),
+        "state": plain(state),
+        "remarks": engine.remarks.lines(),
+        "program": f"sim-heating {package_version()}",
+    }
+
+
+def write_results(engine: LinkEngine, state: State, out: str | os.PathLike[str]) -> tuple[list[str], list[str]]:
+    """Write the results of a link that has ended into the directory of its journal.
+
+    returns : names of the files and folders, and one line for each thing that could not be made
+    """
+    notes: list[str] = []
+    with output_directory(out, "live", inputs=[engine.link.path]) as folder:
+        write_json(folder / RESULT, summary(engine, state))
+        try:
+            stretch, left_out = longest_stretch(samples_of(Path(out) / NAME, engine.link), engine.link)
+            notes += left_out
+            for name, record in records_of(engine.link, stretch).items():
+                comment = "Made by sim-heating live of what came over a link."
+                write_record(record, folder / RECORDS / name, comment=comment)
+        except InputError as error:
+            notes += [f"no record: {line}" for line in error.problems]
+        names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+    return names, notes

@@ -1,0 +1,224 @@
+"""A link that runs: sources, engine and outputs together until the sources end or the link is told to end.
+
+The network and the outputs belong to an event loop, the engine to a thread of its own: a long step holds no source
+back, and a slow reader of the page holds nobody back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sim_heating.base.errors import InputError
+from sim_heating.live.engine import IN_A_ROW, LinkEngine
+from sim_heating.live.sources import Remark, SourceStream, open_source
+from sim_heating.live.spec import Link, Network, Replay
+from sim_heating.live.state import State
+from sim_heating.live.types import Message
+
+if TYPE_CHECKING:
+    from sim_heating.live.outputs.published import Output
+
+WAITING = 1024
+"""Messages that wait for the engine; a replay waits for room, a network keeps what comes in its own inbox."""
+
+Sources = Callable[[Link, int, Remark], SourceStream]
+"""Opens a source of a link by its number."""
+
+
+@dataclass(frozen=True)
+class _Failed:
+    error: BaseException
+
+
+_Item = tuple[int, Message] | _Failed | None
+"""A message with the number of its source, why a source failed, or the end of one."""
+
+
+async def run_link(
+    engine: LinkEngine,
+    outputs: Sequence[Output] = (),
+    *,
+    on_state: Callable[[State], None] | None = None,
+    stop: asyncio.Event | None = None,
+    resume: bool = False,
+    open_sources: Sources = open_source,
+) -> State:
+    """Run a link until its sources end.
+
+    outputs  : that states are published to; started and stopped here
+    on_state : called with each state
+    stop     : ends the link when it is set
+    resume   : whether the engine's journal was cut off, and its messages are taken again first
+    returns  : the last state
+    raises   : InputError where a source or an output cannot be opened
+    """
+    link, stop = engine.link, stop or asyncio.Event()
+    loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
+    worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
+    readers: list[asyncio.Task[None]] = []
+    taken: dict[int, int] = {}
+    started: list[Output] = []
+    try:
+        for output in outputs:
+            await output.start()
+            started.append(output)
+        if resume and engine.journal is not None:
+            taken = await loop.run_in_executor(worker, engine.resume, engine.journal.path)
+        streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
+        if not streams:
+            raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
+        readers = [asyncio.create_task(_read(s, queue, _skipped(link, s.number, taken))) for s in streams]
+        await _take_all(engine, queue, len(readers), worker, stop, _publisher(engine, started, on_state))
+        await loop.run_in_executor(worker, engine.end)
+        last = engine.state()
+        _publish(last, started, on_state)
+        return last
+    finally:
+        for task in readers:
+            task.cancel()
+        await asyncio.gather(*readers, return_exceptions=True)
+        for output in started:
+            await output.stop()
+        worker.shutdown()
+
+
+def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:
+    """Bodies of a source that begins again with its first one, and that the journal has already."""
+    source = link.declared.source[number]
+    begins_again = isinstance(source, Replay) or (isinstance(source, Network) and source.transport == "file")
+    return taken.get(number, 0) if begins_again else 0
+
+
+async def _read(stream: SourceStream, queue: asyncio.Queue[_Item], skip: int) -> None:
+    """Everything of one source into the queue, and how it ended."""
+    try:
+        async for message in stream:
+            if skip > 0:
+                skip -= 1
+                continue
+            await queue.put((stream.number, message))
+    except Exception as error:
+        await queue.put(_Failed(error))
+        return
+    await queue.put(None)
+
+
+async def _take_all(
+    engine: LinkEngine,
+    queue: asyncio.Queue[_Item],
+    sources: int,
+    worker: ThreadPoolExecutor,
+    stop: asyncio.Event,
+    publish: Callable[[], Any],
+) -> None:
+    """Give messages to the engine until all sources have ended, and publish its states at their rate."""
+    loop = asyncio.get_running_loop()
+    interval = 1.0 / engine.link.declared.output.rate_Hz
+    due = loop.time()
+    stopped = asyncio.ensure_future(stop.wait())
+    try:
+        while sources > 0 and not stop.is_set():
+            wait_s = max(due - loop.time(), 0.0)
+            first = await _next(queue, stopped, wait_s)
+            batch: list[tuple[int, Message]] = []
+            while first is not _NOTHING:
+                if isinstance(first, _Failed):
+                    raise first.error
+                if first is None:
+                    sources -= 1
+                else:
+                    batch.append(first)
+                if len(batch) >= IN_A_ROW or queue.empty():
+                    break
+                first = queue.get_nowait()
+            if batch:
+                await loop.run_in_executor(worker, _take, engine, batch)
+            if loop.time() >= due:
+                await publish()
+                due = max(due + interval, loop.time())
+    finally:
+        stopped.cancel()
+
+
+_NOTHING: Any = object()
+
+
+async def _next(queue: asyncio.Queue[_Item], stopped: asyncio.Future[Any], wait_s: float) -> Any:
+    """The next item, or _NOTHING when the time is over or the link is told to end."""
+    if not queue.empty():
+        return queue.get_nowait()
+    getter = asyncio.ensure_future(queue.get())
+    done, _ = await asyncio.wait({getter, stopped}, timeout=wait_s, return_when=asyncio.FIRST_COMPLETED)
+    if getter in done:
+        return getter.result()
+    getter.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        return await getter  # an item that came at the same moment is not lost
+    return _NOTHING
+
+
+def _take(engine: LinkEngine, batch: Sequence[tuple[int, Message]]) -> None:
+    for source, message in batch:
+        engine.take(message, source)
+    engine.advance()
+
+
+def _publisher(
+    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None
+) -> Callable[[], Any]:
+    async def publish() -> None:
+        _publish(engine.state(), outputs, on_state)
+
+    return publish
+
+
+def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None) -> None:
+    if on_state is not None:
+        on_state(state)
+    if outputs:
+        from sim_heating.live.outputs.published import Published
+
+        published = Published(state)
+        for output in outputs:
+            output.publish(published)
+
+
+@contextlib.contextmanager
+def _ending_signals(stop: asyncio.Event) -> Iterator[None]:
+    """Ctrl-C and a request to end let the link end by itself, so that its results are written."""
+    loop, before = asyncio.get_running_loop(), dict[int, Any]()
+    if os.name == "posix":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before[number] = signal.getsignal(number)
+            try:
+                loop.add_signal_handler(number, stop.set)
+            except (RuntimeError, ValueError):  # not the main thread, which alone handles signals
+                before.pop(number)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)
+
+
+def run(engine: LinkEngine, outputs: Sequence[Output] = (), **options: Any) -> State:
+    """Run a link in this thread until its sources end, or Ctrl-C; arguments, result and errors as `run_link`."""
+
+    async def main() -> State:
+        stop = asyncio.Event()
+        with _ending_signals(stop):
+            return await run_link(engine, outputs, stop=stop, **options)
+
+    try:
+        return asyncio.run(main())
+    except KeyboardInterrupt:  # where signals cannot be handled within the loop
+        engine.end()
+        return engine.state()

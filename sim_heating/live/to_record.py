@@ -1,0 +1,196 @@
+"""A journal closed as flight records: what came, in the order of its times, one record a control point.
+
+Times are put in order, and of samples of one time the first that came counts. Where the clock jumped, the longest
+stretch between two jumps is the record: times before and after a jump are not of one clock. The journal keeps all.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import DESCRIPTIONS, SURFACES, Conditions
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path, output_directory
+from sim_heating.heating.atmosphere import free_stream
+from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.record import Record, make_record, write_record
+from sim_heating.live.journal import journal_file, read_head, read_journal
+from sim_heating.live.mapping import FieldMapping
+from sim_heating.live.sources import decoder_of
+from sim_heating.live.sources.decoder import message_of
+from sim_heating.live.spec import Link, LinkPoint, make_link
+from sim_heating.live.types import Frame, Sample
+from sim_heating.simulation.synthesize import flown_columns, ratio_table_of, record_declaration, turbulent_table_of
+
+RECORDS = "records"
+"""Folder of the records in the directory of a link's results."""
+
+
+@dataclass
+class Stretch:
+    """Samples of one clock: frames by time, and readings by control point, sensor and time; the first of a time.
+
+    latest_s : time of the latest frame [s]; NaN before the first
+    """
+
+    frames: dict[float, Mapping[str, float]] = field(default_factory=dict)
+    readings: dict[tuple[str, str], dict[float, float]] = field(default_factory=dict)
+    latest_s: float = float("nan")
+
+    def add(self, sample: Sample) -> None:
+        """Add a sample; one of a time that is there already is a double."""
+        if isinstance(sample, Frame):
+            self.frames.setdefault(sample.time_s, sample.values)
+            self.latest_s = max(sample.time_s, self.latest_s)  # the first is compared with NaN, and is the greater
+        else:
+            self.readings.setdefault((sample.point, sample.sensor), {}).setdefault(sample.time_s, sample.value_K)
+
+
+def samples_of(journal: str | os.PathLike[str], link: Link) -> Iterable[Sample]:
+    """Frames and readings of a journal in the order in which they came; what is damaged is left out, as it was live."""
+    decoders = [decoder_of(link, source) for source in link.declared.source]
+    mapping = FieldMapping(link)
+    for entry in read_journal(journal):
+        message = message_of(decoders[entry.source], entry.body, entry.arrived_ns * 1e-9)
+        if message is None:
+            continue
+        try:
+            yield from mapping.apply(message)
+        except InputError:  # counted and reported when it came
+            continue
+
+
+def stretches(samples: Iterable[Sample], jump_s: float) -> list[Stretch]:
+    """Samples parted where the clock of the frames jumps.
+
+    jump_s : a frame so much after the latest one, or before the latest one, is of another clock [s]
+    """
+    found = [Stretch()]
+    for sample in samples:
+        latest = found[-1].latest_s if isinstance(sample, Frame) else float("nan")
+        if abs(sample.time_s - latest) > jump_s:
+            found.append(Stretch())
+        found[-1].add(sample)
+    return found
+
+
+def longest_stretch(samples: Iterable[Sample], link: Link) -> tuple[Stretch, list[str]]:
+    """The stretch with the most frames, and one line for each other one."""
+    found = stretches(samples, link.declared.estimate.jump_s)
+    longest = max(found, key=lambda s: len(s.frames))
+    return longest, [
+        f"the clock jumped: {len(s.frames)} frames from {min(s.frames):g} to {max(s.frames):g} s are left out"
+        for s in found
+        if s is not longest and s.frames
+    ]
+
+
+def records_of(link: Link, stretch: Stretch) -> dict[str, Record]:
+    """Records of a stretch by control point, those that have readings.
+
+    raises : InputError where there are fewer than two frames, or no reading at all
+    """
+    times = sorted(stretch.frames)
+    where = display_path(link.path)
+    if len(times) < 2:
+        raise InputError(f"{where}: {len(times)} frames of flight conditions came; a record needs two at least")
+    columns: dict[str, FloatArray] = {"time_s": np.array(times)}
+    for name in stretch.frames[times[0]]:
+        columns[name] = np.array([stretch.frames[t].get(name, np.nan) for t in times])
+    found = {
+        point.name: _record(link, point, columns, measured)
+        for point in link.points
+        if (measured := _measured(point, stretch, times[0], times[-1])) is not None
+    }
+    if not found:
+        raise InputError(f"{where}: no reading of a thermocouple came within the time of the conditions; no record")
+    return found
+
+
+def _measured(point: LinkPoint, stretch: Stretch, first_s: float, last_s: float) -> dict[str, FloatArray] | None:
+    """Columns of the measurements of a point: its sensors that were read; None where none was."""
+    own = {s.name: stretch.readings.get((point.name, s.name), {}) for s in point.sensors}
+    read = {s.column: own[s.name] for s in point.sensors if np.any(np.isfinite(list(own[s.name].values())))}
+    times = sorted({t for values in read.values() for t in values})
+    if not any(first_s <= t <= last_s for t in times):
+        return None
+    columns = {c: np.array([values.get(t, np.nan) for t in times]) for c, values in read.items()}
+    return {"time_s": np.array(times), **columns}
+
+
+def _record(
+    link: Link, point: LinkPoint, flown: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]
+) -> Record:
+    sensors = [s for s in point.sensors if s.column in measured]
+    if link.vehicle is None:
+        return _record_like(link.records[point.name], flown, measured)
+    vehicle = link.vehicle
+    own = vehicle.control_point(point.name)
+    given = {name: np.zeros(len(flown["time_s"])) for name in SURFACES} | dict(flown)
+    derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], vehicle.reference_length_m)
+    conditions = conditions_at_point(vehicle, own, Conditions(derived | given))
+    declared = record_declaration(vehicle, own, sensors, link.title, link.path.stem, measured=True)
+    table, turbulent = ratio_table_of(own), turbulent_table_of(own)
+    return make_record(declared, flown_columns(conditions), measured, table, point.name, turbulent)
+
+
+def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]) -> Record:
+    """A record with the declaration of another one, and what was flown and measured now."""
+    sensors = [s for s in record.sensors if s.column in measured]
+    declared = record.with_sensors(sensors).declared
+    conditions = Conditions({name: v for name, v in flown.items() if name in DESCRIPTIONS or name in record.conditions})
+    return make_record(
+        declared, conditions, measured, record.ratio_table, record.declared.control_point, record.turbulent
+    )
+
+
+def link_of(journal: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> Link:
+    """The link that wrote a journal, as it was declared then.
+
+    raises : InputError where the journal cannot be read, or the vehicle or records are not where they were
+    """
+    head = read_head(journal)
+    return make_link(head.link, head.path, root=root)
+
+
+def to_record(
+    journal: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    link: Link | None = None,
+    *,
+    root: str | os.PathLike[str] | None = None,
+) -> tuple[dict[str, Record], list[str]]:
+    """Close a journal as flight records in a directory; a single record goes into `out` itself.
+
+    journal : directory of a link, or its journal
+    link    : with the mapping to use, by default the one that wrote the journal
+    returns : records by control point, and one line for each thing that was left out
+    raises  : InputError where the journal holds no record
+    """
+    link = link_of(journal, root=root) if link is None else link
+    longest, notes = longest_stretch(samples_of(journal, link), link)
+    records = records_of(link, longest)
+    for point in link.points:
+        read = records[point.name].sensors if point.name in records else []
+        names = [s.name for s in read]
+        absent = [s.name for s in point.sensors if s.name not in names]
+        if absent:
+            notes.append(f"{point.name}: no reading of {', '.join(absent)} came; left out")
+    write_records(records, out, "live", [journal_file(journal), link.path])
+    return records, notes
+
+
+def write_records(
+    records: Mapping[str, Record], out: str | os.PathLike[str], command: str, inputs: Sequence[str | Path]
+) -> None:
+    """Write records into a directory: a single one into itself, several into folders of their names."""
+    with output_directory(out, command, inputs=[Path(p) for p in inputs]) as folder:
+        for name, record in records.items():
+            place = folder if len(records) == 1 else folder / name
+            write_record(record, place, comment="Made by sim-heating live of what came over a link.")
