@@ -75,6 +75,11 @@ def _statement_in(results: Path) -> tuple[Path, dict[str, Any]]:
         raise InputError(
             f"{results}: there is no such directory; name one with results, or a command: {', '.join(_commands())}"
         )
+    if (results / "record.toml").is_file():
+        raise InputError(
+            f"{display_path(results)}: is a flight record; name the directory of results that predict, estimate or "
+            f"close-loop wrote from it"
+        )
     below = sorted(p.parent for name in RESULTS for p in results.glob(f"*/{name}"))
     hint = f"; its folders have some, such as {display_path(below[0])}" if below else "; run the command again"
     raise InputError(f"{display_path(results)}: holds no result with a credibility statement{hint}")

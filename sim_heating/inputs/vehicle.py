@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -228,9 +228,10 @@ def _load(directory: Path) -> Vehicle:
     """A vehicle from its files, all of it checked."""
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
-    if file is not None and file.name != real_path(directory).name:
+    if file is not None and file.name != (own := real_path(directory).name):
         problems.add(
-            f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory'
+            f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory; '
+            f'write "{own}", or rename the directory'
         )
     materials, invalid = _read_materials(directory, problems)
     points = _read_control_points(directory, materials, invalid, file, problems)
@@ -265,7 +266,8 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
         return path
     text = os.fspath(vehicle)
     if os.sep in text or "/" in text:
-        raise InputError(f"{text}: not a vehicle; give a directory with a vehicle.toml")
+        what = "the directory has no vehicle.toml" if os.path.isdir(path) else "there is no such directory"
+        raise InputError(f"{text}: not a vehicle; {what}")
     for folder in vehicle_folders():
         if text and os.path.isfile(folder / text / "vehicle.toml"):
             return folder / text
@@ -395,6 +397,7 @@ def _read_control_points(
 ) -> dict[str, ControlPoint]:
     """All control points of a vehicle; of one with an invalid material, only the material's problem is reported."""
     points: dict[str, ControlPoint] = {}
+    tables: list[tuple[str, str, RatioTable]] = []
     for path in _files(directory, "control_points/*.toml", problems):
         file = problems.attempt(read_toml, path, ControlPointFile)
         if file is None:
@@ -410,6 +413,8 @@ def _read_control_points(
         recovery = recovery_of(file, None if vehicle is None else vehicle.heating.reference)
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
         turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
+        tables += [(file.name, file.ratio_table, ratio)] if ratio is not None else []
+        tables += [(file.name, file.ratio_table_turbulent or "", table) for table in turbulent or ()]
         effects = problems.attempt(_effects, path, file, vehicle)
         if construction is not None and ratio is not None and turbulent is not None and effects is not None:
             flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
@@ -417,9 +422,25 @@ def _read_control_points(
                 catalysis = _catalysis(file, vehicle)
                 source = "" if catalysis is None else catalysis.source
                 points[file.name] = _control_point(file, construction, ratio, effects, flow, source)
-    for line in _repeated_sensors(directory, points):
+    for line in (*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)):
         problems.add(line)
     return points
+
+
+def _tables_of_others(directory: Path, tables: Sequence[tuple[str, str, RatioTable]]) -> list[str]:
+    """Tables that state another control point of the vehicle, which has a table of its own.
+
+    tables : control point, file, table; points that share one file may do so
+    """
+    found = []
+    for name, file, table in tables:
+        stated = table.header.get("control_point", name)
+        if any(other == stated for other, _, _ in tables) and (stated, file) not in {(o, f) for o, f, _ in tables}:
+            found.append(
+                f"{display_path(directory / file)}, header `control_point`: `{stated}`, but it is the table of {name}; "
+                f"put back the file of {name}, or correct the header"
+            )
+    return found
 
 
 def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> list[str]:
@@ -460,7 +481,9 @@ def _read_ratio(
             f"`{vehicle.heating.reference}`"
         )
     if vehicle is not None and (differs := table.recovery_problem(recovery.kind, vehicle.heating.reference)):
-        raise InputError(f"{display_path(path)}, {differs} of the control point")
+        stated = table.header.get("control_point", owner.stem)
+        other = f"; the header states that it is the table of {stated}" if stated != owner.stem else ""
+        raise InputError(f"{display_path(path)}, {differs} of control point {owner.stem}{other}")
     return table
 
 

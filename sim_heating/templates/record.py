@@ -444,6 +444,8 @@ def like_record(
             Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise)
         )
         notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
+        if noise is not None and noise_K is None:
+            notes.append(f"noise of {column.name} {noise:g} K, as in {model.name}; --noise states that of yours")
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
     update = {
         "thermocouples": thermocouples,

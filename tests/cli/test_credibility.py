@@ -86,6 +86,9 @@ def test_a_review_counts_while_the_record_stays_as_it_is(board: Path, capsys):
 
 def test_a_directory_without_a_statement_is_refused_with_what_to_do(board: Path, capsys):
     assert main(["credibility", str(board)]) == 2
+    assert "is a flight record; name the directory of results" in capsys.readouterr().err
+    Path("empty").mkdir()
+    assert main(["credibility", "empty"]) == 2
     assert "no result with a credibility statement" in capsys.readouterr().err
     assert main(["credibility", "lst"]) == 2
     assert "add, list, remove" in capsys.readouterr().err.replace("rules, add", "add")

@@ -227,6 +227,15 @@ def test_tables_are_exactly_what_their_sources_describe(vehicle, tmp_path):
     assert written == stored
 
 
+def test_the_table_of_another_control_point_is_refused_and_a_shared_one_is_not(damaged):
+    tables = damaged / "ratio_tables"
+    shutil.copy(tables / "SHOULDER.csv", tables / "FACE.csv")
+    said = " ".join(refusal(damaged).problems)
+    assert "ratio_tables/FACE.csv, header `control_point`: `SHOULDER`, but it is the table of FACE" in said
+    edit(damaged / "control_points" / "FACE.toml", "ratio_tables/FACE.csv", "ratio_tables/SHOULDER.csv")
+    assert load_vehicle(damaged).control_point("FACE").ratio.header["control_point"] == "SHOULDER"
+
+
 def test_two_sources_of_one_table_are_reported(damaged):
     shutil.copy(damaged / "ratio_sources/face.toml", damaged / "ratio_sources/zz.toml")
     with pytest.raises(InputError, match=r"zz\.toml: `control_points`: FACE already has a table from another source"):
@@ -332,7 +341,7 @@ def test_a_vehicle_of_the_user_comes_before_one_of_the_package(damaged, tmp_path
 def test_a_misspelt_vehicle_is_answered_with_the_most_similar_one():
     with pytest.raises(InputError, match=r"vehicle `orbitr`: unknown vehicle; did you mean `orbiter`"):
         load_vehicle("orbitr")
-    with pytest.raises(InputError, match=r"nowhere/orbiter: not a vehicle"):
+    with pytest.raises(InputError, match=r"nowhere/orbiter: not a vehicle; there is no such directory"):
         load_vehicle("nowhere/orbiter")
 
 
@@ -348,7 +357,7 @@ DAMAGES = {
         ("reference_length_m = 3.91", "reference_length_m = -3.91", "`reference_length_m`: -3.91 must be above 0"),
         ("reference_length_m", "reference_lenght_m", "`reference_lenght_m`; did you mean `reference_length_m`"),
         ('"sutton-graves"', '"sutton-grave"', "did you mean `sutton-graves`"),
-        ('name = "capsule"', 'name = "capsul"', "is not the name of its directory"),
+        ('name = "capsule"', 'name = "capsul"', "is not the name of its directory; write \"capsule\""),
         ('"vehicle/1"', '"vehicle/2"', '"vehicle/2" is not one of vehicle/1'),
     ],
     "control_points/FACE.toml": [

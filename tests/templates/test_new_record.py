@@ -240,6 +240,7 @@ def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
     Path("mine.csv").write_text("\n".join(["time [s];my tile [C]", *rows]))
     made = run("new", "record", "--csv", "mine.csv", "--like", RECORDS / "sts96_480", "--out", "mine")
     assert made.exit_code == 0, made.exception
+    assert "noise of my tile 6 K, as in sts96_480; --noise states that of yours" in " ".join(made.output.split())
     record = load_record("mine")
     assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, 6.0)]
     assert record.thermocouples["my_tile_K"][0] == pytest.approx(T_C[0] + 273.15, abs=0.06)
@@ -249,12 +250,12 @@ def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
 def test_temperatures_in_a_shipped_record_are_replaced_by_one_file_and_one_name() -> None:
     shutil.copytree(RECORDS / "sts96_480", "mine")
     rows = Path("mine/thermocouples.csv").read_text().splitlines()[1::2]
-    text = "\n".join(["time_s,mytile_K", *(",".join(row.split(",")[:2]) for row in rows)])
+    text = "\n".join(["time_s,TC1", *(",".join(row.split(",")[:2]) for row in rows)])
     Path("mine/thermocouples.csv").write_text(text)
     said = refused("validate", "mine")
-    assert "no column `STS96_480_surface_K`; the file has `mytile_K`: change one of the names" in said
+    assert "no column `STS96_480_surface_K`; the file has `TC1`: change one of the names" in said
     declared = Path("mine/record.toml").read_text()
-    Path("mine/record.toml").write_text(declared.replace("STS96_480_surface_K", "mytile_K"))
+    Path("mine/record.toml").write_text(declared.replace("STS96_480_surface_K", "TC1"))
     assert "good" in run("validate", "mine").output
     assert len(load_record("mine").time_s) == len(rows)
 

@@ -104,13 +104,14 @@ def read_csv_columns(
 
     required    : columns that must exist
     optional    : known columns that may be absent; a similar name in place of an absent one is an error
-    allow_empty : columns in which an empty cell is a lost sample (NaN)
+    allow_empty : columns of readings: an empty cell is a lost sample (NaN)
     keep_other  : keep further columns, which must be numeric too
     text        : columns kept as text
     raises      : InputError naming row, column and value, all problems at once
     """
     names, rows, lines, header = _cells(Path(path))
-    problems = _name_problems(display_path(path), names, required, optional)
+    lost = set(allow_empty)
+    problems = _name_problems(display_path(path), names, required, optional, lost)
     selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
     ragged = [
@@ -119,8 +120,8 @@ def read_csv_columns(
         if len(row) != len(names)
     ]
     raise_problems(_first_and_count(ragged))
+    raise_problems(_units_problems(display_path(path), rows, lines, bool(lost)))
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
-    lost = set(allow_empty)
     columns: dict[str, FloatArray] = {}
     for name in (n for n in selected if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
@@ -163,13 +164,30 @@ def _first_and_count(problems: list[str]) -> list[str]:
     return problems
 
 
-def _name_problems(file: str, names: list[str], required: Sequence[str], optional: Sequence[str]) -> list[str]:
-    """Problems of the row of names: missing, repeated, empty, misspelt."""
+def _units_problems(file: str, rows: list[list[str]], lines: list[int], readings: bool) -> list[str]:
+    """The problem of a row of units below the names: no cell of it is a number, and those of the next row are."""
+    if len(rows) < 2 or any(isinstance(_number(c, False), float) for c in rows[0]):
+        return []
+    if not any(isinstance(_number(c, False), float) for c in rows[1]):
+        return []
+    shown = ", ".join(f'"{abbreviated(cell.strip()).strip(chr(34))}"' for cell in rows[0][:3])
+    more = ", ..." if len(rows[0]) > 3 else ""
+    convert = "; or let `sim-heating new record --csv` convert the file" if readings else ""
+    return [
+        f"{file}, row {lines[0]}: {shown}{more} are no numbers; units are those that the names end in: "
+        f"convert to them and remove the row{convert}"
+    ]
+
+
+def _name_problems(
+    file: str, names: list[str], required: Sequence[str], optional: Sequence[str], readings: Iterable[str]
+) -> list[str]:
+    """Problems of the row of names: missing, repeated, empty, misspelt; readings : columns that the user named."""
     other = [n for n in names if n not in {*required, *optional}]
     missing = [n for n in required if n not in names]
     if missing and len(names) == 1 and (sign := next((s for s in (";", "\t") if s in names[0]), None)):
         return [f"{file}, row of names: cells are separated by {sign!r}; separate them by commas"]
-    problems = [f"{file}: there is no column `{n}`{_nearest_column(n, other)}" for n in missing]
+    problems = [f"{file}: there is no column `{n}`{_nearest_column(n, other, n in readings)}" for n in missing]
     problems += [f"{file}: column `{n}` is repeated; remove one" for n in dict.fromkeys(names) if names.count(n) > 1]
     problems += [f"{file}: column {i + 1} has no name; name or remove it" for i, n in enumerate(names) if not n]
     for name in optional:
@@ -179,12 +197,13 @@ def _name_problems(file: str, names: list[str], required: Sequence[str], optiona
     return problems
 
 
-def _nearest_column(name: str, other: list[str]) -> str:
+def _nearest_column(name: str, other: list[str], of_readings: bool) -> str:
+    """What to do about a missing column: the most similar one, or those that may be the readings looked for."""
     close = nearest_name(name, other)
     if close:
         return f"; nearest in the file: `{close}`"
     # `STS96_480_surface_K` where the file has `mine_K`: one of the two names is to be changed
-    own = [n for n in other if n.endswith("_K") and name.endswith("_K")]
+    own = [n for n in other if not n.startswith("sigma")] if of_readings else []
     return f"; the file has {', '.join(f'`{n}`' for n in own[:6])}: change one of the names" if own else "; add it"
 
 
@@ -215,12 +234,12 @@ def _number(cell: str, may_be_empty: bool) -> float | str:
     stripped = cell.strip()
     if not stripped:
         return math.nan if may_be_empty else "the cell is empty; give a number"
+    hint = "; leave the cell of a lost sample empty" if may_be_empty else ""
     try:
         value = plain_number(stripped)
     except ValueError:
-        return f"{abbreviated(stripped)} is not a number"
+        return f"{abbreviated(stripped)} is not a number{hint}"
     if not math.isfinite(value):
-        hint = "; leave the cell of a lost sample empty" if may_be_empty else ""
         return f"{stripped} is not a finite number{hint}"
     return value
 

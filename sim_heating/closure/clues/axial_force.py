@@ -48,8 +48,8 @@ class AxialStep:
         """One line for a person."""
         rises = "rises" if self.relative > 0.0 else "falls"
         return (
-            f"Axial acceleration {rises} by {abs(self.relative):.1%} in a step at {self.time_s:.0f} s: independent "
-            "evidence of a change of the boundary layer there."
+            f"Axial acceleration {rises} by {100.0 * abs(self.relative):.2g} % in a step at {self.time_s:.0f} s: "
+            "independent evidence of a change of the boundary layer there."
         )
 
 
