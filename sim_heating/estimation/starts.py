@@ -22,7 +22,7 @@ from functools import partial
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.record_fit import Start, StartMaker, march_times, start_unknowns
@@ -95,8 +95,18 @@ def circuit_profile(record: Record, model: PointModel, mesh: Mesh, time_s: float
         decay = np.exp(-(t[k] - t[k - 1]) * rates)
         profile = 0.5 * (read[k] + read[k - 1]) * (1.0 - decay) + profile * decay
     nodes, now = (np.array(column) for column in zip(*_readings_now(record, mesh, time_s), strict=True))
-    # the readings at the start are better known than the analogy: the profile is shifted to pass through them
-    return profile + np.interp(s, s[nodes], now - profile[nodes])
+    return shifted_to_readings(profile, s, nodes, now)
+
+
+def shifted_to_readings(profile: FloatArray, s: FloatArray, nodes: IntArray, read_K: FloatArray) -> FloatArray:
+    """(node,) temperatures shifted to pass through readings, linearly in diffusion depth between them [K].
+
+    profile : (node,) [K];  s : (node,) diffusion depth [s^(1/2)]
+    nodes   : (sensor,) nodes that are read, outermost first;  read_K : (sensor,) their readings [K]
+
+    The readings at a start are better known than any analogy. Source: docs/theory/clocks_and_starts.md, equation 3.
+    """
+    return profile + np.interp(s, s[nodes], read_K - profile[nodes])
 
 
 def _readings_now(record: Record, mesh: Mesh, time_s: float) -> list[tuple[int, float]]:

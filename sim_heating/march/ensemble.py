@@ -297,6 +297,21 @@ class Ensemble:
         B, J = self.block(place.group), self.integers(place.group)
         set_point(B, J, place.lane, place.end, elements, stack, heating)
 
+    def write_values(self, state: FloatArray, model: int, stack: FloatArray, heating: FloatArray) -> None:
+        """Write parameter values of a point into its own lane of a state of this ensemble, or of a copy of it.
+
+        state  : (number,) as `state`, changed;  model : index of the point
+        stack, heating : as for `set_values`
+
+        Lanes that fill a group keep theirs, so that a march may go on: heat contents of the lane itself are to be
+        evaluated again before the next step, and nobody would do so for those. Source:
+        docs/theory/equations_thermal_step.md, eq. 8.
+        """
+        place = self.lane_offsets[model]
+        start, end = self.groups[place.group, :2]
+        J = self.integers(place.group)
+        set_point(state[start:end], J, place.lane, place.lane + 1, self._elements[model], stack, heating)
+
     # State -----------------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:

@@ -235,7 +235,7 @@ def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int
                 S[i, k] -= (X[plus + row] - X[minus + row]) * inverse
         elif reach != ACTS_NOWHERE:
             if p.linear[lane, k] != OWN_PERTURBATION:
-                inverse *= _against_ratio(X, p.at[lane], p.linear[lane, k])
+                inverse *= against_ratio(X, p.at[lane], p.linear[lane, k])
             # ACTS_AT_FACES: the first and the last node; ACTS_ALONG_GAP: every node.
             for i in range(0, n, n - 1 if reach == ACTS_AT_FACES else 1):
                 row = i * NODE + SOURCE * LANES
@@ -243,8 +243,11 @@ def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int
 
 
 @njit
-def _against_ratio(X: FloatArray, at: int, k: int) -> float:
-    """Derivative of the linear heating ratio against its parameter k, for the lane whose node 0 begins at X[at]."""
+def against_ratio(X: FloatArray, at: int, k: int) -> float:
+    """Derivative of the linear heating ratio [-] against its parameter k, for the lane whose node 0 begins at X[at].
+
+    Source: docs/theory/equations_march.md, equation 12.
+    """
     first = at - HEAD_ROWS * LANES
     lane = first % LANES
     block = first - lane

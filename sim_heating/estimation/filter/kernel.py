@@ -538,7 +538,7 @@ def begin_march(group: LaneGroup, flights: Flights) -> None:
 @njit
 def step_with_perturbed(
     group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, lanes: int,
-    k: int,
+    k: int, first: bool,
 ) -> None:  # fmt: skip
     """March step k of a lane group from updated temperatures and ratios, and assemble its perturbed lanes.
 
@@ -547,16 +547,17 @@ def step_with_perturbed(
     perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
     flights            : steps [s] and conditions
     lanes              : number of lanes that are filtered
+    first              : whether it is the first step of the march, before which lag and hysteresis have no memory
 
     An update changes the temperatures, so that the net heat that the last step left does not hold: it is evaluated
     again, from the perturbed lanes at the start. Derived in docs/theory/equations_march.md, equations 6 and 7.
     """
     B, dt = group.B, flights.time_s[k] - flights.time_s[k - 1]
     b, j, t = pointer(B), pointer(group.J), pointer(group.table)
-    _lag_before(X, perturbed.groups, k == 1)
+    _lag_before(X, perturbed.groups, first)
     # With 1 s for the time step the residual is heat content minus net heat, which gives the net heat.
     assemble_perturbed(group, X.start, perturbed, T, 2, 1.0)
-    _lag_now(X, perturbed.groups, k == 1)
+    _lag_now(X, perturbed.groups, first)
     # Only lanes that are filtered: the padding has no perturbed lanes to start from.
     for lane in range(lanes):
         start_from_copy(B, lane, X.start, offsets.at[lane], offsets.nodes[lane])
@@ -575,10 +576,24 @@ def march_filter(
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
 
-    group                 : the nominal lanes
+    All arguments as in `filter_steps`. Derived in docs/theory/filter.md, equations 1 to 14.
+    """
+    begin_march(group, flights)
+    filter_steps(group, X, perturbed, offsets, flights, True, f, out)
+
+
+@njit
+def filter_steps(
+    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
+    f: FilterArrays, out: FloatArray,
+) -> None:  # fmt: skip
+    """Filter the lanes of one group through some steps of a flight, from the state that earlier ones have left.
+
+    group                 : the nominal lanes, begun (`begin_march`) or marched up to the first of the times
     X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where those of each nominal lane are
-    flights               : steps of the march and conditions
-    f                     : readings, filter state, process noise, frozen gains, history, work space
+    flights               : ends of the steps, the present time first, and conditions
+    first                 : whether the first of these steps is that of the march
+    f                     : readings of these steps, filter state, process noise, frozen gains, history, work space
     out                   : (lane, reading, N_OUT + parameter) temperatures [K], variances [K2], innovations, log
                             likelihood, sensitivities; filled
 
@@ -587,9 +602,8 @@ def march_filter(
     state = f.state
     lanes = state.P.shape[0]
     next_reading = np.zeros(lanes, dtype=np.int64)
-    begin_march(group, flights)
     for k in range(1, len(flights.time_s)):
-        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k)
+        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k, first and k == 1)
         for lane in range(lanes):
             if state.diverged[lane] == 0:
                 next_reading[lane] = filter_lane(

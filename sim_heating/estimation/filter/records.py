@@ -91,7 +91,7 @@ def filter_samples(
         slope, constant = calibration_line(channel.sensor, middle)
         wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
         constant = constant + slope * (wrong.gain * own + wrong.bias_K + wrong.drift_K_s * channel.since_s)
-        direct.append(_direct(channel, names, slope, wrong.gain, own))
+        direct.append(direct_terms(channel.sensor, names, slope, wrong.gain, own, channel.since_s))
         if lag is not None:
             direct[-1][..., CONSTANT] += (slope * wrong.gain)[:, np.newaxis] * _through_lag(channel, names, lag)
         variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
@@ -106,22 +106,26 @@ def filter_samples(
     return samples, order
 
 
-def _direct(
-    channel: FittedChannel, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray
+def direct_terms(
+    sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray, since_s: FloatArray
 ) -> FloatArray:
     """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
+
+    sensor  : whose readings they are;  names : of all parameters
+    slope   : (reading,) of its calibration [-];  gain : of the sensor [-]
+    added_K : (reading,) correction on top of the march [K];  since_s : (reading,) time since the first reading [s]
 
     Equation 2 of docs/theory/estimation_statistics.md, split into parts that are constant, per temperature and per
     rate.
     """
-    found, sensor = np.zeros((len(slope), len(names), 3)), channel.sensor
+    found = np.zeros((len(slope), len(names), 3))
     for k, name in enumerate(names):
         if name == CLOCK_SKEW.name:
             found[:, k, PER_RATE] = -slope * gain
         elif name == sensor_parameter(sensor, "bias"):
             found[:, k, CONSTANT] = slope
         elif name == sensor_parameter(sensor, "drift"):
-            found[:, k, CONSTANT] = slope * channel.since_s
+            found[:, k, CONSTANT] = slope * since_s
         elif name == sensor_parameter(sensor, "gain"):
             found[:, k, CONSTANT], found[:, k, PER_TEMPERATURE] = slope * added_K, slope
     return found

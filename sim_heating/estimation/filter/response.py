@@ -165,7 +165,7 @@ def march_response(
         disturb(B, X, perturbed, lane, added[lane, 0])
     begin_march(group, flights)
     for k in range(1, len(time_s)):
-        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k)
+        step_with_perturbed(group, X, perturbed, offsets, flights, lanes, k, k == 1)
         dt = time_s[k] - time_s[k - 1]
         for lane in range(lanes):
             n = offsets.nodes[lane]

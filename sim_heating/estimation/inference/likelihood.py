@@ -81,12 +81,24 @@ def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
     reading = np.asarray(reading_K, dtype=float)
     if sensor.bits is None or sensor.range_K is None:
         return ReadingIntervals(reading, reading)
+    return ReadingIntervals(*word_intervals(reading, sensor.range_K[0], sensor.lsb_K, 2.0**sensor.bits - 1.0))
+
+
+def word_intervals(
+    reading_K: FloatArray, lowest_K: ArrayLike, lsb_K: ArrayLike, last: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Ends of the intervals that readings of recorder words represent [K], as `reading_intervals` describes them.
+
+    reading_K : (sample,) [K];  lowest_K, lsb_K : R0 and LSB [K];  last : last code [-]; NaN for an unrounded reading
+
+    Source: docs/theory/estimation_statistics.md, equation 4.
+    """
     # a reading that was converted to engineering units with other constants may lie between two codes
-    last = 2.0**sensor.bits - 1.0
-    code = np.clip(np.rint((reading - sensor.range_K[0]) / sensor.lsb_K), 0.0, last)
-    lower = np.where(code == 0.0, -math.inf, sensor.range_K[0] + (code - 0.5) * sensor.lsb_K)
-    upper = np.where(code == last, math.inf, sensor.range_K[0] + (code + 0.5) * sensor.lsb_K)
-    return ReadingIntervals(lower, upper)
+    code = np.clip(np.rint((reading_K - lowest_K) / lsb_K), 0.0, last)
+    lower = np.where(code == 0.0, -math.inf, lowest_K + (code - 0.5) * lsb_K)
+    upper = np.where(code == last, math.inf, lowest_K + (code + 0.5) * lsb_K)
+    unrounded = np.isnan(last)
+    return np.where(unrounded, reading_K, lower), np.where(unrounded, reading_K, upper)
 
 
 @dataclass(frozen=True, eq=False)

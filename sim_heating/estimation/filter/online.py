@@ -1,0 +1,756 @@
+"""The Kalman filter taken on step by step, with the parameters estimated as the readings come.
+
+The kernel is that of the batch filter (`FilterMarch`), resumed. Its state is known given the parameters; what the
+readings say of these is summed as it says it,
+
+    A += m' m'^T / S,    b += m' nu / S,        m' = dm/dp, nu innovation, S its variance,
+
+so that with a prior of mean p_m and information Lambda_0, linearised about p_0,
+
+    p = p_0 + (Lambda_0 + A)^-1 (b - Lambda_0 (p_0 - p_m)),    cov p = (Lambda_0 + A)^-1,
+    z = z_0 + s (p - p_0),                                     cov z = P + s cov(p) s^T.
+
+That is the Kalman filter of state and parameters together in the form of Friedland (IEEE Trans. Autom. Control 14
+(1969) 359), whose parts stay apart. The point of linearisation follows the estimate (`linearise_again`). Derived in
+docs/theory/filter.md, equations 17 to 21.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.block import (
+    C_STAGES,
+    CELL_WORK,
+    D0,
+    END,
+    FILM,
+    H_REF,
+    HEAD_ROWS,
+    LANES,
+    N_CONDITIONS,
+    NODE_ROWS,
+    T,
+    conditions_at,
+)
+from sim_heating.base.kernels.jit import njit
+from sim_heating.estimation.filter.arrays import (
+    Blocks,
+    FilterArrays,
+    Readings,
+    State,
+    frozen_gains,
+    step_readings,
+    workspace,
+)
+from sim_heating.estimation.filter.kernel import (
+    INNOVATION,
+    N_OUT,
+    PREDICTED,
+    PREDICTED_VARIANCE,
+    VARIANCE,
+    begin_march,
+    filter_steps,
+)
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
+from sim_heating.march.ensemble import Ensemble
+from sim_heating.march.frames import Flights
+from sim_heating.march.point import PointModel, heating_vector, stack_values
+from sim_heating.thermal.sensitivity import (
+    ACTS_NOWHERE,
+    OWN_PERTURBATION,
+    PerturbedGroups,
+    PerturbedOffsets,
+    against_ratio,
+)
+from sim_heating.thermal.step import LaneGroup
+
+MOVED = 0.1
+"""Part of its standard deviation [-] by which an estimate has to be away from where the filter is linearised, before it
+is linearised again."""
+LARGEST_SHIFT_K = 50.0
+"""Most by which a new linearisation moves a temperature [K]; the rest of the way follows the next time."""
+
+
+class Information(NamedTuple):
+    """What prior and readings say of the parameters of all lanes (docs/theory/filter.md, equation 17).
+
+    A     : (lane, parameter, parameter) sum of m' m'^T / S;  b : (lane, parameter) sum of m' nu / S
+    prior : (lane, parameter, parameter) Lambda_0;  pull : (lane, parameter) Lambda_0 (p_0 - p_m)
+    at    : (lane, parameter) p_0, where the filter is linearised, each in its unit
+    """
+
+    A: FloatArray
+    b: FloatArray
+    prior: FloatArray
+    pull: FloatArray
+    at: FloatArray
+
+
+class PointReadings(NamedTuple):
+    """Readings of several points in some steps, (reading,) in order of time.
+
+    point       : number of the point;  time_s : [s];  node : that is read
+    lower_K, upper_K : interval [K], equal where nothing was rounded, NaN where the reading is predicted only
+    variance_K2 : of the noise;  gain, bias_K : of the sensor [-], [K]
+    direct      : (reading, parameter, 3) direct terms, as of march.Samples
+    """
+
+    point: IntArray
+    time_s: FloatArray
+    node: IntArray
+    lower_K: FloatArray
+    upper_K: FloatArray
+    variance_K2: FloatArray
+    gain: FloatArray
+    bias_K: FloatArray
+    direct: FloatArray
+
+
+class Innovations(NamedTuple):
+    """Readings as the filter of state and parameters together expected them, (reading,) as they were given.
+
+    predicted_K, variance_K2 : expected reading and its variance, noise included, from all readings before it
+    innovation_K, innovation_variance_K2 : reading less prediction, and the variance that it ought to have; NaN where
+        nothing was read. Of a recorder word, those of docs/theory/filter.md, equation 10
+
+    Derived in docs/theory/filter.md, equation 20.
+    """
+
+    predicted_K: FloatArray
+    variance_K2: FloatArray
+    innovation_K: FloatArray
+    innovation_variance_K2: FloatArray
+
+
+class HeatedAt(NamedTuple):
+    """Where the heating of the last step was evaluated, which readings and a new linearisation have moved since.
+
+    d : (lane,) ratio disturbance [-];  p : (lane, parameter) parameters, each in its unit
+    """
+
+    d: FloatArray
+    p: FloatArray
+
+
+class Outlook(NamedTuple):
+    """Estimates of all lanes at a time, parameters and state together (docs/theory/filter.md, equations 18 and 19).
+
+    z, variance    : (lane, node + 1) temperatures [K] and ratio disturbance [-], and their variances
+    p, covariance  : (lane, parameter) values, (lane, parameter, parameter), each in its unit
+    ratio          : (lane, 3) heating ratio [-], its standard deviation, that of the declared table
+    """
+
+    z: FloatArray
+    variance: FloatArray
+    p: FloatArray
+    covariance: FloatArray
+    ratio: FloatArray
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter before any reading, in its unit; sigma above 0 and finite."""
+
+    mean: float
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class PointEstimate:
+    """State and parameters of one point given all readings so far.
+
+    time_s        : [s]
+    temperature_K, sigma_K : (node,) estimates and their standard deviations [K], outermost node first
+    disturbance, disturbance_sigma : of the heating ratio [-]
+    ratio, ratio_sigma, ratio_table : heating ratio of the point with its standard deviation, that of its table [-]
+    names, values, covariance : (parameter,), (parameter,), (parameter, parameter), each in its unit
+    state_covariance : (node + 1, node + 1) of temperatures and disturbance given the parameters [K2], [K], [-]
+    sensitivity   : (node + 1, parameter) of temperatures and disturbance [K over the unit of each parameter]
+
+    Covariance of the state is state_covariance + sensitivity covariance sensitivity^T: docs/theory/filter.md,
+    equation 19.
+    """
+
+    time_s: float
+    temperature_K: FloatArray
+    sigma_K: FloatArray
+    disturbance: float
+    disturbance_sigma: float
+    ratio: float
+    ratio_sigma: float
+    ratio_table: float
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    state_covariance: FloatArray
+    sensitivity: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class FilterSnapshot:
+    """All that changes in an online filter, at a time [s]; `OnlineFilter.restore` goes back to it bit for bit."""
+
+    time_s: float
+    stepped: bool
+    arrays: tuple[FloatArray | IntArray, ...]
+
+
+class OnlineFilter(FilterMarch):
+    """Up to LANES points filtered together, step by step, with their parameters.
+
+    points : as for FilterMarch; their samples are not used, each has its own conditions. Parameters of clock and
+             sensors are columns of `initial_columns` that are 0
+    priors : of the parameters of each point by name, those of clock and sensors behind the others
+    raises : InputError for a prior that is missing, or whose sigma is not above 0 and finite
+
+    `begin` first, then `step`; `estimates` at any time. Derived in docs/theory/filter.md, equations 17 to 21.
+    """
+
+    def __init__(self, points: Sequence[FilterTrack], priors: Sequence[Mapping[str, Prior]]) -> None:
+        own = [replace(p, samples=_no_samples(), flight=i) for i, p in enumerate(points)]
+        super().__init__(own, np.zeros(1), np.zeros((len(own), 1, N_CONDITIONS)))
+        self.names = [_parameter_names(p, known) for p, known in zip(own, priors, strict=True)]
+        self.priors = [[known[name] for name in names] for names, known in zip(self.names, priors, strict=True)]
+        n, m = int(self._nodes.max()), max(p.parameters for p in own)
+        self._size = n, m
+        self.now_s = math.nan
+        self._stepped = False
+        self._group = self.nominal.lane_group(0)
+        if self.perturbed is None:
+            raise InputError("online filter: nothing to filter")
+        self._X = Blocks(self.perturbed.state, self.perturbed.state.copy(), self.perturbed.state.copy())
+        self._process = self._noise(own, n)
+        self._state_now = self._state(own, n, m)
+        self._information = self._prior_information()
+        self._heated_at = HeatedAt(np.zeros(len(own)), np.zeros((len(own), m)))
+        self._arrays_of: dict[int, FilterArrays] = {}
+        self._columns = self._offsets(1 + m)
+
+    def begin(
+        self,
+        time_s: float,
+        conditions: FloatArray,
+        initial_K: Sequence[FloatArray | None] | None = None,
+        covariance_K2: Sequence[FloatArray | None] | None = None,
+    ) -> None:
+        """Start at a time.
+
+        time_s        : [s];  conditions : (point, condition) there, in the units of the condition columns
+        initial_K     : (node,) temperatures of each point [K]; as its track declares where None
+        covariance_K2 : (node, node) of them [K2]; as its track declares where None
+
+        Parameters are at the means of their priors, and no reading is known. Derived in docs/theory/filter.md,
+        equation 17.
+        """
+        start = list(initial_K or [None] * len(self.points))
+        spread = list(covariance_K2 or [None] * len(self.points))
+        points = [
+            replace(p, initial_K=p.initial_K if T_0 is None else T_0, covariance_K2=p.covariance_K2 if C is None else C)
+            for p, T_0, C in zip(self.points, start, spread, strict=True)
+        ]
+        self._state_now, self._information = self._state(points, *self._size), self._prior_information()
+        for i in range(len(points)):
+            self._write_model(i)
+        self._begin([p.initial_K for p in points])
+        for other in self._X[1:]:
+            other[:] = self._X.start
+        self._stepped, self.now_s = False, float(time_s)
+        begin_march(self._group, self._flights_of(np.array([self.now_s]), conditions[:, np.newaxis]))
+
+    def gap(
+        self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings, error: float
+    ) -> Innovations:
+        """Filter all points through steps whose conditions are not known well: an unknown error of the ratio in them.
+
+        time_s, conditions, readings : as for `step`
+        error : standard deviation of the error over the ratio itself [-], one error for the whole gap
+        returns : as `step`
+
+        Points whose ratio wanders have that anyway, and none added. Derived in docs/theory/filter.md, equation 22.
+        """
+        state, h_ref = self._state_now, self._h_ref()
+        added = []
+        for i, point in enumerate(self.points):
+            lane, n, d = self._lane_of[i], point.mesh.nodes, point.disturbance
+            if d.start_sigma == d.density_1_s == 0.0 and h_ref[lane] > 0.0:
+                state.P[lane, n, n] = (error * float(self.nominal.film_kg_m2_s[i]) / h_ref[lane]) ** 2
+                added.append(i)
+        found = self.step(time_s, conditions, readings)
+        for i in added:
+            lane, n = self._lane_of[i], self.points[i].mesh.nodes
+            state.P[lane, n, :] = state.P[lane, :, n] = state.S[lane, n] = state.d[lane] = 0.0
+            self._write_model(i)
+        return found
+
+    def _h_ref(self) -> FloatArray:
+        """(lane,) reference film coefficient of each lane at the present time [kg/(m2 s)]."""
+        return self._group.B[conditions_at(END, 0) + H_REF :][: LANES * N_CONDITIONS : N_CONDITIONS]
+
+    def step(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> Innovations:
+        """Filter all points through one or more steps.
+
+        time_s     : (step,) ends of the steps [s], increasing, later than the present time
+        conditions : (point, step, condition) there; linear in between
+        readings   : in order of time, after the present time and up to the last of the steps
+        returns    : innovations of the readings [K]
+
+        One call with two steps gives the bits of two calls with one. Derived in docs/theory/filter.md, equations 1 to
+        12, 17 and 20.
+        """
+        if len(time_s) > 1:
+            before = readings.time_s <= time_s[-2]
+            parts = (
+                self._run(time_s[:-1], conditions[:, :-1], PointReadings(*(a[before] for a in readings))),
+                self.step(time_s[-1:], conditions[:, -1:], PointReadings(*(a[~before] for a in readings))),
+            )
+            return Innovations(*(np.concatenate(pair) for pair in zip(*parts, strict=True)))
+        self._heated_at.d[:], self._heated_at.p[:] = self._state_now.d, self._information.at
+        return self._run(time_s, conditions, readings)
+
+    def _run(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> Innovations:
+        times = np.append(self.now_s, time_s)
+        histories = np.concatenate([conditions[:, :1], conditions], axis=1)
+        lane_of = self._lane_of[readings.point]
+        lanes = len(self.points)
+        count = np.bincount(lane_of, minlength=lanes)
+        steps = np.searchsorted(times[1:], readings.time_s)
+        most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
+        place = _places(lane_of)
+        arrays = self._arrays(most)._replace(readings=self._given(readings, lane_of, place, count))
+        rows = max(1, int(np.max(count, initial=0)))
+        out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
+        found = np.full((lanes, rows, 4), np.nan)
+        run_online(
+            self._group, self._X, self._groups, self._columns, self._flights_of(times, histories), not self._stepped,
+            arrays, out, self._information, found,
+        )  # fmt: skip
+        self._stepped, self.now_s = True, float(times[-1])
+        mine = found[lane_of, place]
+        return Innovations(mine[:, 0], mine[:, 1], mine[:, 2], mine[:, 3])
+
+    def linearise_again(self, i: int, moved: float = MOVED) -> bool:
+        """Linearise a point about its present estimate, where that has moved; whether it has.
+
+            p_0 <- p,    z <- z + s dp,    b <- b - A dp
+
+        i     : number of the point
+        moved : part of its standard deviation [-] by which a parameter has to have moved
+
+        Temperatures move by 50 K at most, parameters stay within their bounds. Derived in docs/theory/filter.md,
+        equation 21.
+        """
+        lane = int(self._lane_of[i])
+        lower, upper = self._bounds[i]
+        if not shift_linearisation(self._group.B, self._state_now, self._information, lane,
+                                   int(self._nodes[lane]), moved, lower, upper):  # fmt: skip
+            return False
+        self._write_model(i)
+        return True
+
+    def estimates(self) -> list[PointEstimate]:
+        """State and parameters of all points now (docs/theory/filter.md, equations 18 and 19)."""
+        state, (n, m) = self._state_now, self._size
+        lanes = len(self.points)
+        found = Outlook(
+            np.full((lanes, n + 1), np.nan), np.full((lanes, n + 1), np.nan), np.zeros((lanes, m)),
+            np.zeros((lanes, m, m)), np.full((lanes, 3), np.nan),
+        )  # fmt: skip
+        read_estimates(
+            self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._stepped, found
+        )
+        return [self._estimate(i, found) for i in range(lanes)]
+
+    def _estimate(self, i: int, found: Outlook) -> PointEstimate:
+        lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
+        sigma = np.sqrt(np.maximum(found.variance[lane, : n + 1], 0.0))
+        return PointEstimate(
+            self.now_s, found.z[lane, :n], sigma[:n], float(found.z[lane, n]), float(sigma[n]),
+            *found.ratio[lane].tolist(), self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
+            self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
+        )  # fmt: skip
+
+    @property
+    def diverged(self) -> list[int]:
+        """Numbers of the points whose filter diverged: a temperature [K] fell below 1 K or is not a number."""
+        return [i for i in range(len(self.points)) if self._state_now.diverged[self._lane_of[i]]]
+
+    def parameters(self, i: int) -> dict[str, float]:
+        """Values of the parameters of a point where it is linearised, each in its unit."""
+        return dict(zip(self.names[i], self._information.at[self._lane_of[i]].tolist(), strict=False))
+
+    # Snapshots -------------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> FilterSnapshot:
+        """All that changes, copied; `restore` goes back to it exactly."""
+        return FilterSnapshot(self.now_s, self._stepped, tuple(a.copy() for a in self._changing()))
+
+    def restore(self, snapshot: FilterSnapshot) -> None:
+        """Go back, or forward, to a snapshot of this filter."""
+        self.now_s, self._stepped = snapshot.time_s, snapshot.stepped
+        for own, kept in zip(self._changing(), snapshot.arrays, strict=True):
+            own[...] = kept
+
+    def _changing(self) -> tuple[FloatArray | IntArray, ...]:
+        info = self._information
+        return (self._group.B, *self._X, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at)
+
+    # Packing ---------------------------------------------------------------------------------------------------------
+
+    def _flights_of(self, time_s: FloatArray, histories: FloatArray) -> Flights:
+        return Flights(time_s, np.ascontiguousarray(histories), self._flights.of_lane)
+
+    def _prior_information(self) -> Information:
+        lanes, m = len(self.points), self._size[1]
+        information = Information(
+            np.zeros((lanes, m, m)), np.zeros((lanes, m)), np.zeros((lanes, m, m)), np.zeros((lanes, m)),
+            np.zeros((lanes, m)),
+        )  # fmt: skip
+        for i, priors in enumerate(self.priors):
+            lane = self._lane_of[i]
+            # parameters that another point has more of: known exactly, without effect
+            information.prior[lane] = np.diag([*(p.sigma**-2.0 for p in priors), *[1.0] * (m - len(priors))])
+            information.at[lane, : len(priors)] = [p.mean for p in priors]
+        self._bounds = [self._bounds_of(p) for p in self.points]
+        return information
+
+    def _bounds_of(self, point: FilterTrack) -> tuple[FloatArray, FloatArray]:
+        bounds = np.tile([[-np.inf], [np.inf]], self._size[1])
+        for k, name in enumerate(point.names):
+            definition = point.model.definition(name)
+            bounds[:, k] = definition.lower, definition.upper
+        return bounds[0], bounds[1]
+
+    def _arrays(self, most: int) -> FilterArrays:
+        """Arrays of the filter with room for a number of readings in a step; their readings are to be replaced."""
+        if most not in self._arrays_of:
+            n, m = self._size
+            nothing = self._readings([replace(p, samples=_no_samples()) for p in self.points], m)
+            self._arrays_of[most] = FilterArrays(
+                nothing, self._state_now, self._process, frozen_gains(np.full(len(self.points), np.inf), most, n + 1),
+                self._history(self.points, n, False), workspace(n, 1 + m), workspace(n, 2 + m + n),
+                workspace(n, n + 1 + most), step_readings(most, n + 1, m), np.zeros(n + 1), np.zeros((n + 1, n + 1)),
+            )  # fmt: skip
+        return self._arrays_of[most]._replace(state=self._state_now)
+
+    def _given(self, readings: PointReadings, lane_of: IntArray, place: IntArray, count: IntArray) -> Readings:
+        lanes, rows, m = len(count), max(1, int(np.max(count, initial=0))), self._size[1]
+        time_s, gain, bias, variance, lower, upper = np.full((6, lanes, rows), np.nan)
+        node, direct = np.zeros((lanes, rows), dtype=np.int64), np.zeros((lanes, rows, m, 3))
+        at = lane_of, place
+        time_s[at], node[at], gain[at], bias[at] = readings.time_s, readings.node, readings.gain, readings.bias_K
+        variance[at], lower[at], upper[at] = readings.variance_K2, readings.lower_K, readings.upper_K
+        direct[(*at, slice(0, readings.direct.shape[1]))] = readings.direct
+        return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
+
+    def _write_model(self, i: int) -> None:
+        """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
+        lane, track = self._lane_of[i], self.points[i]
+        at = self._information.at[lane]
+        # those behind the named ones are of clock and sensors, and act on the readings alone
+        nominal = track.model.with_parameters(dict(zip(track.names, at.tolist(), strict=False)))
+        self._write_values(self.nominal, self.nominal.state, i, nominal, lane)
+        e = self.perturbed
+        for k, perturbed in enumerate(self._lanes):
+            if e is not None and perturbed.track == i:
+                model = perturbed.model(self.tracks[i], nominal)
+                for state in self._X:
+                    self._write_values(e, state, k, model, lane)
+
+    def _write_values(self, ensemble: Ensemble, state: FloatArray, k: int, model: PointModel, lane: int) -> None:
+        """Write the parameters of a model into its lane of a state, with the disturbance of the ratio added [-]."""
+        heating = heating_vector(model)
+        heating[D0] += self._state_now.d[lane]
+        ensemble.write_values(state, k, stack_values(model), heating)
+
+
+def _no_samples() -> Samples:
+    nothing = np.zeros(0)
+    return Samples(nothing, np.zeros(0, dtype=np.int64), nothing, nothing, nothing, nothing, nothing)
+
+
+def no_readings(parameters: int) -> PointReadings:
+    """Readings of a step in which nothing was read."""
+    nothing, number = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return PointReadings(
+        number, nothing, number, nothing, nothing, nothing, nothing, nothing, np.zeros((0, parameters, 3))
+    )
+
+
+def _places(lane_of: IntArray) -> IntArray:
+    """(reading,) how many readings of its own lane come before each."""
+    order = np.argsort(lane_of, kind="stable")
+    ordered = lane_of[order]
+    first = np.searchsorted(ordered, ordered)
+    places = np.empty(len(lane_of), dtype=np.int64)
+    places[order] = np.arange(len(lane_of)) - first
+    return places
+
+
+def _parameter_names(point: FilterTrack, priors: Mapping[str, Prior]) -> tuple[str, ...]:
+    """Names of the parameters of a point: of its march, then those that only its readings depend on."""
+    own = point.names
+    others = tuple(name for name in priors if name not in own)
+    if [name for name in own if name not in priors] or len(own) + len(others) != point.parameters:
+        raise InputError(
+            f"{point.model.name}: priors of {', '.join(priors) or 'nothing'} for {point.parameters} parameters, "
+            f"{', '.join(own)} among them; give one for each"
+        )
+    for name, prior in priors.items():
+        if not (0.0 < prior.sigma < math.inf and math.isfinite(prior.mean)):
+            raise InputError(
+                f"{point.model.name}: the prior of `{name}` is {prior.mean:g} +- {prior.sigma:g}; a running estimate "
+                "needs a mean, and a sigma above 0 and finite"
+            )
+    return own + others
+
+
+# Compiled ------------------------------------------------------------------------------------------------------------
+
+
+@njit
+def factorise(information: Information, lane: int, scale: FloatArray, L: FloatArray, pulled: FloatArray) -> None:
+    """Factorise what is known of the parameters of a lane, Lambda_0 + A = D^-1 L L^T D^-1.
+
+    scale  : (m,) receives the diagonal of D, in the units of the parameters;  L : (m, m) receives the lower triangle
+    pulled : (m,) receives L^-1 D (b - Lambda_0 (p_0 - p_m)) [-]
+
+    Scaled to a diagonal of 1, since the units of parameters differ by orders of magnitude. Derived in
+    docs/theory/filter.md, equation 18.
+    """
+    A, prior, m = information.A[lane], information.prior[lane], len(scale)
+    for k in range(m):
+        scale[k] = 1.0 / math.sqrt(A[k, k] + prior[k, k])
+    for k in range(m):
+        for j in range(k + 1):
+            total = (A[k, j] + prior[k, j]) * scale[k] * scale[j]
+            for i in range(j):
+                total -= L[k, i] * L[j, i]
+            if j < k:
+                L[k, j] = total / L[j, j]
+            else:
+                L[k, k] = math.sqrt(total)
+    for k in range(m):
+        pulled[k] = information.b[lane, k] - information.pull[lane, k]
+    whiten(L, scale, pulled)
+
+
+@njit
+def whiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
+    """x <- L^-1 D x in place: the product of two such vectors is one with the covariance of the parameters between.
+
+    x : (m,) derivative of a quantity against the parameters, in the unit of the quantity over theirs
+
+    Derived in docs/theory/filter.md, equation 18.
+    """
+    for k in range(len(x)):
+        total = x[k] * scale[k]
+        for j in range(k):
+            total -= L[k, j] * x[j]
+        x[k] = total / L[k, k]
+
+
+@njit
+def unwhiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
+    """x <- D L^-T x in place: from L^-1 D g to the change (Lambda_0 + A)^-1 g of the parameters, each in its unit.
+
+    Derived in docs/theory/filter.md, equation 18.
+    """
+    for k in range(len(x) - 1, -1, -1):
+        total = x[k]
+        for j in range(k + 1, len(x)):
+            total -= L[j, k] * x[j]
+        x[k] = total / L[k, k]
+    for k in range(len(x)):
+        x[k] *= scale[k]
+
+
+@njit
+def _sum_information(information: Information, lane: int, count: int, out: FloatArray, found: FloatArray) -> None:
+    """Add what the readings of a lane say of its parameters, one after the other, and fill `found` (equation 20)."""
+    m = information.b.shape[1]
+    scale, pulled, x, L = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, m))
+    for q in range(count):
+        factorise(information, lane, scale, L, pulled)
+        for k in range(m):
+            x[k] = out[q, N_OUT + k]
+        whiten(L, scale, x)
+        shift, more = 0.0, 0.0
+        for k in range(m):
+            shift += x[k] * pulled[k]
+            more += x[k] * x[k]
+        found[q, 0], found[q, 1] = out[q, PREDICTED] + shift, out[q, PREDICTED_VARIANCE] + more
+        nu, variance = out[q, INNOVATION], out[q, VARIANCE]
+        if not (math.isfinite(nu) and math.isfinite(variance)):
+            continue
+        found[q, 2], found[q, 3] = nu - shift, variance + more
+        for k in range(m):
+            share = out[q, N_OUT + k] / variance
+            information.b[lane, k] += share * nu
+            for j in range(m):
+                information.A[lane, k, j] += share * out[q, N_OUT + j]
+
+
+@njit
+def run_online(
+    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
+    f: FilterArrays, out: FloatArray, information: Information, found: FloatArray,
+) -> None:  # fmt: skip
+    """Filter the lanes of one group through some steps, and sum what their readings say of the parameters.
+
+    group ... out : as in kernel.filter_steps
+    information   : of all lanes, updated
+    found         : (lane, reading, 4) receives prediction [K], its variance [K2], innovation [K] and its variance [K2]
+                    with the parameters estimated from the readings before
+
+    Derived in docs/theory/filter.md, equations 17 and 20.
+    """
+    filter_steps(group, X, perturbed, offsets, flights, first, f, out)
+    for lane in range(f.state.P.shape[0]):
+        _sum_information(information, lane, f.readings.number[lane], out[lane], found[lane])
+
+
+@njit
+def shift_linearisation(
+    B: FloatArray, state: State, information: Information, lane: int, nodes: int, moved: float, lower: FloatArray,
+    upper: FloatArray,
+) -> bool:  # fmt: skip
+    """Move the point of linearisation of a lane to its estimate, where that has moved; whether it has.
+
+    B, state, information : block and arrays of all lanes, changed
+    nodes        : of the lane;  moved : part of its standard deviation [-] by which a parameter has to have moved
+    lower, upper : (m,) bounds of the parameters, each in its unit
+
+    Derived in docs/theory/filter.md, equation 21.
+    """
+    m = len(lower)
+    scale, step, x, L = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, m))
+    factorise(information, lane, scale, L, step)
+    unwhiten(L, scale, step)
+    away = False
+    for k in range(m):
+        x[:] = 0.0
+        x[k] = 1.0
+        whiten(L, scale, x)
+        own = 0.0
+        for j in range(m):
+            own += x[j] * x[j]
+        target = min(max(information.at[lane, k] + step[k], lower[k]), upper[k])
+        step[k] = target - information.at[lane, k]
+        away = away or abs(step[k]) > moved * math.sqrt(own)
+    if not away:
+        return False
+    largest = 0.0
+    for i in range(nodes):
+        change = 0.0
+        for k in range(m):
+            change += state.S[lane, i, k] * step[k]
+        largest = max(largest, abs(change))
+    if not math.isfinite(largest):
+        return False
+    part = min(1.0, LARGEST_SHIFT_K / max(largest, 1e-300))
+    for k in range(m):
+        step[k] *= part
+    for i in range(nodes + 1):
+        change = 0.0
+        for k in range(m):
+            change += state.S[lane, i, k] * step[k]
+        if i < nodes:
+            B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane] += change
+        else:
+            state.d[lane] += change
+    for k in range(m):
+        information.at[lane, k] += step[k]
+        for j in range(m):
+            information.b[lane, k] -= information.A[lane, k, j] * step[j]
+            information.pull[lane, k] += information.prior[lane, k, j] * step[j]
+    return True
+
+
+@njit
+def read_estimates(
+    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
+    heated_at: HeatedAt, stepped: bool, found: Outlook,
+) -> None:  # fmt: skip
+    """State and parameters of all lanes from what the readings say of both; `found` is filled.
+
+    B, X    : block of the lanes, and blocks of the perturbed lanes at the end of the last step
+    offsets : where the perturbed lanes of each lane are, the column of the ratio disturbance first
+    heated_at : where the heating was evaluated
+    stepped : whether a step was taken; without one there is no heating ratio yet
+
+    Derived in docs/theory/filter.md, equations 18 and 19.
+    """
+    m = information.b.shape[1]
+    scale, pulled, x, L = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, m))
+    for lane in range(state.P.shape[0]):
+        n = offsets.nodes[lane]
+        factorise(information, lane, scale, L, pulled)
+        for i in range(n + 1):
+            x[:] = state.S[lane, i]
+            whiten(L, scale, x)
+            mean = state.d[lane] if i == n else B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
+            variance = state.P[lane, i, i]
+            for k in range(m):
+                mean += x[k] * pulled[k]
+                variance += x[k] * x[k]
+            found.z[lane, i], found.variance[lane, i] = mean, variance
+        if stepped:
+            n, moved = offsets.nodes[lane], information.at[lane] - heated_at.p[lane]
+            _read_ratio(B, X, offsets, state, lane, state.d[lane] - heated_at.d[lane], moved, x, found.ratio)
+            whiten(L, scale, x)
+            variance = found.ratio[lane, 1]
+            for k in range(m):
+                found.ratio[lane, 0] += x[k] * pulled[k]
+                variance += x[k] * x[k]
+            found.ratio[lane, 1] = math.sqrt(max(variance, 0.0))
+        for k in range(m):
+            x[:] = 0.0
+            x[k] = 1.0
+            whiten(L, scale, x)
+            unwhiten(L, scale, x)
+            found.covariance[lane, k] = x
+        x[:] = pulled
+        unwhiten(L, scale, x)
+        for k in range(m):
+            found.p[lane, k] = information.at[lane, k] + x[k]
+
+
+@njit
+def _read_ratio(
+    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, lane: int, d: float, p: FloatArray,
+    x: FloatArray, ratio: FloatArray,
+) -> None:  # fmt: skip
+    """Heating ratio of a lane at the end of the last step given the parameters, its variance, and its table's ratio.
+
+    d, p : change of disturbance [-] and parameters since the heating was evaluated
+    x    : (m,) receives the derivative of the ratio against the parameters
+    """
+    n, film = offsets.nodes[lane], (FILM + END - HEAD_ROWS) * LANES
+    h_ref = B[C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS + H_REF]
+    ratio[lane, 2] = B[CELL_WORK * LANES + lane]
+    per_d = _ratio_slope(X, offsets, lane, 0, film) / h_ref
+    ratio[lane, 0] = X[offsets.at[lane] + film] / h_ref + per_d * d
+    for k in range(len(x)):
+        slope = _ratio_slope(X, offsets, lane, 1 + k, film) / h_ref
+        ratio[lane, 0] += slope * p[k]
+        x[k] = slope + per_d * state.S[lane, n, k]
+    ratio[lane, 1] = per_d * per_d * state.P[lane, n, n]
+
+
+@njit
+def _ratio_slope(X: FloatArray, offsets: PerturbedOffsets, lane: int, k: int, film: int) -> float:
+    """Derivative of the film coefficient of a lane against the parameter of a column [kg/(m2 s)] over its unit."""
+    if offsets.reach[lane, k] == ACTS_NOWHERE:
+        return 0.0
+    slope = (X[offsets.plus[lane, k] + film] - X[offsets.minus[lane, k] + film]) * offsets.inverse[lane, k]
+    if offsets.linear[lane, k] != OWN_PERTURBATION:
+        slope *= against_ratio(X, offsets.at[lane], offsets.linear[lane, k])
+    return slope

@@ -1,0 +1,739 @@
+"""Temperatures and parameters of the control points while the flight is flown.
+
+Frames and readings may come in any order within a window. Steps of the filter end at frames; frames on a straight line
+are passed over, up to `wait_s`, as the plug-in does. Where a sample belongs before what has been filtered, the filter
+goes back to the last snapshot before it and filters again: the estimate is a function of the samples alone, bit for
+bit, not of the order in which they came.
+
+    estimator = LiveEstimator(VehiclePoints(load_vehicle("orbiter"), ["V09T9527"]), ["ratio.scale"])
+    estimator.add(frame, reading)          # as they come
+    estimator.advance()
+    estimator.estimates()["V09T9527"].surface_K
+
+Filter: docs/theory/filter.md, section "Parameters as the readings come".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import suggestion
+from sim_heating.base.kernels.block import LANES
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
+from sim_heating.estimation.filter.online import (
+    FilterSnapshot,
+    OnlineFilter,
+    PointEstimate,
+    PointReadings,
+    Prior,
+    no_readings,
+)
+from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms
+from sim_heating.estimation.inference.likelihood import word_intervals
+from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
+from sim_heating.estimation.starts import START_SIGMA_K, shifted_to_readings, smooth_directions
+from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
+from sim_heating.live.timeline import Counts, Placed, Timeline, Word
+from sim_heating.live.types import Frame, Sample
+from sim_heating.march.point import initial_temperatures
+from sim_heating.thermal.mesh import diffusion_depths
+
+WIDE = 0.5
+"""Prior standard deviation of `ratio.scale`, and of what a derivative adds to a ratio over a usual range, over the
+ratio [-]; where neither the model nor the caller states one."""
+USUAL_RANGE = {"alpha": 5.0, "beta": 2.0, "logre": 0.5, "elevon": 5.0, "bodyflap": 5.0}
+"""Change of a variable of the ratio over which WIDE holds, in deg or decades."""
+LARGEST_RATIO = 1.0
+"""Heating ratio of which WIDE is a part where there is no table [-]."""
+BRIDGED_S = 60.0
+"""Longest time without frames [s] that is bridged; after a longer one the state is taken over as it was."""
+START_AGREES = 4.0
+"""Readings within this many standard deviations of the declared start confirm it [-]."""
+GAP_ERROR_1_S, LARGEST_GAP_ERROR = 0.01, 0.3
+"""Standard deviation of the heating over a gap, for each second of it, and at most, over the heating itself [1/s], [-]:
+conditions that go straight from one end of the gap to the other are not those that were flown."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """How the estimator works.
+
+    lateness_s     : how late a sample may come and still be used [s]
+    jump_s         : a frame further ahead is a jump of the clock, or a gap [s]
+    longest_step_s : longest step of the filter [s]
+    wait_s         : longest time over which frames on a straight line are passed over [s]; 0 makes a step of each
+    linearise_s    : time after which a point is linearised about its estimate again, where that has moved [s]; infinite
+                     for never
+    snapshot_s     : time between snapshots [s]
+    start          : temperatures at the first frame: as the stack declares (`declared`), by the circuit analogy from
+                     the first readings (`circuit`), or the latter where these contradict the former (`auto`)
+    start_s        : time of the first readings that a start is made from [s]
+    node_noise_K_sqrt_s : white noise of every node [K s^-1/2]
+    ratio_noise    : standard deviation [-] and correlation time [s] of a ratio that wanders; None for none
+    """
+
+    lateness_s: float = 2.0
+    jump_s: float = 2.5
+    longest_step_s: float = 1.0
+    wait_s: float = 0.25
+    linearise_s: float = 1.0
+    snapshot_s: float = 0.25
+    start: Literal["auto", "declared", "circuit"] = "auto"
+    start_s: float = 2.0
+    node_noise_K_sqrt_s: float = 0.0
+    ratio_noise: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class SensorEstimate:
+    """What a sensor ought to show now: prediction and its standard deviation, noise of the sensor included [K]."""
+
+    predicted_K: float
+    sigma_K: float
+
+
+@dataclass(frozen=True, eq=False)
+class LiveEstimate:
+    """Estimate of a control point at the time of the newest frame.
+
+    surface_K, bondline_K and their _sigma_K : estimates and standard deviations [K]
+    sensors : what each sensor ought to show, by name
+    state   : node temperatures, ratio and parameters with covariances
+    """
+
+    surface_K: float
+    surface_sigma_K: float
+    bondline_K: float
+    bondline_sigma_K: float
+    sensors: Mapping[str, SensorEstimate]
+    state: PointEstimate
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Estimate and standard deviation of each parameter by name, in its unit."""
+        sigma = np.sqrt(np.diag(self.state.covariance)).tolist()
+        return dict(zip(self.state.names, zip(self.state.values.tolist(), sigma, strict=True), strict=True))
+
+
+class Innovation(NamedTuple):
+    """A reading as it was expected: reading less prediction [K], and the variance that it ought to have [K2]."""
+
+    time_s: float
+    point: str
+    sensor: str
+    innovation_K: float
+    variance_K2: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """State of all filters after a step.
+
+    time_s    : end of the step [s];  decided_s : time of the last frame that the choice of its end depended on [s]
+    innovations : number of innovations until then
+    """
+
+    time_s: float
+    decided_s: float
+    values: FloatArray
+    vectors: FloatArray
+    filters: tuple[FilterSnapshot, ...]
+    innovations: int
+
+
+@dataclass
+class _Out:
+    """Times [s] from which on, and to which, a sensor is left out."""
+
+    spans: list[tuple[float, float]] = field(default_factory=list)
+
+    def covers(self, time_s: float) -> bool:
+        return any(begin <= time_s <= end for begin, end in self.spans)
+
+
+class LiveEstimator:
+    """Running estimate of temperatures and parameters at the control points of a link.
+
+    source  : the control points, and what a frame is for them (live/points.py)
+    names   : parameters to estimate, by their dotted names, also `sensor.NAME.bias`, `.gain` and `.drift`; those of a
+              sensor are of the point that has it
+    priors  : by name; those of the model, and wide ones for the heating ratio, where not given
+    options : how it works
+    raises  : InputError for an unknown parameter, one that a running estimate cannot have, or a sensor that lags
+
+    One process, one thread. `add` takes samples, `advance` filters what is complete, `estimates` gives the state at the
+    newest frame. Docs: docs/theory/filter.md, equations 17 to 21.
+    """
+
+    def __init__(
+        self,
+        source: ConditionsOfFrame,
+        names: Sequence[str] = ("ratio.scale",),
+        priors: Mapping[str, Prior] | None = None,
+        options: LiveOptions | None = None,
+    ) -> None:
+        self.source, self.options = source, options or LiveOptions()
+        self.points = source.points
+        self.names = tuple(p.name for p in self.points)
+        self._of_point = {p.name: i for i, p in enumerate(self.points)}
+        self._check(names)
+        self._sensors = _SensorTable(self.points, names)
+        self._tracks, self._priors = zip(
+            *(_track(p, self._sensors.names[i], priors or {}, self.options) for i, p in enumerate(self.points)),
+            strict=True,
+        )
+        self.filters = [
+            OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES])
+            for k in range(0, len(self.points), LANES)
+        ]
+        self._apart, self._share = line_tolerance(source.columns)
+        self.timeline = Timeline(self._sensors.numbers, self.options.lateness_s, self.options.jump_s)
+        self.messages: list[str] = []
+        self.refused = 0
+        self._out = [_Out() for _ in self._sensors.sensors]
+        self._restart()
+
+    def _restart(self) -> None:
+        self._now: _Kept | None = None
+        self._kept: list[_Kept] = []
+        self._provisional, self._changed = False, False
+        self._dirty = (math.inf, math.inf)
+        self._log: list[tuple[float, int, float, float]] = []
+        self._given_until = -math.inf
+        self.steps = 0
+
+    def _check(self, names: Sequence[str]) -> None:
+        for point in self.points:
+            lagging = [s.name for s in point.sensors if s.tau_s > 0.0 and s.used]
+            if lagging:
+                raise InputError(
+                    f"{point.name}: sensor {lagging[0]} lags; a running estimate takes thermocouples without a lag. "
+                    "Set its tau_s to 0, or used = false"
+                )
+        of_sensors = [n for n in names if n.startswith((SENSOR_PREFIX, "clock.", "sensors."))]
+        for name in of_sensors:
+            what = name.rpartition(".")[2]
+            known = {s.name for p in self.points for s in p.sensors if s.used}
+            sensor = name.removeprefix(SENSOR_PREFIX).rpartition(".")[0]
+            if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
+                raise InputError(
+                    f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
+                    f"clock nothing, `{CLOCK_SKEW.name}` among it"
+                )
+            if sensor not in known:
+                raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
+
+    # Samples in ------------------------------------------------------------------------------------------------------
+
+    def add(self, *samples: Sample) -> None:
+        """Take samples in any order; `advance` filters them.
+
+        raises : InputError for a point or sensor that the link does not have
+
+        What is late, doubled, lost or on another clock is counted in `counts`; a jump of the clock is told in
+        `messages`.
+        """
+        for sample in samples:
+            if isinstance(sample, Frame):
+                if not self._plausible(sample):
+                    continue
+            elif (sample.point, sample.sensor) not in self._sensors.numbers:
+                raise InputError(self._unknown(sample.point, sample.sensor))
+            placed, self._changed = self.timeline.put(sample), True
+            if placed is Placed.TAKEN or placed is Placed.LATE:
+                self._mark(sample)
+            elif placed is Placed.JUMPED:
+                self._follow()
+
+    def _plausible(self, frame: Frame) -> bool:
+        missing = [c for c in self.source.columns if c not in frame.values]
+        if missing:
+            self.refused += 1
+            self._tell(f"frame at {frame.time_s:g} s: no `{missing[0]}`; not used")
+        return not missing
+
+    def _mark(self, sample: Sample) -> None:
+        """Remember what is to be filtered again."""
+        if self._now is None:
+            return
+        frame, reading = self._dirty
+        if isinstance(sample, Frame):
+            if sample.time_s <= self._now.decided_s:
+                self._dirty = (min(frame, sample.time_s), reading)
+        elif sample.time_s <= self._now.time_s:
+            self._dirty = (frame, min(reading, sample.time_s))
+
+    def _unknown(self, point: str, sensor: str) -> str:
+        if point not in self._of_point:
+            return f"reading: unknown control point `{point}`{suggestion(point, self._of_point)}"
+        known = [s.name for s in self.points[self._of_point[point]].sensors]
+        return f"reading: {point} has no sensor `{sensor}`{suggestion(sensor, known)}"
+
+    def _tell(self, message: str) -> None:
+        self.messages.append(message)
+        del self.messages[:-100]
+
+    def _follow(self) -> None:
+        """Go over to a new clock: a gap where it is a little ahead, else the state is taken over as it is."""
+        jump = self.timeline.jump
+        assert jump is not None
+        if 0.0 < jump.by_s <= BRIDGED_S:
+            self._tell(f"no frames from {jump.from_s:g} to {jump.to_s:g} s: a gap or a jump of the clock; bridged")
+            self.timeline.follow(True)
+            return
+        way = "back" if jump.by_s < 0.0 else "ahead"
+        self._tell(
+            f"the clock jumped {way} from {jump.from_s:g} to {jump.to_s:g} s; the state is taken over as it was, "
+            "readings on the old clock are not used"
+        )
+        self.advance()
+        self._undo_provisional()
+        self._settle()
+        self.timeline.follow(False)
+        if self._now is None:
+            return
+        # all that is to come follows from here; the filter does not know of time but by its steps
+        first = self.timeline.frames[0]
+        for f in self.filters:
+            f.now_s = first.time_s
+        self._given_until = -math.inf
+        self._log = []
+        self._now = self._snapshot(first.time_s, first.time_s, self._values(first), self.source.conditions(first))
+        self._kept = [self._now]
+
+    def _settle(self) -> None:
+        """Take the last frames of an old clock."""
+        if self._now is not None:
+            frames = self.timeline.frames_after(self._now.time_s)
+            if frames:
+                self._commit(frames[-1], frames[-1].time_s)
+
+    def leave_out(self, point: str, sensor: str, since_s: float) -> None:
+        """Use no readings of a sensor from a time on [s]; they are still predicted.
+
+        raises : InputError for an unknown point or sensor
+        """
+        self._change_use(point, sensor, since_s, True)
+
+    def take_in(self, point: str, sensor: str, since_s: float) -> None:
+        """Use the readings of a sensor again from a time on [s]."""
+        self._change_use(point, sensor, since_s, False)
+
+    def _change_use(self, point: str, sensor: str, since_s: float, out: bool) -> None:
+        if (point, sensor) not in self._sensors.numbers:
+            raise InputError(self._unknown(point, sensor))
+        spans, self._changed = self._out[self._sensors.numbers[point, sensor]].spans, True
+        if out and not (spans and spans[-1][1] == math.inf):
+            spans.append((since_s, math.inf))
+        elif not out and spans and spans[-1][1] == math.inf:
+            spans[-1] = (spans[-1][0], math.nextafter(since_s, -math.inf))
+        if self._now is not None and since_s <= self._now.time_s:
+            # what is older than the window stays as it was filtered
+            frame, reading = self._dirty
+            self._dirty = (frame, min(reading, max(since_s, self.timeline.newest_s - self.options.lateness_s)))
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of late, doubled, lost ... samples."""
+        return self.timeline.counts
+
+    # Filtering -------------------------------------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Filter all that is complete up to the newest frame."""
+        if self._now is None and not self._start():
+            return
+        assert self._now is not None
+        if not self._changed:
+            return
+        self._changed = False
+        self._go_back()
+        self._undo_provisional()
+        pending: list[Frame] = []
+        rows: list[FloatArray] = []
+        for frame in self.timeline.frames_after(self._now.time_s):
+            values = self._values(frame)
+            if pending and not self._on_line(pending, rows, frame, values):
+                self._commit(pending[-1], frame.time_s)
+                pending, rows = [], []
+            pending.append(frame)
+            rows.append(values)
+            if frame.time_s - self._now.time_s >= self.options.wait_s - 1e-9:
+                self._commit(frame, frame.time_s)
+                pending, rows = [], []
+        self._forget()
+
+    def _values(self, frame: Frame) -> FloatArray:
+        return np.array([frame.values[c] for c in self.source.columns])
+
+    def _on_line(self, pending: list[Frame], rows: list[FloatArray], frame: Frame, values: FloatArray) -> bool:
+        """Whether the frames between lie on the straight line from the last step to a frame."""
+        assert self._now is not None
+        begin, span = self._now.time_s, frame.time_s - self._now.time_s
+        if span > self.options.wait_s + 1e-9:
+            return False
+        part = np.array([(p.time_s - begin) / span for p in pending])[:, np.newaxis]
+        line = self._now.values + part * (values - self._now.values)
+        given = np.array(rows)
+        return bool(np.all(np.abs(given - line) <= self._apart + self._share * np.abs(given)))
+
+    def _commit(self, frame: Frame, decided_s: float) -> None:
+        """Filter up to a frame, and keep a snapshot where one is due."""
+        assert self._now is not None
+        vectors, last = self._take_steps(frame), self._now
+        self._linearise(last.time_s, frame.time_s)
+        every = self.options.snapshot_s
+        due = not self._kept or math.floor(frame.time_s / every) > math.floor(self._kept[-1].time_s / every)
+        values = self._values(frame)
+        if due:
+            self._now = self._snapshot(frame.time_s, decided_s, values, vectors)
+            self._kept.append(self._now)
+        else:
+            self._now = _Kept(frame.time_s, decided_s, values, vectors, (), len(self._log))
+        self.steps += 1
+
+    def _take_steps(self, frame: Frame) -> FloatArray:
+        """Filter from the present to a frame; its condition vectors. A step is `longest_step_s` at most."""
+        assert self._now is not None
+        begin, end = self._now.time_s, frame.time_s
+        vectors = self._conditions(frame)
+        steps = max(1, math.ceil((end - begin) / self.options.longest_step_s - 1e-9))
+        part = np.arange(1, steps + 1) / steps
+        time_s = begin + part * (end - begin)
+        time_s[-1] = end
+        change = (vectors - self._now.vectors)[:, np.newaxis]
+        histories = self._now.vectors[:, np.newaxis] + part[:, np.newaxis] * change
+        histories[:, -1] = vectors
+        words = self.timeline.words_between(begin, end)
+        for k, f in enumerate(self.filters):
+            first = k * LANES
+            given, numbers = self._sensors.readings(words, first, f, self._out)
+            along = histories[first : first + LANES]
+            # conditions are known at the ends of a gap alone
+            unknown = min(GAP_ERROR_1_S * (end - begin), LARGEST_GAP_ERROR) if steps > 1 else 0.0
+            found = f.gap(time_s, along, given, unknown) if unknown else f.step(time_s, along, given)
+            read = np.isfinite(found.innovation_K)
+            self._log += list(
+                zip(
+                    given.time_s[read].tolist(), numbers[read].tolist(), found.innovation_K[read].tolist(),
+                    found.innovation_variance_K2[read].tolist(), strict=True,
+                )
+            )  # fmt: skip
+        return vectors
+
+    def _conditions(self, frame: Frame) -> FloatArray:
+        """Condition vectors of a frame; those of the last one where it is not plausible."""
+        assert self._now is not None
+        try:
+            return self.source.conditions(frame)
+        except InputError as error:
+            self.refused += 1
+            self._tell(f"{error}; the conditions before are held")
+            return self._now.vectors
+
+    def _linearise(self, begin_s: float, end_s: float) -> None:
+        """Linearise again those points whose time has come, one after the other over `linearise_s`."""
+        every = self.options.linearise_s
+        if not math.isfinite(every):
+            return
+        count = len(self.points)
+        for i in range(count):
+            phase = i / count
+            if math.floor(end_s / every - phase) > math.floor(begin_s / every - phase):
+                self.filters[i // LANES].linearise_again(i % LANES)
+
+    def _snapshot(self, time_s: float, decided_s: float, values: FloatArray, vectors: FloatArray) -> _Kept:
+        return _Kept(time_s, decided_s, values, vectors, tuple(f.snapshot() for f in self.filters), len(self._log))
+
+    def _go_back(self) -> bool:
+        """Return to the last snapshot before the first sample that came late; whether there was one."""
+        frame, reading = self._dirty
+        if frame == reading == math.inf:
+            return False
+        self._dirty = (math.inf, math.inf)
+        # one is older than the window, so that no sample that is taken comes before it
+        usable = [k for k in self._kept if k.decided_s < frame and k.time_s < reading]
+        self._kept = usable or self._kept[:1]
+        self._return_to(self._kept[-1])
+        return True
+
+    def _return_to(self, kept: _Kept) -> None:
+        for f, snapshot in zip(self.filters, kept.filters, strict=True):
+            f.restore(snapshot)
+        del self._log[kept.innovations :]
+        self._now, self._provisional = kept, False
+
+    def _forget(self) -> None:
+        """Drop snapshots and samples that no sample to come can reach."""
+        window = self.timeline.newest_s - self.options.lateness_s
+        while len(self._kept) > 1 and self._kept[1].decided_s < window:
+            self._kept.pop(0)
+        if self._kept:
+            self.timeline.forget(min(self._kept[0].time_s, window))
+
+    # Start -----------------------------------------------------------------------------------------------------------
+
+    def _start(self) -> bool:
+        """Begin the filters once there is enough to begin them with; whether they are begun."""
+        frames, options = self.timeline.frames, self.options
+        if not frames:
+            return False
+        begin, wait = frames[0], options.start_s if options.start != "declared" else options.lateness_s
+        if self.timeline.newest_s < begin.time_s + max(wait, options.lateness_s):
+            return False
+        words = self.timeline.words_between(-math.inf, begin.time_s + options.start_s)
+        read = self._sensors.first_readings(words)
+        profiles = [self._profile(i, p, read) for i, p in enumerate(self.points)]
+        try:
+            vectors = self.source.conditions(begin)
+        except InputError as error:
+            self.refused += 1
+            self._tell(f"{error}; the link begins later")
+            self.timeline.forget(math.nextafter(begin.time_s, math.inf))
+            return False
+        for k, f in enumerate(self.filters):
+            own = profiles[k * LANES : (k + 1) * LANES]
+            f.begin(begin.time_s, vectors[k * LANES : (k + 1) * LANES], [p for p, _ in own], [c for _, c in own])
+        self._now = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
+        self._kept = [self._now]
+        return True
+
+    def _profile(self, i: int, point: LivePoint, read: Mapping[int, float]) -> tuple[FloatArray, FloatArray]:
+        """(node,) temperatures at the start [K] and their covariance [K2]."""
+        declared = initial_temperatures(point.model.construction, point.mesh)
+        s = diffusion_depths(point.model.construction, point.mesh)
+        of_point = {n: k for k, n in enumerate(self._sensors.of_point[i])}
+        found = sorted((point.mesh.sensors[k], read[n]) for n, k in of_point.items() if n in read)
+        apart = max((abs(T - declared[node]) for node, T in found), default=0.0)
+        known = [self._sensors.sigma_K[n] for n in of_point if n in read]
+        if self.options.start == "declared" or (
+            self.options.start == "auto" and apart <= START_AGREES * max([*known, START_SIGMA_K / START_AGREES])
+        ):
+            return declared, np.zeros((len(s), len(s)))
+        if not found:
+            self._tell(f"{point.name}: no reading to start from; the declared temperatures are taken")
+            return declared, np.zeros((len(s), len(s)))
+        nodes, now = (np.array(column) for column in zip(*found, strict=True))
+        profile = shifted_to_readings(declared, s, nodes, now)
+        root = max(START_SIGMA_K, 0.5 * apart) * smooth_directions(s)
+        return profile, root @ root.T
+
+    # Estimates -------------------------------------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> float | None:
+        """Time of the newest frame that the estimate is of [s]; None before the start."""
+        return None if self._now is None else max(self._now.time_s, self.timeline.newest_s)
+
+    def estimates(self) -> dict[str, LiveEstimate]:
+        """Estimates of all control points at the time of the newest frame, by name; empty before the start."""
+        if self._now is None:
+            return {}
+        self._step_provisionally()
+        found = [e for f in self.filters for e in f.estimates()]
+        return {p.name: self._of_one(i, p, e) for i, (p, e) in enumerate(zip(self.points, found, strict=True))}
+
+    def _step_provisionally(self) -> None:
+        """Filter up to the newest frame although it may lie on a straight line to a later one; undone afterwards."""
+        assert self._now is not None
+        frames = [] if self._provisional else self.timeline.frames_after(self._now.time_s)
+        if frames:
+            if not self._now.filters:
+                self._now = self._snapshot(
+                    self._now.time_s, self._now.decided_s, self._now.values, self._now.vectors
+                )
+            self._take_steps(frames[-1])
+            self._provisional = True
+
+    def _undo_provisional(self) -> None:
+        if self._provisional:
+            assert self._now is not None
+            self._return_to(self._now)
+
+    def _of_one(self, i: int, point: LivePoint, state: PointEstimate) -> LiveEstimate:
+        bond = point.mesh.bondline
+        return LiveEstimate(
+            float(state.temperature_K[0]), float(state.sigma_K[0]),
+            float(state.temperature_K[bond]), float(state.sigma_K[bond]),
+            self._sensors.predicted(i, point, state), state,
+        )  # fmt: skip
+
+    def innovations(self) -> list[Innovation]:
+        """Innovations since the last call, in order of time, of readings that no late sample can change any more."""
+        until = self.timeline.newest_s - self.options.lateness_s
+        if self._now is None or until <= self._given_until:
+            return []
+        count = self._now.innovations if self._provisional else len(self._log)
+        final = sorted(r for r in self._log[:count] if self._given_until < r[0] <= min(until, self._now.time_s))
+        self._given_until = min(until, self._now.time_s)
+        # what is given is needed no more, but where a snapshot may go back to it
+        return [Innovation(t, *self._sensors.place[n], nu, v) for t, n, nu, v in final]
+
+    @property
+    def diverged(self) -> list[str]:
+        """Names of the points whose filter diverged."""
+        return [self.names[k * LANES + i] for k, f in enumerate(self.filters) for i in f.diverged]
+
+
+class _SensorTable:
+    """Sensors of all points by number, and what their readings are to the filter."""
+
+    def __init__(self, points: Sequence[LivePoint], names: Sequence[str]) -> None:
+        self.place = [(p.name, s.name) for p in points for s in p.sensors]
+        self.numbers = {place: n for n, place in enumerate(self.place)}
+        self.sensors = [s for p in points for s in p.sensors]
+        self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
+        self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
+        sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
+        self.sigma_K = np.array(sigma)
+        words = [s.bits is not None and s.range_K is not None for s in self.sensors]
+        pairs = list(zip(self.sensors, words, strict=True))
+        self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
+        self.lsb = np.array([s.lsb_K if w else np.nan for s, w in pairs])
+        self.last = np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs])
+        self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
+        self.used = np.array([s.used for s in self.sensors])
+        self.of_point = [[n for n, i in enumerate(self.point) if i == k] for k in range(len(points))]
+        self.names = [self._names_of(p, names) for p in points]
+        self._begun: dict[int, float] = {}
+        self._terms = [
+            direct_terms(s, self.names[self.point[n]], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
+            for n, s in enumerate(self.sensors)
+        ]
+        self._any_terms = any(np.any(t) for t in self._terms)
+
+    @staticmethod
+    def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
+        """Parameters of a point: those of its march, then those of its own sensors."""
+        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR}
+        march = tuple(n for n in names if not n.startswith(SENSOR_PREFIX))
+        return march + tuple(n for n in names if n in own)
+
+    def readings(
+        self, words: Sequence[Word], first: int, f: OnlineFilter, out: Sequence[_Out]
+    ) -> tuple[PointReadings, FloatArray]:
+        """Readings of the points of one filter as it takes them, and the number of the sensor of each.
+
+        first : number of the first point of the filter
+        """
+        m = max(p.parameters for p in f.points)
+        last = first + len(f.points)
+        mine = [w for w in words if first <= self.point[w[1]] < last] if last - first < self.point[-1] + 1 else words
+        if not mine:
+            return no_readings(m), np.zeros(0, dtype=np.int64)
+        given = np.array(mine)
+        t, number, value = given[:, 0], given[:, 1].astype(np.int64), given[:, 2]
+        skipped = ~self.used[number] | np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)])
+        lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
+        gain, bias, direct = np.ones(len(t)), np.zeros(len(t)), np.zeros((len(t), m, 3))
+        for n in self.curved:
+            at = number == n
+            if np.any(at):
+                gain[at], bias[at] = calibration_line(self.sensors[n], value[at])
+        if self._any_terms:
+            for q, n in enumerate(number):
+                self._add_terms(q, int(n), t[q], first, f, gain, bias, direct)
+        lower = np.where(skipped, np.nan, lower)
+        point, node, variance = self.point[number] - first, self.node[number], self.sigma_K[number] ** 2
+        return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct), number
+
+    def _add_terms(
+        self, q: int, n: int, t: float, first: int, f: OnlineFilter, gain: FloatArray, bias: FloatArray,
+        direct: FloatArray,
+    ) -> None:  # fmt: skip
+        """Add the sensor's own errors, where these are estimated, to a reading."""
+        slope, since = gain[q], t - self._begun.setdefault(n, t)
+        wrong = sensor_errors(self.sensors[n], f.parameters(int(self.point[n]) - first))
+        bias[q] += slope * (wrong.bias_K + wrong.drift_K_s * since)
+        gain[q] = slope * wrong.gain
+        terms = slope * self._terms[n]
+        drifts = np.array([name.endswith(".drift") for name in self.names[self.point[n]]], dtype=bool)
+        terms[drifts] *= since
+        direct[q, : len(terms)] = terms
+
+    def first_readings(self, words: Sequence[Word]) -> dict[int, float]:
+        """Mean of the first readings of each used sensor as temperatures [K], by its number."""
+        found: dict[int, list[float]] = {}
+        for _, n, value in words:
+            if self.used[n]:
+                found.setdefault(n, []).append(value)
+        means = {n: float(np.mean(values[:3])) for n, values in found.items()}
+        for n in means:
+            if n in self.curved:
+                slope, constant = calibration_line(self.sensors[n], np.array([means[n]]))
+                means[n] = float((means[n] - constant[0]) / slope[0])
+        return means
+
+    def predicted(self, i: int, point: LivePoint, state: PointEstimate) -> dict[str, SensorEstimate]:
+        """What each sensor of a point ought to show, with its standard deviation."""
+        found = {}
+        values = dict(zip(state.names, state.values.tolist(), strict=True))
+        for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
+            node = point.mesh.sensors[k]
+            T, wrong = float(state.temperature_K[node]), sensor_errors(sensor, values)
+            mean, slope = wrong.gain * T + wrong.bias_K, 1.0
+            mean += wrong.drift_K_s * (state.time_s - self._begun.get(n, state.time_s))
+            if sensor.calibration is not None:
+                curve = np.polynomial.Polynomial(sensor.calibration)
+                mean, slope = float(curve(mean)), float(curve.deriv()(mean))
+            variance = float(state.sigma_K[node]) ** 2
+            if self._any_terms:
+                terms = self._terms[n]
+                row = wrong.gain * state.sensitivity[node] + terms[:, 0] + terms[:, 1] * T
+                variance = float(row @ state.covariance @ row)
+                variance += wrong.gain**2 * float(state.state_covariance[node, node])
+            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + float(self.sigma_K[n]) ** 2))
+        return found
+
+
+def _track(
+    point: LivePoint, names: tuple[str, ...], priors: Mapping[str, Prior], options: LiveOptions
+) -> tuple[FilterTrack, dict[str, Prior]]:
+    """A point as the filter takes it, and the priors of its parameters."""
+    march = tuple(n for n in names if not n.startswith(SENSOR_PREFIX))
+    nothing = np.zeros(0)
+    empty = Samples(nothing, np.zeros(0, dtype=np.int64), *(nothing,) * 5)
+    wanders = Disturbance() if options.ratio_noise is None else Disturbance.gauss_markov(*options.ratio_noise)
+    columns = np.zeros((point.mesh.nodes, len(names) - len(march)))
+    track = FilterTrack(
+        point.model, point.mesh, empty, march, None, columns if columns.shape[1] else None,
+        noise_K2_s=options.node_noise_K_sqrt_s**2, disturbance=wanders,
+    )  # fmt: skip
+    return track, {n: priors[n] if n in priors else default_prior(point.model, n) for n in names}
+
+
+def default_prior(model, name: str) -> Prior:  # type: ignore[no-untyped-def]
+    """Prior of a parameter that none was given for: its definition's, and a wide one for the heating ratio.
+
+    model : of the control point;  name : dotted name, or that of a sensor's error
+
+    The derivative of a ratio may change it by half over a usual range of its variable; a scale may be off by half.
+    """
+    if name.startswith(SENSOR_PREFIX):
+        known: Parameter = SENSOR[name.rpartition(".")[2]]
+        return Prior(known.value, known.sigma)
+    known = model.definition(name)
+    mean = model.value(name)
+    if math.isfinite(known.sigma) and known.sigma > 0.0:
+        return Prior(mean, known.sigma)
+    if name == "ratio.scale":
+        return Prior(mean, WIDE)
+    ratio = LARGEST_RATIO if model.ratio is None else float(np.max(np.abs(model.ratio.ratio)))
+    spans = [USUAL_RANGE[v] for v in _variables(name)]
+    return Prior(mean, WIDE * ratio / math.prod(spans))
+
+
+def _variables(name: str) -> list[str]:
+    """Variables of a derivative of the heating ratio by its name: `ratio.d_alpha_elevon` has two."""
+    what = name.removeprefix("ratio.d").strip("_0")
+    if what.endswith("2"):
+        return [what[:-1]] * 2
+    return [v for v in what.split("_") if v in USUAL_RANGE]
