@@ -531,19 +531,16 @@ def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkey
 # Sampled maps --------------------------------------------------------------------------------------------------------
 
 STRUCT = "org.fmi-standard.fmi-ls-struct"
-MANIFEST = """<?xml version="1.0"?>
-<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:ls="http://fmi-standard.org/fmi-ls-manifest">
-  <xs:import namespace="http://fmi-standard.org/fmi-ls-manifest" schemaLocation="fmi3LayeredStandardManifest.xsd"/>
-  <xs:element name="fmiLayeredStandardManifest">
-    <xs:complexType>
-      <xs:attribute ref="ls:fmi-ls-name" use="required" fixed="org.fmi-standard.fmi-ls-struct"/>
-      <xs:attribute ref="ls:fmi-ls-version" use="required" fixed="1.0.0-rc.1"/>
-      <xs:attribute ref="ls:fmi-ls-description" use="required" fixed="Layered standard for structuring of variables"/>
-    </xs:complexType>
-  </xs:element>
-</xs:schema>
-"""
-"""The table of attributes in section 2 of FMI-LS-STRUCT 1.0.0-rc.1 as a schema, over that of FMI 3.0 for manifests."""
+LS_STRUCT = ROOT / "tests" / "data" / "fmi_ls_struct" / "fmi3LayeredStandardStructManifest.xsd"
+
+
+class FmpySchemas(etree.Resolver):
+    """Schemas of FMI 3.0 that another schema names by a network address: those that FMPy ships."""
+
+    folder = Path(fmpy.__file__).parent / "schema" / "fmi3"
+
+    def resolve(self, url: str, public_id: str, context: Any) -> Any:
+        return self.resolve_filename(str(self.folder / url.rpartition("/")[2]), context) if "://" in url else None
 
 
 @pytest.fixture(scope="module")
@@ -556,16 +553,31 @@ def maps(fmus) -> list[Any]:
     return module.sampled_maps(fmus[3])
 
 
-def test_manifest_and_terminals_are_valid_and_go_with_fmi_3_alone(fmus):
-    """FMPy ships the schemas of FMI 3.0."""
-    schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
-    manifest = etree.XMLSchema(etree.fromstring(MANIFEST.encode(), base_url=f"{schemas}/"))
-    terminals = etree.XMLSchema(etree.parse(schemas / "fmi3TerminalsAndIcons.xsd"))
+@pytest.fixture(scope="module")
+def manifest_schema() -> etree.XMLSchema:
+    """The schema that FMI-LS-STRUCT 1.0.0-rc.1 publishes for its manifest."""
+    parser = etree.XMLParser()
+    parser.resolvers.add(FmpySchemas())
+    return etree.XMLSchema(etree.parse(LS_STRUCT, parser))
+
+
+def test_manifest_and_terminals_are_valid_and_go_with_fmi_3_alone(fmus, manifest_schema):
+    terminals = etree.XMLSchema(etree.parse(FmpySchemas.folder / "fmi3TerminalsAndIcons.xsd"))
     with zipfile.ZipFile(fmus[3]) as archive:
-        manifest.assertValid(etree.fromstring(archive.read(f"extra/{STRUCT}/fmi-ls-manifest.xml")))
+        manifest = etree.fromstring(archive.read(f"extra/{STRUCT}/fmi-ls-manifest.xml"))
+        manifest_schema.assertValid(manifest)
         terminals.assertValid(etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml")))
+    assert manifest.get("{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-version") == "1.0.0-rc.1"
     with zipfile.ZipFile(fmus[2]) as archive:
         assert not [name for name in archive.namelist() if name.startswith(("extra/", "terminalsAndIcons/"))]
+
+
+@pytest.mark.parametrize("attribute", ["name", "version", "description"])
+def test_the_schema_of_the_manifest_refuses_one_without_an_attribute(fmus, manifest_schema, attribute):
+    with zipfile.ZipFile(fmus[3]) as archive:
+        manifest = etree.fromstring(archive.read(f"extra/{STRUCT}/fmi-ls-manifest.xml"))
+    del manifest.attrib[f"{{http://fmi-standard.org/fmi-ls-manifest}}fmi-ls-{attribute}"]
+    assert not manifest_schema.validate(manifest)
 
 
 def test_a_tool_reads_the_ratio_table_of_each_point_as_a_sampled_map(fmus, maps, vehicle):
