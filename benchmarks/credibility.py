@@ -80,12 +80,17 @@ def claims() -> list[dict[str, Any]]:
     ]
 
 
-def _claim(of: str, claim: str, figure: Mapping[str, Any], file: str) -> dict[str, Any]:
+def command_of(file: str) -> str:
+    """Command that writes a result file, named without its folder and ending."""
     command = {"closure_challenge_null": ".closure_challenge --classes null",
                "closure_challenge_share": ".closure_challenge --share 0.2"}.get(file, f" {file}")  # fmt: skip
+    return f"python -m benchmarks{command}"
+
+
+def _claim(of: str, claim: str, figure: Mapping[str, Any], file: str) -> dict[str, Any]:
     return {"of": of, "claim": claim, "value": round(figure["value"], 4), "bound": round(figure["target"], 4),
             "at_least": figure["at_least"],
-            "command": f"python -m benchmarks{command}", "file": f"benchmarks/results/{file}.json",
+            "command": command_of(file), "file": f"benchmarks/results/{file}.json",
             "key": figure["what"]}  # fmt: skip
 
 

@@ -130,6 +130,11 @@ class Result:
         return bool(self.errors) and (self.scenario, self.point) not in UNDECLARED
 
 
+def counted_of(results: Sequence[Result]) -> list[Result]:
+    """Fits that count."""
+    return [r for r in results if r.counted]
+
+
 def run() -> list[Figure]:
     """Fly, fit, and compare the estimates with the truth."""
     flights = {name: _flown(name) for name in POINTS}
@@ -143,7 +148,7 @@ def run() -> list[Figure]:
 def _summaries(results: Sequence[Result]) -> Iterator[Figure]:
     for truth in ("linear", "table"):
         for way in WAYS:
-            mine = [r for r in results if r.truth == truth and r.way == way and r.counted]
+            mine = [r for r in counted_of(results) if r.truth == truth and r.way == way]
             z = np.abs([z for r in mine for z in r.errors.values()])
             what = f"{truth} truth, {way}:"
             yield Figure(

@@ -13,7 +13,8 @@ First the file, benchmarks/results/fmu.json. Then, in double quotes, the entry: 
 which * stands for any text; or a path into the file (a JSON pointer, which begins with / and counts from 0). `note N`
 takes the number that is the Nth in the note of the figure, `text N` that in a text found by a path; a factor as in
 `*1e3` multiplies. The last word is the format of Python in which the number is written; without one a text is written
-as it is. Whole tables stand between `<!-- results of NAME -->` and `<!-- end -->` (benchmarks/reliability.py).
+as it is. Whole tables stand between `<!-- results of NAME, PART -->` and `<!-- end -->` (benchmarks/page_tables.py,
+reliability.py, credibility.py).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from typing import Any
 
 import click
 
-from benchmarks import credibility, reliability
+from benchmarks import credibility, page_tables, reliability
 from benchmarks.measure import RESULTS
 from benchmarks.page import DOCS, filled
 from sim_heating.base.files.text import write_text_atomic
@@ -69,7 +70,9 @@ def stale_figures(page: Path) -> list[Stale]:
 def updated(text: str) -> str:
     """Text of a page with every figure and table as the results have it now."""
     text = MARKED.sub(lambda m: f"{m[1]}{quoted(m[2], m[3], m[4])}{m[6]}", text)
-    return filled(filled(text, reliability.table_of), credibility.table_of)
+    for tables in (reliability, credibility, page_tables):
+        text = filled(text, tables.table_of)
+    return text
 
 
 def quoted(name: str, key: str, spec: str = "") -> str:

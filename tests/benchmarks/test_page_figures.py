@@ -3,19 +3,70 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import page_figures
+from benchmarks import credibility, page_figures, page_tables, reliability
+from benchmarks.measure import RESULTS
+from benchmarks.page import DOCS, MARKED
 from benchmarks.page_figures import main, pages, quoted, stale_figures
+from benchmarks.page_tables import TABLES
 from tests.support.paths import ROOT
 
 
 @pytest.mark.parametrize("page", pages(), ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_a_page_quotes_the_results(page: Path):
     assert not (stale := stale_figures(page)), "\n".join(map(str, stale))
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_a_marked_table_of_a_page_is_one_that_a_benchmark_writes(page: Path):
+    """A misspelt name would leave the page as it is, and nothing would check it."""
+    for _, name, _ in MARKED.findall(page.read_text()):
+        assert name in TABLES or name.partition(", ")[0] in ("credibility", "verification", *reliability.NAMES)
+
+
+@pytest.mark.parametrize("name", sorted({n.partition(", ")[0] for n in TABLES}))
+def test_a_figure_that_moved_makes_its_table_stale(results, monkeypatch, name):
+    """The page as it is, and a result in which every number is another one."""
+
+    def moved(value):
+        if isinstance(value, dict):
+            return {k: moved(v) for k, v in value.items()}
+        if isinstance(value, list):
+            return [moved(v) for v in value]
+        return value + 0.5 if isinstance(value, float) else value
+
+    stored = json.loads((RESULTS / f"{name}.json").read_text())
+    (results / f"{name}.json").write_text(json.dumps(moved(stored)))
+    monkeypatch.setattr(page_tables, "RESULTS", results)
+    for marked in (n for n in TABLES if n.partition(", ")[0] == name):
+        page = next(p for p in pages() if f"<!-- results of {marked} -->" in p.read_text())
+        table = re.search(rf"<!-- results of {marked} -->\n(.*?)<!-- end -->", page.read_text(), re.DOTALL)
+        assert page_tables.table_of(marked) != table[1]
+
+
+def statistical_promises() -> list[str]:
+    """Promises of the page on validation, each with the tables and sentences that belong to it."""
+    section = (DOCS / "evidence" / "validation.md").read_text().partition("## Statistical promises")[2]
+    return ["**" + part for part in re.split(r"^\*\*", section, flags=re.MULTILINE)[1:]]
+
+
+@pytest.mark.parametrize("promise", statistical_promises(), ids=lambda p: p[2:40])
+def test_a_statistical_promise_names_its_command_and_quotes_its_results(promise: str):
+    quoted_files = {m[2] for m in page_figures.MARKED.finditer(promise)}
+    assert quoted_files
+    assert not [f for f in quoted_files if f"`{credibility.command_of(f)}`" not in promise]
+
+
+@pytest.mark.parametrize("promise", statistical_promises(), ids=lambda p: p[2:40])
+def test_every_count_and_share_of_a_promise_is_quoted(promise: str):
+    """What stands outside of the marks are levels, sizes of samples and options of commands, not results."""
+    plain = re.sub(r"`[^`]*`", "", page_figures.MARKED.sub("", promise))
+    assert not re.findall(r"\b0\.\d{3,}|\b\d+ of \d+\b", plain)
 
 
 @pytest.fixture
