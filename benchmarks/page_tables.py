@@ -170,6 +170,27 @@ def _median_worst(values: list[float]) -> str:
     return f"{np.median(values):.2f}, {max(values):.2f}"
 
 
+# Dispersed entries ---------------------------------------------------------------------------------------------------
+
+OFTEN = 0.01
+"""Share of the flights above a limit from which on a peak is listed."""
+
+
+def dispersed_peaks(results: Results) -> str:
+    """Peaks whose limit more than one flight in a hundred exceeds, most often exceeded first."""
+    peaks = [p for p in results["peaks"] if p["exceeded"] and p["exceeded"][0] > OFTEN]
+    rows = []
+    for p in sorted(peaks, key=lambda p: -p["exceeded"][0]):
+        share, low, high = (100.0 * x for x in p["exceeded"])
+        rare, rare_low, rare_high = p["rare_K"]
+        rows.append([
+            f"{p['control_point']} {p['quantity']}", f"{p['limit_K']:.0f}", f"{p['median_K']:.0f}",
+            f"{rare:.0f} ({rare_low:.0f} to {rare_high:.0f})", f"{share:.1f} % ({low:.1f} to {high:.1f})",
+        ])  # fmt: skip
+    head = ("peak", "limit, K", "median, K", "0.999 quantile, K (bounds of 95 %)", "flights above the limit (bounds)")
+    return markdown_table(head, rows)
+
+
 # Findings of the closed loop -----------------------------------------------------------------------------------------
 
 
@@ -218,6 +239,7 @@ TABLES: Mapping[str, Callable[[Results], str]] = {
     "sts96, entries": sts96_entries,
     "end_to_end, truths": end_to_end_truths,
     "end_to_end, scenarios": end_to_end_scenarios,
+    "dispersed_entry, peaks": dispersed_peaks,
     "findings, practice": findings_practice,
     "findings, sts96": findings_sts96,
 }

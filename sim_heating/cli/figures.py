@@ -8,6 +8,7 @@ import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, print_outputs, progress_line
+from sim_heating.cli.named_values import named_texts
 
 
 def _numbers(_: click.Context, __: click.Parameter, value: str | None) -> list[int] | None:
@@ -27,19 +28,6 @@ def _numbers(_: click.Context, __: click.Parameter, value: str | None) -> list[i
     return found
 
 
-def _points(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> dict[str, str]:
-    """Values of --point, each `lower=NAME` and the like."""
-    found: dict[str, str] = {}
-    for item in value:
-        part, equals, name = (text.strip() for text in item.partition("="))
-        if not (part and equals and name):
-            raise InputError(f"--point: `{item}` is not PART=NAME; write --point lower=V09T9527")
-        if part in found:
-            raise InputError(f"--point: {part} is given twice; leave one out")
-        found[part] = name
-    return found
-
-
 @click.command()
 @click.argument("flights", type=PATH, nargs=-1, required=True)
 @OUT
@@ -54,7 +42,7 @@ def _points(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> di
     "--point",
     "points",
     multiple=True,
-    callback=_points,
+    callback=named_texts("lower=V09T9527"),
     metavar="PART=NAME",
     help="control point in place of the paper's: lower, elevon or pod; may be repeated",
 )

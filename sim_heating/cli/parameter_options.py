@@ -10,6 +10,7 @@ import click
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import PATH
+from sim_heating.cli.named_values import named_values
 
 if TYPE_CHECKING:
     from sim_heating.inputs.fit_settings import FitSettings
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _named_values(example: str, count: int) -> Callable[..., dict[str, Any]]:
+def _named_numbers(example: str, count: int) -> Callable[..., dict[str, Any]]:
     """Callback of a repeatable option `NAME=VALUE` or `NAME=VALUE,VALUE`: the numbers by name."""
 
     def read(_: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
@@ -25,17 +26,14 @@ def _named_values(example: str, count: int) -> Callable[..., dict[str, Any]]:
         from sim_heating.inputs.fit_settings import FLAT
 
         found: dict[str, Any] = {}
-        for item in values:
-            name, _equals, text = (part.strip() for part in item.partition("="))
+        for name, text in named_values(values, option.opts[0], example).items():
             try:
                 numbers = [plain_number(part) for part in text.split(",")]
             except ValueError:
                 numbers = []
             flat = text == FLAT and FLAT in example
-            if not name or (len(numbers) != count and not flat):
-                raise InputError(f"{option.opts[0]} {item}: write {option.opts[0]} {example}")
-            if name in found:
-                raise InputError(f"{option.opts[0]}: {name} is given twice; leave one out")
+            if len(numbers) != count and not flat:
+                raise InputError(f"{option.opts[0]} {name}={text}: write {option.opts[0]} {example}")
             found[name] = FLAT if flat else numbers[0] if count == 1 else numbers
         return found
 
@@ -63,7 +61,7 @@ _OPTIONS = (
         "--fix",
         multiple=True,
         metavar="NAME=VALUE",
-        callback=_named_values("NAME=0.0013", 1),
+        callback=_named_numbers("NAME=0.0013", 1),
         help="a parameter that is not estimated, at this value; NAME may end in @POINT, for clocks and thermocouples "
         "in @RECORD or @FLIGHT; may be repeated, as the next three",
     ),
@@ -71,14 +69,14 @@ _OPTIONS = (
         "--prior",
         multiple=True,
         metavar="NAME=MEAN,SIGMA",
-        callback=_named_values("NAME=MEAN,SIGMA or NAME=flat", 2),
+        callback=_named_numbers("NAME=MEAN,SIGMA or NAME=flat", 2),
         help="normal prior of a parameter; NAME=flat for none",
     ),
     click.option(
         "--bound",
         multiple=True,
         metavar="NAME=LOW,HIGH",
-        callback=_named_values("NAME=LOW,HIGH", 2),
+        callback=_named_numbers("NAME=LOW,HIGH", 2),
         help="least and greatest value of a parameter",
     ),
     click.option(

@@ -76,22 +76,6 @@ def quantity(text: str, unit: str, option: str, example: str) -> float:
     return float(f"{scale[0] * value + scale[1]:.12g}")
 
 
-def named_quantities(items: tuple[str, ...], option: str, example: str) -> dict[str, str]:
-    """Values of a repeatable option `NAME=VALUE` as texts by name.
-
-    raises : InputError, one line, for an item without `=`, an empty part, or a repeated name
-    """
-    found: dict[str, str] = {}
-    for item in items:
-        name, equals, value = (part.strip() for part in item.rpartition("="))
-        if not (name and equals and value):
-            raise InputError(f"{option} {item}: write {option} {example}")
-        if name in found:
-            raise InputError(f"{option}: {name} is given twice; leave one out")
-        found[name] = value
-    return found
-
-
 def require_known(names: dict[str, str], known: list[str], option: str) -> None:
     """Refuse names of an option that do not exist.
 

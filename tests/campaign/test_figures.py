@@ -139,7 +139,7 @@ def test_what_the_command_refuses_is_one_line(capsys: pytest.CaptureFixture[str]
     for arguments, expected in (
         (["--only", "17"], "figure 17: the paper has figures 1 to 16"),
         (["--only", "5,x"], "--only: `x` is not the number of a figure"),
-        (["--point", "lower"], "--point: `lower` is not PART=NAME"),
+        (["--point", "lower"], "--point lower: write --point lower=V09T9527"),
         (["--point", "lower=NOSE"], "no flight has a record of it"),
     ):
         assert main(["figures", str(PRACTICE / "p06"), *arguments, *out]) == 2

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.browser import CHROMIUM
-from sim_heating.base.report.page import CHART_SCRIPTS, TABLE_SCRIPTS
+from sim_heating.base.report.page import CHART_SCRIPTS, SHARED_SCRIPTS, TABLE_SCRIPTS
 from tests.support.paths import ROOT
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed")
@@ -52,7 +52,7 @@ ATTRIBUTES = {
     "type", "data-rows", "data-choice", "data-value",
 }  # fmt: skip
 
-SCRIPTS = (*CHART_SCRIPTS, *TABLE_SCRIPTS)
+SCRIPTS = (*SHARED_SCRIPTS, *CHART_SCRIPTS, *TABLE_SCRIPTS)
 """Scripts that a page may have, in this order."""
 
 

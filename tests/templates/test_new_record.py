@@ -224,7 +224,7 @@ def test_a_flight_of_ones_own_takes_the_place_of_a_lamp() -> None:
 
 
 def test_depths_and_layers_that_are_missing_are_asked_for_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim_heating.cli.new._interactive", lambda: True)
+    monkeypatch.setattr("sim_heating.cli.new.record.interactive", lambda: True)
     Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
     answers = "copper 3 mm\n\nback\n2 kW/m2\n"
     made = CliRunner().invoke(cli, ["new", "record", "--csv", "t.csv", "--out", "a"], input=answers)

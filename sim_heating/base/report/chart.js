@@ -6,13 +6,6 @@
   const charts = [];
   let linked = true;
 
-  const element = (tag, parent, { text, ...rest } = {}) => {
-    const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(rest)) made.setAttribute(name, value);
-    if (text !== undefined) made.textContent = text;
-    if (parent) parent.appendChild(made);
-    return made;
-  };
   const button = (parent, text, label, act) => {
     const made = element("button", parent, { type: "button", text, "aria-label": label, title: label });
     made.addEventListener("click", act);

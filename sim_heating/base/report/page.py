@@ -35,6 +35,8 @@ from sim_heating.base.report.table import Table
 TEMPLATE = "page.html.j2"
 CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/uPlot.min.css"
 TABLE_SCRIPTS = ("table.js",)
+SHARED_SCRIPTS = ("element.js",)
+"""Scripts that those of charts and of tables need before them."""
 RASTER = re.compile(rb"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 PALETTE = 200
 """Colours of a picture of pixels on a page."""
@@ -129,6 +131,7 @@ def page_html(page: Page) -> str:
     """The page as text; everything in it is escaped."""
     charts = [c for section in page.sections for c in section.charts]
     names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
+    names = [*(SHARED_SCRIPTS if names else ()), *names]
     scripts = [_asset(name) for name in names]
     return _template().render(
         page=page, program=f"sim-heating {package_version()}", scripts=scripts, policy=" ".join(map(_digest, scripts)),

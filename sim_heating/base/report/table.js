@@ -1,13 +1,6 @@
 "use strict";
 // Sorts the rows of a table by the heads of its columns, and filters them by a text and by the values of some columns.
 (() => {
-  const element = (tag, parent, { text, ...rest } = {}) => {
-    const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(rest)) made.setAttribute(name, value);
-    if (text !== undefined) made.textContent = text;
-    if (parent) parent.appendChild(made);
-    return made;
-  };
   const collator = new Intl.Collator("en", { numeric: true, sensitivity: "base" });
 
   for (const tools of document.querySelectorAll(".tools")) {

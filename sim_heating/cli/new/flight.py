@@ -1,0 +1,87 @@
+"""The commands `sim-heating new scenario` and `new study`: what is flown, and what is planned with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sim_heating.cli.console import OUT, PATH
+from sim_heating.cli.new.options import points_option, quantity_option, title_option
+from sim_heating.cli.new.printing import print_made
+
+
+@click.command("scenario")
+@click.option("--vehicle", required=True, help="name or directory of the vehicle")
+@OUT
+@points_option("all")
+@quantity_option("--altitude", "m", "120km", "H", "altitude of the entry; default 120 km")
+@quantity_option("--speed", "m/s", "7450m/s", "V", "speed relative to the air; default 7450 m/s")
+@click.option(
+    "--gamma", type=click.FloatRange(-89.0, 10.0), help="path angle in deg; default -1.2 for a glider, else -1.5"
+)
+@click.option(
+    "--until-mach",
+    type=click.FloatRange(0.2, 30.0),
+    default=2.0,
+    show_default=True,
+    help="Mach number at which the flight ends",
+)
+@click.option(
+    "--trajectory", type=PATH, metavar="FILE", help="a recorded trajectory in place of the built-in entry, CSV"
+)
+@click.option("--manoeuvre", is_flag=True, help="fly a pushover-pullup at 6096 m/s (20,000 ft/s)")
+@title_option("scenario")
+def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], **given: Any) -> None:
+    """Make a scenario, DIR/scenario.toml: an entry of a vehicle for `run`, `synthesize` and `plan`.
+
+    \b
+      sim-heating new scenario --vehicle pod --out flight
+      sim-heating run flight/scenario.toml --out flight/results
+    """
+    from sim_heating.templates.starters import write_new_scenario
+
+    initial = {"altitude_m": given["altitude"], "velocity_m_s": given["speed"], "gamma_deg": given["gamma"]}
+    path = write_new_scenario(
+        out,
+        vehicle,
+        title=given["title"],
+        points=points,
+        recorded=given["trajectory"],
+        initial={name: value for name, value in initial.items() if value is not None},
+        stop_mach=given["until_mach"],
+        manoeuvre=given["manoeuvre"],
+    )
+    print_made(
+        f"scenario of {vehicle}",
+        path,
+        f"sim-heating run {path} --out {out}/run",
+        f"sim-heating synthesize {path} --out {out}/records",
+    )
+
+
+@click.command("study")
+@click.argument("kind", type=click.Choice(["dispersion", "envelope", "optimal"]))
+@click.option("--scenario", type=PATH, required=True, help="the nominal flight; see `sim-heating new scenario`")
+@OUT
+@points_option("those of the scenario")
+@click.option(
+    "--flights", type=click.IntRange(16), default=128, show_default=True, help="flights of a dispersion, a power of two"
+)
+@title_option("study")
+def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], flights: int, title: str) -> None:
+    """Make a study of a scenario's flight, DIR/study.toml, for `sim-heating plan`.
+
+    KIND is `dispersion` (peak temperatures of many dispersed entries), `envelope` (margins to the limits over a map of
+    flights), or `optimal` (the largest cross-range within the limits).
+
+    \b
+      sim-heating new study dispersion --scenario flight/scenario.toml --out study
+      sim-heating plan study/study.toml --out study/results
+    """
+    from sim_heating.cli.path_check import check_path
+    from sim_heating.templates.starters import write_new_study
+
+    path = write_new_study(out, kind, scenario, title=title, points=points, flights=flights)
+    print_made(check_path(path).summary, path, f"sim-heating plan {path} --out {out}/results")

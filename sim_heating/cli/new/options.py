@@ -1,0 +1,72 @@
+"""Options that the commands below `sim-heating new` have in common."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from sim_heating.base.errors import InputError
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+def quantity_option(
+    name: str, unit: str, example: str, metavar: str, help: str, *, required: bool = False
+) -> Decorator:
+    """Option for a number with a unit: its value in the SI unit, None where not given.
+
+    unit : SI unit, in which a plain number is taken
+    example : a value, for messages
+    """
+
+    def read(_: click.Context, option: click.Parameter, value: str | None) -> float | None:
+        if value is None:
+            return None
+        from sim_heating.templates.quantities import quantity
+
+        return quantity(value, unit, option.opts[0], f"{option.opts[0]} {example}")
+
+    return click.option(name, callback=read, metavar=metavar, help=help, required=required)
+
+
+def fraction_option(name: str, help: str) -> Decorator:
+    """Option for a number above 0, up to 1; None where not given."""
+
+    def read(_: click.Context, option: click.Parameter, value: float | None) -> float | None:
+        if value is not None and not 0.0 < value <= 1.0:
+            raise InputError(f"{option.opts[0]} {value:g}: must be above 0, up to 1")
+        return value
+
+    return click.option(name, type=float, callback=read, help=help)
+
+
+def title_option(what: str) -> Decorator:
+    """Option for the title of what is made."""
+    return click.option("--title", default="", help=f"title of the {what}")
+
+
+def points_option(default: str) -> Decorator:
+    """Option for names of control points; the default in words."""
+    text = f"a control point; repeat; default: {default}"
+    return click.option("--point", "points", multiple=True, metavar="NAME", help=text)
+
+
+def two_times(_: click.Context, option: click.Parameter, value: str | None) -> tuple[float, float] | None:
+    """Value of an option for two times `10,130` [s]."""
+    if value is None:
+        return None
+    from sim_heating.base.files import plain_number
+
+    try:
+        first, second = (plain_number(part) for part in value.split(","))
+    except ValueError:
+        raise InputError(f"{option.opts[0]} {value}: write two times in s, such as {option.opts[0]} 10,130") from None
+    return first, second
+
+
+def interactive() -> bool:
+    """Whether a person at a terminal can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()

@@ -1,0 +1,231 @@
+"""The command `sim-heating new record`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sim_heating.base.errors import InputError
+from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
+from sim_heating.cli.named_values import named_texts
+from sim_heating.cli.new.options import fraction_option, interactive, quantity_option, title_option, two_times
+from sim_heating.cli.new.printing import print_made, print_notes
+
+if TYPE_CHECKING:
+    from sim_heating.templates.materials import LayerInput
+    from sim_heating.templates.measured_csv import MeasuredCsv
+
+
+@click.command("record")
+@click.option(
+    "--csv", "csv_file", type=PATH, required=True, help="file of temperatures: a time and one column a thermocouple"
+)
+@OUT
+@click.option(
+    "--layer",
+    "layers",
+    multiple=True,
+    metavar='"MATERIAL THICKNESS"',
+    help='a layer, outermost first, such as "LI-900 51 mm"; repeat for more; a material of the library, or a '
+    "TOML file of one",
+)
+@click.option(
+    "--depth",
+    "depths",
+    multiple=True,
+    callback=named_texts("TC1=0.4mm"),
+    metavar="COLUMN=DEPTH",
+    help="depth of a thermocouple below the heated surface, TC1=0.4mm, or `surface`, or `back`; repeat",
+)
+@click.option(
+    "--lamp",
+    metavar="FLUX|COLUMN|FILE|unknown",
+    help="what heats the wall: a flux such as 20kW/m2, a column of the CSV file, a CSV file of its own, or `unknown`",
+)
+@click.option(
+    "--lit",
+    callback=two_times,
+    metavar="ON,OFF",
+    help="times in s at which a constant lamp was lit; default: throughout",
+)
+@fraction_option("--absorptance", "absorbed part of the flux; default: it is the absorbed flux")
+@fraction_option("--emissivity", "emittance of the heated surface; default: of its material")
+@quantity_option("--initial", "K", "21degC", "T", "temperature at the start; default: the first readings")
+@quantity_option("--surroundings", "K", "21degC", "T", "what the surface radiates to; default: as --initial")
+@quantity_option("--back-film", "W/m2K", "8W/m2K", "H", "film coefficient behind the wall; default: adiabatic")
+@quantity_option("--back-temperature", "K", "21degC", "T", "temperature behind the wall; default: as --surroundings")
+@fraction_option("--back-emissivity", "emittance of the back face; default: adiabatic")
+@quantity_option("--pressure", "Pa", "1013hPa", "P", "air pressure, for porous insulation; default: sea level")
+@click.option(
+    "--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV with the columns of conditions.csv"
+)
+@click.option(
+    "--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg"
+)
+@quantity_option("--nose-radius", "m", "0.3m", "R", "radius of the reference sphere")
+@click.option(
+    "--like",
+    type=PATH,
+    metavar="RECORD",
+    help="stack, flight and heating of this record, in place of --layer and --lamp",
+)
+@click.option("--time", "time", metavar="COLUMN", help="column of the time, where the guess is wrong")
+@click.option("--time-unit", metavar="UNIT", help="its unit: s, ms, min, h")
+@quantity_option("--period", "s", "0.1s", "T", "time between rows, where there is no column of it")
+@click.option(
+    "--temperature",
+    "temperatures",
+    multiple=True,
+    metavar="COLUMN",
+    help="column of a temperature; repeat; others are left out",
+)
+@click.option("--temperature-unit", metavar="UNIT", help="unit of the temperatures: K, degC, degF")
+@quantity_option("--noise", "K", "0.5K", "SIGMA", "random error of the thermocouples in K; default: estimated")
+@click.option("--point", default="plate", show_default=True, help="name of the place that was measured")
+@title_option("record")
+@click.option("--synthetic", is_flag=True, help="the temperatures are computed, not measured")
+def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[str, str], **given: Any) -> None:
+    """Make a flight record from a CSV file of temperatures, of a lamp test, a heated plate, or a flight.
+
+    Columns, units and separators are recognised and shown with the reason; each guess has an option. A lamp test:
+
+    \b
+      sim-heating new record --csv temps.csv --layer "copper 3 mm" --depth TC1=back \\
+          --lamp 20kW/m2 --lit 10,130 --emissivity 0.9 --out plate
+
+    A tile of a record that exists, with temperatures of your own:
+
+    \b
+      sim-heating new record --csv mine.csv --like scenarios/records/sts96_480 --out mine
+    """
+    from sim_heating.cli.path_check import describe_record
+    from sim_heating.templates import record as maker
+    from sim_heating.templates.measured_csv import read_measured_csv
+
+    if given["period"] is not None and not given["period"] > 0.0:
+        raise InputError("--period: must be above 0")
+    lamp = given["lamp"]
+    measured = read_measured_csv(
+        csv_file,
+        time=given["time"],
+        time_unit=given["time_unit"],
+        temperatures=given["temperatures"],
+        temperature_unit=given["temperature_unit"],
+        period_s=given["period"],
+    )
+    print_table(measured.table())
+    if given["like"] is not None:
+        _refuse_with_like(layers, given)
+        made, notes = maker.like_record(out, given["like"], measured, depths, given["title"], given["noise"])
+    else:
+        stack = _stack(layers)
+        sensors = maker.sensor_columns(measured)
+        depths_m = maker.depths_of(sensors, depths, stack)
+        depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack)
+        made, notes = maker.write_new_record(
+            out,
+            measured,
+            maker.RecordInput(
+                stack,
+                depths_m,
+                _heat(measured, lamp, given),
+                title=given["title"],
+                point=given["point"],
+                measured=not given["synthetic"],
+                emissivity=given["emissivity"],
+                initial_K=given["initial"],
+                surroundings_K=given["surroundings"],
+                back=_back(given, measured),
+                noise_K=given["noise"],
+                pressure_Pa=given["pressure"],
+                nose_radius_m=given["nose_radius"],
+            ),
+        )
+    print_notes(notes)
+    commands = (
+        f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in ("predict", "estimate", "close-loop")
+    )
+    print_made(describe_record(made), out, *commands, notes=notes)
+
+
+def _refuse_with_like(layers: Sequence[str], given: dict[str, Any]) -> None:
+    for option, value in (("--layer", layers), ("--lamp", given["lamp"]), ("--conditions", given["flight"])):
+        if value:
+            raise InputError(f"{option}: comes from the record of --like; leave one of the two out")
+
+
+def _stack(layers: Sequence[str]) -> list[LayerInput]:
+    """Layers of the options; asked for on a terminal where there are none."""
+    from sim_heating.templates.materials import layer_input, material_library
+
+    if not layers and interactive():
+        CONSOLE.print(f"Materials: {', '.join(sorted(material_library()))}")
+        asked: list[str] = []
+        while text := click.prompt(
+            f"Layer {len(asked) + 1}, such as copper 3 mm (empty: no more)", default="", show_default=False
+        ):
+            asked.append(text)
+        layers = asked
+    if not layers:
+        known = ", ".join(sorted(material_library()))
+        raise InputError(
+            "--layer: is missing; give the layers from the heated surface inward, as "
+            f'--layer "copper 3 mm"; materials: {known}'
+        )
+    return [layer_input(text) for text in layers]
+
+
+def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput]) -> dict[str, float]:
+    """Depths [m] of the sensors without one: asked for on a terminal, else an error that names the option."""
+    from sim_heating.templates.record import depth_m
+
+    if names and not interactive():
+        options = " ".join(f"--depth {name}=0.4mm" if " " not in name else f'--depth "{name}=0.4mm"' for name in names)
+        raise InputError(
+            f"--depth: is missing for {', '.join(names)}; give the depth from the heated surface, `surface` or `back`: "
+            f"{options}"
+        )
+    return {
+        name: depth_m(name, click.prompt(f"Depth of {name} from the heated surface (0.4mm, surface, back)"), stack)
+        for name in names
+    }
+
+
+def _heat(measured: MeasuredCsv, lamp: str | None, given: dict[str, Any]) -> Any:
+    """What heats the wall: the option --lamp or --conditions, else the only column of a heat flux."""
+    from sim_heating.templates.measured_csv import FLUX
+    from sim_heating.templates.record import flown_heat, lamp_heat
+
+    if given["flight"] is not None:
+        if lamp is not None:
+            raise InputError("--lamp: goes with a test on the ground, --conditions with a flight; give one of the two")
+        return flown_heat(given["flight"], given["reference"])
+    fluxes = [c.name for c in measured.of_kind(FLUX)]
+    if lamp is None and len(fluxes) == 1:
+        lamp = fluxes[0]
+    if lamp is None and interactive():
+        lamp = click.prompt("Flux that heats the wall (20kW/m2, a column, or a CSV file)")
+    if lamp is None:
+        found = f"the columns {', '.join(fluxes)} may be it" if fluxes else "no column is a heat flux"
+        raise InputError(
+            f"--lamp: is missing, and {found}; give a flux such as --lamp 20kW/m2, a column, or a CSV file with a time "
+            "and a flux"
+        )
+    return lamp_heat(measured, lamp, given["lit"], given["absorptance"])
+
+
+def _back(given: dict[str, Any], measured: MeasuredCsv) -> dict[str, float] | None:
+    """Keys of a cooled back face; None for an adiabatic one."""
+    film, emissivity, T_K = given["back_film"], given["back_emissivity"], given["back_temperature"]
+    if film is None and emissivity is None:
+        if T_K is not None:
+            raise InputError("--back-temperature: needs --back-film or --back-emissivity, by which the back face cools")
+        return None
+    if T_K is None:
+        T_K = given["surroundings"] if given["surroundings"] is not None else given["initial"]
+    if T_K is None:
+        raise InputError("--back-temperature: is missing; give the temperature behind the wall, such as 21degC")
+    return {"h_W_m2K": film or 0.0, "T_K": T_K, "emissivity": emissivity or 0.0}
