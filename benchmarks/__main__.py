@@ -14,7 +14,7 @@ NAMES = (
     "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "switched_off",
-    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "practice", "findings", "closure", "campaign",
+    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "practice", "closure", "campaign",
     "mutants", "kills", "concurrency", "pages", "credibility",
 )  # fmt: skip
 

@@ -103,7 +103,8 @@ def _of_first_order(peaks: list[dict[str, Any]]) -> list[Figure]:
         medians, rare = ([p["first_order_K"][i] for p in mine] for i in (0, 1))
         figures += [
             Figure(f"first order: median, {quantity}, coolest", min(medians), "K", note=f"{max(medians):.1f} hottest"),
-            Figure(f"first order: 0.999 quantile, {quantity}, coolest", min(rare), "K", note=f"{max(rare):.1f} hottest"),
+            Figure(f"first order: 0.999 quantile, {quantity}, coolest", min(rare), "K",
+                   note=f"{max(rare):.1f} hottest"),
             Figure(f"first order: medians reproduced, {quantity}", sum(p["first_order_holds"][1] for p in mine), "",
                    note=f"of {len(mine)}"),
         ]  # fmt: skip

@@ -191,56 +191,11 @@ def dispersed_peaks(results: Results) -> str:
     return markdown_table(head, rows)
 
 
-# Findings of the closed loop -----------------------------------------------------------------------------------------
-
-
-def findings_practice(results: Results) -> str:
-    """Practice records: the truth and what was found."""
-    rows = [
-        [r["record"], r["truth"], f"`{r['finding']}`{_named(r)}", f"{_digits(r['probability'], 2)}, {_p(r['p_value'])}",
-         _before_after(r, "fit"), _before_after(r, "holdout"), f"{r['noise_floor_K']:.2f} K"]
-        for r in results["practice"]
-    ]  # fmt: skip
-    head = ("record", "true effect", "finding", "probability, p-value", "RMSE before, after", "held out", "noise floor")
-    return markdown_table(head, rows)
-
-
-def findings_sts96(results: Results) -> str:
-    """Tiles of STS-96: what their residual resembles, and what it leaves."""
-    rows = [
-        [r["record"].removeprefix("sts96_"), f"`{r['finding']}`{_named(r)}",
-         f"{_digits(r['floors_holdout'], 1)}, {_p(r['p_value'])}",
-         f"{r['most']['phase']}, {r['most']['floors']:.1f} noise floors"]
-        for r in results["sts96"]
-    ]  # fmt: skip
-    return markdown_table(("tile of STS-96", "finding", "noise floors held out, p", "most remains"), rows)
-
-
-def _named(row: Results) -> str:
-    names = [" or ".join(names) for names in row["alternatives"]]
-    return f": {' + '.join(names)}" if names else ""
-
-
-def _p(value: float | None) -> str:
-    return "-" if value is None else "below 1e-6" if value < 1e-6 else f"{value:.2g}"
-
-
-def _digits(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _before_after(row: Results, kind: str) -> str:
-    errors = [row["before_K"][kind], *([row["after_K"][kind]] if row["alternatives"] else [])]
-    return ", ".join(f"{e:.3g}" for e in errors) + " K"
-
-
 TABLES: Mapping[str, Callable[[Results], str]] = {
     "sts96, tiles": sts96_tiles,
     "sts96, entries": sts96_entries,
     "end_to_end, truths": end_to_end_truths,
     "end_to_end, scenarios": end_to_end_scenarios,
     "dispersed_entry, peaks": dispersed_peaks,
-    "findings, practice": findings_practice,
-    "findings, sts96": findings_sts96,
 }
 """What stands behind `results of` on a page -> the function that writes it."""

@@ -135,9 +135,9 @@ def variables_figure(residual: ResidualHeating, variables: Mapping[str, FloatArr
     """
     shown = _well_determined(residual)
     names = [n for n in order if n in variables and n != TIME and np.ptp(variables[n][shown]) > 0.0][:MAX_PANELS]
-    columns = 3
+    columns = min(max(len(names), 1), 3)
     rows = max(-(-len(names) // columns), 1)
-    figure, axes = new_figure(9.5, 2.7 * rows + 0.4, rows, columns, sharey=True)
+    figure, axes = new_figure(1.4 + 2.7 * columns, 2.7 * rows + 0.4, rows, columns, sharey=True, squeeze=False)
     t, d, s = (x[shown] for x in (residual.time_s, residual.delta_ratio, residual.sigma))
     mappable = None
     for a, name in zip(axes.ravel(), names, strict=False):

@@ -42,6 +42,7 @@ from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, Parame
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.estimate_file import Remark
+from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import further_warnings
 from sim_heating.heating.effects.curve import CurveBand
 from sim_heating.inputs.record import Record
@@ -380,8 +381,8 @@ def _parameters_section(found: Closure) -> Section:
     of_effects = len(rows)
     derivatives = {n: p for n, p in found.parameters.items() if not n.startswith(EFFECT_PREFIX)}
     rows += [[n, p.value, _sigma_cell(p), p.unit] for n, p in derivatives.items()]
-    reference = ", ".join(f"{n} {v:.4g}" for n, v in zip(RATIO_VARIABLES, found.reference, strict=True))
-    caption = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
+    about = derivatives_about(derivatives, found.reference)
+    caption = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
     columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g"), "unit"]
     table = Table(caption, columns, rows, strong=list(range(of_effects)))
     return Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])

@@ -230,7 +230,7 @@ def bounds_table(designed: DesignResult, flights: Sequence[int]) -> Table:
         Column("unit", is_text=True),
         Column("as planned", "planned_sigma", ".3g"),
         Column("optimal", "optimal_sigma", ".3g"),
-        *(Column(f"{n} flights", f"after_{n}_flights_sigma", ".3g") for n in flights),
+        *(Column(f"{n} flight{'s' if n != 1 else ''}", f"after_{n}_flights_sigma", ".3g") for n in flights),
     ]
     rows = [
         [name, p["unit"], p["planned_sigma"], p["optimal_sigma"], *(p["after_flights"][str(n)] for n in flights)]

@@ -97,13 +97,15 @@ def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[
     First of the two criteria of docs/theory/estimation_statistics.md, equation 20.
     """
     sigma = deviations(records)
+    at_rest = not np.any(sigma > 0.0)
+    advice = "" if at_rest else "; a manoeuvre in it would identify the derivative"
     reasons = {}
     for name in names:
         for i in variables_of(name):
             if sigma[i] < CONSTANT_BELOW[RATIO_VARIABLES[i]]:
+                variable = RATIO_VARIABLES[i]
                 reasons[name] = (
-                    f"{RATIO_VARIABLES[i]} is constant over the fit segments (standard deviation {sigma[i]:.2g}); "
-                    "a manoeuvre in it would identify the derivative"
+                    f"{variable} is constant over the fit segments (standard deviation {sigma[i]:.2g}){advice}"
                 )
     return reasons
 

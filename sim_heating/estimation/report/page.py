@@ -15,6 +15,7 @@ from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import further_warnings
 from sim_heating.estimation.trend import Trend
 from sim_heating.simulation.report.charts import flown_panels
@@ -71,8 +72,8 @@ def _declared(found: Estimate, segments: str) -> FitErrors | None:
 
 
 def _parameters_section(found: Estimate, parameters: Table) -> Section:
-    reference = ", ".join(f"{n} {v:.4g}" for n, v in found.reference_condition.model_dump().items())
-    text = f"One standard deviation, corrected for coloured residuals. Derivatives are about {reference}."
+    about = derivatives_about(found.parameters, found.reference_condition.values())
+    text = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
     points = [
         f"{n}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}"
         for n, p in found.fixed.items()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -40,6 +42,13 @@ def describe_condition(reference: FloatArray) -> str:
     """A condition as text, with units."""
     units = ("" if unit == "1" else f" {unit}" for unit in UNITS)
     return ", ".join(f"{n} {x:.3g}{unit}" for n, x, unit in zip(SHORT_NAMES, reference, units, strict=True))
+
+
+def derivatives_about(names: Iterable[str], reference: ArrayLike) -> str:
+    """The condition that estimated derivatives are about, as a sentence; empty where none of the names is one."""
+    if not any(n.startswith("ratio.d_") for n in names):
+        return ""
+    return f"Derivatives are about {describe_condition(np.asarray(reference, dtype=float))}."
 
 
 def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:
@@ -78,7 +87,7 @@ def plot_flight(a: Axes, x: FloatArray, ratio: FloatArray, sigma: FloatArray) ->
 def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     """Draw declared table and flight estimate of a record's control point, a panel for each derivative.
 
-    returns : whether there was a ratio parameter to draw
+    returns : whether there was a ratio parameter to draw, and a variable of the flight that it could be drawn against
     """
     known = {p.name for p in RATIO}
     chosen = {n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in known}
@@ -92,7 +101,10 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
     covariance[: len(index), : len(index)] = fitted.bounds.covariance[np.ix_(index, index)]
     samples = np.unique(np.concatenate([record_fit.sample_s[c.samples] for c in record_fit.channels]))
     flown = condition_history(record_fit.conditions.at(samples))[:, : len(RATIO_VARIABLES)]
-    variables, table = panel_variables(names), record_fit.record.ratio_table
+    variables = [i for i in panel_variables(names) if np.ptp(flown[:, i]) > 0.0]
+    if not variables:
+        return False
+    table = record_fit.record.ratio_table
     columns = min(len(variables), COLUMNS)
     rows = -(-len(variables) // columns)
     figure, axes = new_figure(1.5 + 3.4 * columns, 0.8 + 3.4 * rows, rows, columns, squeeze=False)

@@ -190,12 +190,14 @@ def _wall_chart(history: PointHistory) -> Chart:
     """Temperatures of the wall, heat fluxes at its surface, and the heating ratio."""
     t, surface, bondline = history.time_s, distinct_styles(2)[1], distinct_styles(2)[0]
     fluxes = history.heat.columns()
+    has_flow = bool(np.any(np.nan_to_num(history.ratio)))  # under a lamp nothing is convected
     flux = [
         Curve(label, t, fluxes[key] / 1e3, **style)
         for (key, label), style in zip(
             (("convected_W_m2", "convected"), ("radiated_W_m2", "radiated"), ("conducted_W_m2", "conducted")),
             distinct_styles(3), strict=True,
         )
+        if key != "convected_W_m2" or has_flow
     ]  # fmt: skip
     panels = [
         Panel(
@@ -204,7 +206,7 @@ def _wall_chart(history: PointHistory) -> Chart:
         ),
         Panel("heat flux, kW/m2", flux, 0.8, zero=True),
     ]
-    if np.any(np.isfinite(history.ratio)):
+    if has_flow:
         panels.append(Panel("heating ratio", [Curve("heating ratio", t, history.ratio, COLORS[0])], 0.6))
     return Chart("Wall", panels, "Predicted temperatures of the wall and the heat at its surface.")
 
