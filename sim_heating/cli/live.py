@@ -101,9 +101,9 @@ def _link_of(
     from sim_heating.live.spec import load_link, replayed
 
     if demo:
-        from sim_heating.live.demo import demo_link, flight_source
+        from sim_heating.live.sources.demo import SPEED, demo_link, flight_source
 
-        return demo_link(), flight_source(10.0 if speed is None else speed)
+        return demo_link(), flight_source(SPEED if speed is None else speed)
     loaded = None if link is None else load_link(link, root=root)
     if replay is not None:
         loaded = replayed(loaded, replay, 1.0 if speed is None else speed, root=root)
@@ -121,7 +121,7 @@ def _follow(
     *,
     is_repeatable: bool,
 ) -> None:
-    from sim_heating.live.engine import make_engine
+    from sim_heating.live.engine import LinkEngine
     from sim_heating.live.journal import NAME, Journal, remove_ended
     from sim_heating.live.results import RESULT, write_results
     from sim_heating.live.run import run
@@ -132,7 +132,7 @@ def _follow(
     journal = Journal(directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s)
     ended = False
     try:
-        engine = make_engine(link, journal)
+        engine = LinkEngine(link, journal)
         outputs = _outputs(engine, headless, options, opens_browser=demo)
         state = run(engine, outputs, resume=journal.is_resumed, open_sources=open_sources)
         ended = True

@@ -12,12 +12,17 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
-from sim_heating.base.errors import InputError, RunError, one_line
+from sim_heating.base.errors import InputError, RunError, error_context, one_line
+from sim_heating.base.files import display_path, suggestion
+from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
+from sim_heating.estimation.filter.online import Prior
 from sim_heating.heating.atmosphere import free_stream_kernel
+from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
+from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.spec import Link
@@ -26,6 +31,7 @@ from sim_heating.live.state import (
     LinkPhase,
     LinkState,
     MissingState,
+    ParameterState,
     PointState,
     RemovedSensor,
     SensorState,
@@ -41,16 +47,6 @@ REMARKS = 12
 """Remarks that a state shows; all of them are in the summary."""
 KEPT_REMARKS = 10_000
 """Remarks that are kept for the summary."""
-
-
-class Estimator(Protocol):
-    """What the engine asks of the estimator of all control points."""
-
-    def add(self, *samples: Sample) -> None:
-        """Take samples in any order."""
-
-    def advance(self) -> None:
-        """Take all steps that the samples complete."""
 
 
 @dataclass
@@ -95,21 +91,40 @@ class Remarks:
         return [line if count == 1 else f"{line} ({count} times)" for line, count in chosen]
 
 
-def make_engine(link: Link, journal: Journal | None = None) -> LinkEngine:
-    """The engine of a link with the estimator that its file declares."""
-    return LinkEngine(link, None, journal)
+def make_estimator(link: Link) -> LiveEstimator:
+    """The estimator that a link file declares.
+
+    raises : InputError for a parameter or a sensor that a running estimate cannot have
+    """
+    own = link.declared.estimate
+    names = own.parameters or ["ratio.scale"]
+    priors = {name: Prior(mean, sigma) for name, (mean, sigma) in own.prior.items()}
+    with error_context(f"{display_path(link.path)}, [estimate]"):
+        if unknown := [name for name in priors if name not in names]:
+            raise InputError(f"`prior`: {unknown[0]} is not estimated{suggestion(unknown[0], names)}")
+        options = LiveOptions(
+            lateness_s=own.lateness_s, jump_s=own.jump_s, linearise_s=own.linearise_s, start=own.start,
+            ratio_noise=(own.wander, own.wander_s) if own.wander > 0.0 else None,
+        )  # fmt: skip
+        points: ConditionsOfFrame
+        if link.vehicle is not None:
+            points = VehiclePoints(link.vehicle, link.names, parameters=own.fix)
+        else:
+            points = RecordPoints([link.records[name] for name in link.names], parameters=own.fix)
+        return LiveEstimator(points, names, priors, options)
 
 
 class LinkEngine:
     """The engine of one link.
 
     link      : with its control points
-    estimator : of all control points; None: what comes is kept and counted, and nothing is estimated
+    estimator : of all control points; the one that the link declares by default
     journal   : that messages are kept in; None for none
     """
 
-    def __init__(self, link: Link, estimator: Estimator | None = None, journal: Journal | None = None) -> None:
-        self.link, self.estimator, self.journal = link, estimator, journal
+    def __init__(self, link: Link, journal: Journal | None = None, estimator: LiveEstimator | None = None) -> None:
+        self.link, self.journal = link, journal
+        self.estimator = make_estimator(link) if estimator is None else estimator
         self.mapping = FieldMapping(link)
         self.remarks = Remarks()
         self.counts: Counter[str] = Counter()
@@ -119,6 +134,9 @@ class LinkEngine:
         self._latest_frame: Frame | None = None
         self._latest: dict[tuple[str, str], Reading] = {}
         self._sequence = 0
+        self._limits = {name: _limits(link, name) for name in link.names}
+        declared = link.declared.estimate.parameters or ["ratio.scale"]
+        self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in declared}
         self._named_absent = False
         self._journal_problem = ""
         self._phase: LinkPhase = "waiting"
@@ -153,8 +171,7 @@ class LinkEngine:
                 self.remarks.add(line)
         for sample in samples:
             self._note(sample, message.arrived_s)
-        if self.estimator is not None and samples:
-            self.estimator.add(*samples)
+        self.estimator.add(*samples)
 
     def resume(self, path: Any) -> dict[int, int]:
         """Take the messages of a journal that was cut off again, without writing them.
@@ -207,12 +224,13 @@ class LinkEngine:
 
     def advance(self) -> None:
         """Take all steps that the samples so far complete."""
-        if self.estimator is None:
-            return
         try:
             self.estimator.advance()
         except (InputError, RunError) as error:
             self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
+        for line in self.estimator.messages:
+            self.remarks.add(line)
+        self.estimator.messages.clear()
 
     def end(self) -> None:
         """No more messages come."""
@@ -225,7 +243,7 @@ class LinkEngine:
         self._sequence += 1
         return State(
             sequence=self._sequence - 1,
-            time_s=None if self._latest_frame is None else self._latest_frame.time_s,
+            time_s=self.estimator.time_s,
             wall_s=now - self._started_s,
             conditions=self._conditions(),
             points=dict(self._points()),
@@ -254,7 +272,8 @@ class LinkEngine:
 
     def _timeline_counts(self) -> dict[str, Any]:
         """Counts of the estimator: late, too_late, doubled, jumps, and the largest lateness [s]."""
-        return {}
+        own = self.estimator.counts
+        return {name: getattr(own, name) for name in ("late", "too_late", "doubled", "jumps", "lateness_s")}
 
     def _conditions(self) -> Mapping[str, float]:
         frame = self._latest_frame
@@ -270,14 +289,42 @@ class LinkEngine:
         return found
 
     def _points(self) -> Iterator[tuple[str, PointState]]:
-        return iter(())
+        for name, estimate in self.estimator.estimates().items():
+            state = estimate.state
+            limits = self._limits[name]
+            now = {"surface_K": estimate.surface_K, "bondline_K": estimate.bondline_K}
+            yield (
+                name,
+                PointState(
+                    **now,
+                    surface_sigma_K=estimate.surface_sigma_K,
+                    bondline_sigma_K=estimate.bondline_sigma_K,
+                    ratio=state.ratio,
+                    ratio_table=state.ratio_table,
+                    ratio_sigma=state.ratio_sigma,
+                    sensors=self._sensor_states(name, estimate),
+                    parameters={
+                        p: ParameterState(value, sigma, self._units[name, p])
+                        for p, (value, sigma) in estimate.parameters.items()
+                    },
+                    limits=limits,
+                    margin_K=min((limit - now[what] for what, limit in limits.items()), default=None),
+                ),
+            )
 
-    def _sensor_states(self, point: str) -> dict[str, SensorState]:
+    def _sensor_states(self, point: str, estimate: LiveEstimate) -> dict[str, SensorState]:
         found = {}
         for sensor in next(p.sensors for p in self.link.points if p.name == point):
             latest = self._latest.get((point, sensor.name))
-            if latest is not None:
-                found[sensor.name] = SensorState(latest.value_K, latest.time_s)
+            expected = estimate.sensors.get(sensor.name)
+            found[sensor.name] = SensorState(
+                None if latest is None else latest.value_K,
+                None if latest is None else latest.time_s,
+                None if expected is None else expected.predicted_K,
+                None if expected is None else expected.sigma_K,
+                sensor.used,
+                "" if sensor.used else "held back by its declaration",
+            )
         return found
 
     def _removed(self) -> Sequence[RemovedSensor]:
@@ -285,3 +332,19 @@ class LinkEngine:
 
     def _missing(self) -> MissingState:
         return MissingState()
+
+
+def _limits(link: Link, point: str) -> dict[str, float]:
+    """Temperature limits of a control point [K]; none of one that a record declares."""
+    if link.vehicle is None:
+        return {}
+    own = link.vehicle.control_point(point).limits
+    given = {"surface_K": own.surface_K, "bondline_K": own.bondline_K}
+    return {name: limit for name, limit in given.items() if limit is not None}
+
+
+def _unit(point: LivePoint, name: str) -> str:
+    """Unit of a parameter of a control point, or of one of its sensors."""
+    if name.startswith(SENSOR_PREFIX):
+        return SENSOR[name.rpartition(".")[2]].unit
+    return point.model.definition(name).unit

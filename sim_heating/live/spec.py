@@ -48,7 +48,7 @@ from sim_heating.base.files import (
 from sim_heating.base.files.roots import Roots
 from sim_heating.base.parameters import MODEL, layer_parameter
 from sim_heating.inputs.fit_settings import dotted
-from sim_heating.inputs.record import Record, ReferenceCondition, load_records
+from sim_heating.inputs.record import Record, load_records
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.thermal.stack import Sensor
@@ -217,31 +217,32 @@ class EstimateSettings(Declared):
     """What is estimated at every control point.
 
     parameters      : dotted names; the magnitude of the heating ratio where absent
-    wander_per_sqrt_s : standard deviation that the heating ratio gains in the square root of a second, as a fraction of
-                      itself; 0: constant parameters only
-    lateness_s      : samples up to so much behind the latest one are put where they belong; later ones are not used
-    jump_s          : a frame so much after or before the last one is a jump of the clock
-    start           : "circuit": initial temperatures from the first readings; "declared": those of the stack
-    relinearise_s   : flight time between new linearisations of the parameters
+    wander          : standard deviation of a heating ratio that wanders about the model's; 0 where it does not
+    wander_s        : its correlation time
+    lateness_s      : samples up to so much behind the latest frame are put where they belong; later ones are not used
+    jump_s          : frames so much ahead of the latest one are a gap, or a jump of the clock
+    start           : "circuit": initial temperatures from the first readings, by the circuit analogy; "declared": those
+                      of the stack; "auto": the former where the readings contradict the latter
+    linearise_s     : flight time after which a point is linearised about its estimate again
     """
 
     quantities: ClassVar = {
         "fix": None,
         "prior": None,
-        **dict.fromkeys(("wander_per_sqrt_s", "lateness_s", "jump_s", "relinearise_s")),
+        **dict.fromkeys(("wander", "wander_s", "lateness_s", "jump_s", "linearise_s")),
     }
 
     parameters: list[str] | None = Field(default=None, min_length=1)
-    reference: ReferenceCondition | None = None
     fix: Annotated[dict[str, float], dotted(float)] = Field(default_factory=dict, description="name = value")
     prior: Annotated[dict[str, list[float]], dotted(list[float])] = Field(
         default_factory=dict, description="name = [mean, sigma]"
     )
-    wander_per_sqrt_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    wander: float = Field(default=0.0, ge=0.0, le=10.0)
+    wander_s: float = Field(default=30.0, gt=0.0, le=1e6)
     lateness_s: float = Field(default=2.0, ge=0.0, le=60.0)
-    jump_s: float = Field(default=30.0, gt=0.0, le=1e4)
-    start: Literal["circuit", "declared"] = "circuit"
-    relinearise_s: float = Field(default=1.0, gt=0.0, le=100.0)
+    jump_s: float = Field(default=2.5, gt=0.0, le=1e4)
+    start: Literal["auto", "circuit", "declared"] = "auto"
+    linearise_s: float = Field(default=1.0, gt=0.0, le=100.0)
 
     @field_validator("prior")
     @classmethod
@@ -526,7 +527,7 @@ def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, 
         needed = [name for name in FRAME if name not in spared]
     else:
         first = next(iter(records.values()))
-        needed = [name for name in first.conditions.names if name in DESCRIPTIONS and name != "time_s"]
+        needed = [name for name in first.conditions.names if name != "time_s"]
         if first.declared.heating.reference == "none":  # a wall at rest: what is not sent is as it was at the start
             needed = [n for n in needed if n in declared.conditions or n in DRIVING]
     return tuple(dict.fromkeys([*needed, *declared.conditions]))

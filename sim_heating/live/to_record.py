@@ -20,11 +20,13 @@ from sim_heating.base.files import display_path, output_directory
 from sim_heating.heating.atmosphere import free_stream
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, make_record, write_record
+from sim_heating.live.estimator import BRIDGED_S
 from sim_heating.live.journal import journal_file, read_head, read_journal
 from sim_heating.live.mapping import FieldMapping
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.spec import Link, LinkPoint, make_link
+from sim_heating.live.timeline import Placed, Timeline
 from sim_heating.live.types import Frame, Sample
 from sim_heating.simulation.synthesize import flown_columns, ratio_table_of, record_declaration, turbulent_table_of
 
@@ -34,22 +36,22 @@ RECORDS = "records"
 
 @dataclass
 class Stretch:
-    """Samples of one clock: frames by time, and readings by control point, sensor and time; the first of a time.
-
-    latest_s : time of the latest frame [s]; NaN before the first
-    """
+    """Samples of one clock: frames by time, and readings by control point, sensor and time; the first of a time."""
 
     frames: dict[float, Mapping[str, float]] = field(default_factory=dict)
     readings: dict[tuple[str, str], dict[float, float]] = field(default_factory=dict)
-    latest_s: float = float("nan")
 
     def add(self, sample: Sample) -> None:
         """Add a sample; one of a time that is there already is a double."""
         if isinstance(sample, Frame):
             self.frames.setdefault(sample.time_s, sample.values)
-            self.latest_s = max(sample.time_s, self.latest_s)  # the first is compared with NaN, and is the greater
         else:
             self.readings.setdefault((sample.point, sample.sensor), {}).setdefault(sample.time_s, sample.value_K)
+
+    def add_all(self, samples: Iterable[Sample]) -> None:
+        """Add several."""
+        for sample in samples:
+            self.add(sample)
 
 
 def samples_of(journal: str | os.PathLike[str], link: Link) -> Iterable[Sample]:
@@ -66,23 +68,41 @@ def samples_of(journal: str | os.PathLike[str], link: Link) -> Iterable[Sample]:
             continue
 
 
-def stretches(samples: Iterable[Sample], jump_s: float) -> list[Stretch]:
-    """Samples parted where the clock of the frames jumps.
+def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
+    """Samples parted where the clock of the frames jumps, as the estimator finds it; gaps do not part them.
 
-    jump_s : a frame so much after the latest one, or before the latest one, is of another clock [s]
+    What came too late for the estimate is in its place here.
     """
-    found = [Stretch()]
+    settings = link.declared.estimate
+    places = [(p.name, s.name) for p in link.points for s in p.sensors]
+    numbers = {place: n for n, place in enumerate(places)}
+    timeline = Timeline(numbers, settings.lateness_s, settings.jump_s)
+    found, waiting = [Stretch()], list[Sample]()
     for sample in samples:
-        latest = found[-1].latest_s if isinstance(sample, Frame) else float("nan")
-        if abs(sample.time_s - latest) > jump_s:
-            found.append(Stretch())
-        found[-1].add(sample)
+        placed = timeline.put(sample)
+        if placed is Placed.JUMPED:
+            jump = timeline.jump
+            assert jump is not None
+            timeline.follow(is_gap := 0.0 < jump.by_s <= BRIDGED_S)
+            if not is_gap:
+                found.append(Stretch())
+            low, high = jump.to_s - settings.jump_s, sample.time_s + settings.jump_s
+            found[-1].add_all(s for s in (*waiting, sample) if low <= s.time_s <= high)
+            waiting = []
+        elif placed in (Placed.TOO_LATE, Placed.WAITING):
+            waiting.append(sample)  # late, or the first on another clock: the next frame decides
+        elif placed is not Placed.DOUBLED:
+            found[-1].add(sample)
+            if isinstance(sample, Frame):
+                found[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
+                waiting = []
+        timeline.forget(timeline.newest_s - settings.lateness_s)
     return found
 
 
 def longest_stretch(samples: Iterable[Sample], link: Link) -> tuple[Stretch, list[str]]:
     """The stretch with the most frames, and one line for each other one."""
-    found = stretches(samples, link.declared.estimate.jump_s)
+    found = stretches(samples, link)
     longest = max(found, key=lambda s: len(s.frames))
     return longest, [
         f"the clock jumped: {len(s.frames)} frames from {min(s.frames):g} to {max(s.frames):g} s are left out"

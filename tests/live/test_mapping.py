@@ -1,0 +1,133 @@
+"""Fields of messages become flight conditions and temperatures by the names, units and words that a link declares."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from sim_heating.base.errors import InputError
+from sim_heating.live.mapping import GRACE_MESSAGES, FieldMapping, column_unit
+from sim_heating.live.types import Frame, Message, Reading
+from tests.live.links import FRAME, link
+
+
+def message(**values: float | str) -> Message:
+    return Message(0.0, b"", values)
+
+
+def test_fields_by_the_names_and_units_of_a_record_need_no_mapping():
+    frame, reading = FieldMapping(link()).apply(message(**FRAME, V09T9527_K=1100.0))
+    assert frame == Frame(0.0, {k: v for k, v in FRAME.items() if k != "time_s"})
+    assert reading == Reading(0.0, "V09T9527", "V09T9527", 1100.0)
+
+
+def test_units_of_a_range_become_si_units():
+    mapped = link(
+        time={"field": "gmt_ms", "unit": "ms", "zero": 5000.0},
+        conditions={
+            "altitude_m": {"field": "h", "unit": "ft"},
+            "velocity_m_s": {"field": "v", "unit": "ft/s"},
+            "rho_kg_m3": {"field": "rho", "unit": "slug/ft3"},
+            "alpha_deg": {"field": "alpha", "unit": "rad"},
+            "beta_deg": {"constant": 0.5},
+        },
+        sensor=[{"sensor": "V09T9527", "field": "tc", "unit": "degF"}],
+    )
+    values = {"gmt_ms": 6500.0, "h": 240000.0, "v": 20000.0, "rho": 1e-7, "alpha": 0.7, "elevon_deg": 1.0}
+    frame, reading = FieldMapping(mapped).apply(message(**values, bodyflap_deg=10.0, tc=1500.0))
+    assert frame.time_s == pytest.approx(1.5)
+    assert frame.values["altitude_m"] == pytest.approx(240000.0 * 0.3048)
+    assert frame.values["velocity_m_s"] == pytest.approx(6096.0)
+    assert frame.values["rho_kg_m3"] == pytest.approx(515.3788184e-7)
+    assert frame.values["alpha_deg"] == pytest.approx(math.degrees(0.7))
+    assert frame.values["beta_deg"] == 0.5
+    assert reading.value_K == pytest.approx((1500.0 - 32.0) / 1.8 + 273.15)
+
+
+def test_a_word_of_a_recorder_is_its_temperature():
+    codes = link(sensor=[{"sensor": "V09T9527", "field": "w", "codes": True}])
+    found = [FieldMapping(codes).apply(message(time_s=0.0, w=w))[0].value_K for w in (0, 255)]
+    assert found == [255.0, 1533.0]  # the ends of its range
+    curve = link(sensor=[{"sensor": "V09T9527", "field": "w", "unit": "degC", "calibration": [10.0, 2.0, 0.01]}])
+    (reading,) = FieldMapping(curve).apply(message(time_s=0.0, w=100.0))
+    assert reading.value_K == pytest.approx(10.0 + 200.0 + 100.0 + 273.15)
+
+
+@pytest.mark.parametrize("word", ["", "nan", float("nan")])
+def test_a_word_that_is_no_number_is_a_lost_sample(word):
+    (reading,) = FieldMapping(link()).apply(message(time_s=3.0, V09T9527_K=word))
+    assert math.isnan(reading.value_K)
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ({"altitude_m": 74e3}, "time field `time_s` is missing"),
+        ({"time_s": "noon"}, "field `time_s`: \"noon\" is not a number"),
+        ({"time_s": float("inf")}, "field `time_s`: inf is not a finite number"),
+        (FRAME | {"velocity_m_s": 22300.0}, "looks like ft/s; no frame at 0 s"),
+        (FRAME | {"alpha_deg": "?"}, "field `alpha_deg`: \"?\" is not a number; no frame at 0 s"),
+        ({"time_s": 0.0, "V09T9527_K": 20.0}, "looks like Celsius"),
+        ({"time_s": 0.0, "V09T9527_K": 1700.0}, "outside the recorder's 255 to 1533 K"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(values, problem):
+    with pytest.raises(InputError) as refused:
+        FieldMapping(link()).apply(message(**values))
+    (line,) = refused.value.problems
+    assert problem in line
+
+
+def test_a_bad_part_of_a_message_does_not_take_the_rest_with_it():
+    said: list[str] = []
+    samples = FieldMapping(link()).apply(message(**FRAME | {"rho_kg_m3": -1.0}, V09T9527_K=1100.0), said.append)
+    assert [type(s) for s in samples] == [Reading]
+    (line,) = said
+    assert "rho_kg_m3" in line
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ({"conditions": {"altitude_m": {"field": "h", "unit": "deg"}}}, "unit `deg` does not convert to `m`"),
+        ({"conditions": {"altitude_m": {"field": "h", "unit": "furlongz"}}}, "unknown unit `furlongz`"),
+        ({"conditions": {"altitud_m": "h"}}, "did you mean `altitude_m`?"),
+        ({"time": {"unit": "K"}}, "unit `K` does not convert to `s`"),
+        ({"sensor": [{"sensor": "V09T9572", "field": "x"}]}, "did you mean `V09T9527`?"),
+        ({"sensor": [{"sensor": "V09T9527", "field": "x", "unit": "m"}]}, "unit `m` does not convert to `K`"),
+    ],
+)
+def test_a_mapping_that_cannot_be_is_refused_before_anything_comes(keys, problem):
+    with pytest.raises(InputError) as refused:
+        FieldMapping(link(**keys))
+    assert len(refused.value.problems) == 1
+    assert problem in str(refused.value)
+
+
+def test_columns_that_come_in_several_messages_are_one_frame():
+    mapping = FieldMapping(link())
+    first = {k: FRAME[k] for k in ("time_s", "altitude_m", "velocity_m_s", "rho_kg_m3")}
+    rest = {k: v for k, v in FRAME.items() if k not in first or k == "time_s"}
+    assert mapping.apply(message(**first)) == []
+    (frame,) = mapping.apply(message(**rest))
+    assert frame.values == {k: v for k, v in FRAME.items() if k != "time_s"}
+    # angles that are not sent at 1 s are those of 0 s
+    assert mapping.apply(message(**first | {"time_s": 1.0, "altitude_m": 73e3})) == []
+    (frame,) = mapping.apply(message(**first | {"time_s": 2.0}))
+    assert (frame.time_s, frame.values["altitude_m"], frame.values["alpha_deg"]) == (1.0, 73e3, 40.0)
+
+
+def test_a_mapped_field_that_never_comes_is_named_with_the_nearest_one_that_does():
+    mapping = FieldMapping(link(conditions={"alpha_deg": "alpha"}))
+    for k in range(GRACE_MESSAGES):
+        assert mapping.never_sent() == []
+        sent = {n: v for n, v in FRAME.items() if n != "alpha_deg"} | {"alphas": 40.0, "time_s": float(k)}
+        mapping.apply(message(**sent))
+    assert mapping.never_sent() == ["field `alpha` (alpha_deg) is not sent; did you mean `alphas`?"]
+
+
+def test_every_column_of_flight_conditions_has_a_unit_that_converts_to_itself():
+    assert [column_unit(c) for c in ("velocity_m_s", "h_ref_kg_m2_s", "q_add_W_m2", "log10_re", "jets")] == [
+        "m/s", "kg/(m2.s)", "W/m2", "", ""
+    ]  # fmt: skip
