@@ -4,7 +4,8 @@
     python examples/ratio_maps.py heating.fmu                       # each map, its axes and its range
     python examples/ratio_maps.py heating.fmu --map NOSECAP.ratio_table --scale 1.2
 
-The second form sets the values of one map before initialization and reads the heating ratio at the start conditions.
+The second form sets the values of one map before initialization and reads the heating ratio at the start conditions,
+as exported and as set.
 Nodes, values and operating points come from the terminals of the FMU; `heating.ratio` alone is a name of sim_heating.
 """
 
@@ -60,7 +61,7 @@ def main() -> None:
     given = parser.parse_args()
     described = fmpy.read_model_description(given.fmu)
     variables = {v.name: v for v in described.modelVariables}
-    instance = instantiate_fmu(fmpy.extract(given.fmu), described, "CoSimulation")
+    instance, exported = (instantiate_fmu(fmpy.extract(given.fmu), described, "CoSimulation") for _ in range(2))
 
     def get(name: str) -> np.ndarray:
         shape = [d.start for d in variables[name].dimensions]
@@ -75,10 +76,16 @@ def main() -> None:
             reference = [variables[sampled.values].valueReference]
             instance.setFloat64(reference, (given.scale * values).ravel().tolist())
     if given.map:
-        instance.enterInitializationMode()
         ratio = f"{given.map.rpartition('.')[0]}.heating.ratio"
-        print(f"{ratio}: {float(get(ratio)):.6g} at the start conditions")
-    instance.freeInstance()
+        reference = [variables[ratio].valueReference]
+        for fmu in (exported, instance):
+            fmu.enterInitializationMode()
+        before, after = (fmu.getFloat64(reference)[0] for fmu in (exported, instance))
+        print(
+            f"{ratio} at the start conditions: {before:.6g} as exported, {after:.6g} with the map times {given.scale:g}"
+        )
+    for fmu in (exported, instance):
+        fmu.freeInstance()
 
 
 if __name__ == "__main__":

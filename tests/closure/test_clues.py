@@ -124,6 +124,17 @@ def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
     assert found[0].p_value < 1e-6
 
 
+def test_a_step_of_a_simulated_flight_too_small_for_a_transition_is_no_evidence_of_one():
+    """Columns without an accelerometer's noise make any kink of a simulation certain."""
+    found = axial_steps(with_axial(0.003, 1100.3))
+    assert found is not None
+    assert found[0].p_value < 1e-3
+    assert not found[0].as_of_transition
+    large = axial_steps(with_axial(0.03, 1100.3))
+    assert large is not None
+    assert large[0].as_of_transition
+
+
 def test_no_step_is_found_in_noise_or_without_the_column():
     found = axial_steps(with_axial(0.0, 1100.3))
     assert found is not None

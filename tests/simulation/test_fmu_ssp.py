@@ -298,3 +298,18 @@ def test_json_names_both_files_and_what_is_in_them(exported: dict[str, Any]) -> 
     inside = exported["results"]["system"]
     assert (inside["ssp"], inside["fmi"], inside["control_points"]) == ("1.0", "2.0", POINTS)
     assert inside["connections"] == [name for name in FRAME if name != "time_s"]
+
+
+def test_the_example_compares_a_host_with_a_run_at_the_times_of_both(tmp_path: Path) -> None:
+    """A host 2 K too hot at one point; the other point it does not have."""
+    for point in ("NOSECAP", "V09T9527"):
+        (tmp_path / "run" / point).mkdir(parents=True)
+        (tmp_path / "run" / point / "temperatures.csv").write_text("time_s,surface_K\n0,300\n1,400\n2,500\n9,900\n")
+    (tmp_path / "host.csv").write_text("time,heating::V09T9527.surface_K\n0,302\n2,502\n")
+    example = [sys.executable, str(ROOT / "examples" / "compare_with_run.py"), str(tmp_path / "host.csv")]
+    said = subprocess.run([*example, str(tmp_path / "run")], check=True, capture_output=True, text=True).stdout
+    assert said.startswith("V09T9527: within 2.00 K over 2 s")
+    assert "NOSECAP" not in said
+    other = subprocess.run([*example, str(tmp_path)], capture_output=True, text=True)
+    assert other.returncode == 1
+    assert "has none of the points V09T9527" in other.stderr

@@ -27,6 +27,8 @@ MIN_ACCELERATION_G = 1e-4
 """Smaller accelerations are taken to be noise of the accelerometer."""
 ANGLES = ("alpha_deg", "elevon_deg", "bodyflap_deg")
 MAX_STEPS = 4
+LEAST_STEP = 0.01
+"""A smaller step, relative to the coefficient, is no transition: that raises the axial force by 5 % or more."""
 RESOLUTION = 1e-5
 """Least residual of a coefficient, relative to it: digits of a file are not noise."""
 
@@ -43,6 +45,11 @@ class AxialStep:
     time_s: float
     relative: float
     p_value: float
+
+    @property
+    def as_of_transition(self) -> bool:
+        """Whether it is as large as that of a boundary layer that changes."""
+        return abs(self.relative) >= LEAST_STEP
 
     def describe(self) -> str:
         """One line for a person."""

@@ -139,7 +139,7 @@ class ResidualEvidence:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average.")
         lines += self._hysteresis()
-        significant = [step for step in self.axial or () if step.p_value < SIGNIFICANCE_LEVEL]
+        significant = [s for s in self.axial or () if s.p_value < SIGNIFICANCE_LEVEL and s.as_of_transition]
         return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
 
     def _distance_from_edge(self, step: AxialStep) -> str:

@@ -77,5 +77,3 @@ def replayed_records(link: Link, source: Replay) -> Sequence[Record]:
     if not link.records:
         raise InputError(f"{display_path(link.path)}, [[source]]: `record` is missing; name the record to replay")
     return load_records([link.records[name] for name in link.names])
-
-
