@@ -19,6 +19,7 @@ import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+from urllib.parse import urlsplit
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 """The browser's program; None where there is none."""
@@ -94,28 +95,32 @@ class Browser:
         message, _, self._buffer = self._buffer.partition(b"\0")
         return dict(json.loads(message))
 
-    def open(self, path: Path, width: int = 1400, height: int = 900, *, scripts: bool = True) -> OpenPage:
+    def open(self, page: Path | str, width: int = 1400, height: int = 900, *, scripts: bool = True) -> OpenPage:
         """A page on a screen of this size [CSS pixels], once it has loaded.
 
+        page    : a file, or the address of a server on this machine
         scripts : whether the reader's browser runs scripts
         """
+        address = page if isinstance(page, str) else page.resolve().as_uri()
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        page = OpenPage(self, session)
+        shown = OpenPage(self, session, address)
         for domain in ("Page", "Runtime", "Log", "Network"):
-            page.call(f"{domain}.enable")
-        page.call("Emulation.setScriptExecutionDisabled", value=not scripts)
-        page.resize(width, height)
-        page.call("Page.navigate", url=path.resolve().as_uri())
+            shown.call(f"{domain}.enable")
+        shown.call("Emulation.setScriptExecutionDisabled", value=not scripts)
+        shown.resize(width, height)
+        shown.call("Page.navigate", url=address)
         self.wait_for("Page.loadEventFired", session)
-        return page
+        return shown
 
 
 class OpenPage:
     """A page that a browser shows."""
 
-    def __init__(self, browser: Browser, session: str) -> None:
+    def __init__(self, browser: Browser, session: str, address: str) -> None:
         self._browser, self._session = browser, session
+        parts = urlsplit(address)
+        self._own = ("file:", "data:") if parts.scheme == "file" else ("data:", f"{parts.scheme}://{parts.netloc}/")
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """The answer to one command of the protocol."""
@@ -167,7 +172,7 @@ class OpenPage:
                 found.append(str(about["args"]))
             elif method == "Log.entryAdded" and about["entry"]["level"] in ("error", "warning"):
                 found.append(about["entry"]["text"])
-            elif method == "Network.requestWillBeSent" and not about["request"]["url"].startswith(("file:", "data:")):
+            elif method == "Network.requestWillBeSent" and not about["request"]["url"].startswith(self._own):
                 found.append(about["request"]["url"])
         return found
 

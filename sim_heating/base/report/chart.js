@@ -1,8 +1,9 @@
 "use strict";
 // Draws the charts of a page with uPlot: panels over one time axis, zoomed together, with keys that show the values at
 // the cursor and hide curves. Data: the JSON element of each figure (chart.py). Texts are only ever set as text.
+// A page whose data grow draws by `simHeatingCharts`: `draw`, `refresh` and `remove`, with data that are read already.
 (() => {
-  const SYNC = "time", SOFT = "#5b6876", GRID = "#e3e7eb", FONT = "12px system-ui, 'Segoe UI', Roboto, Arial, sans-serif";
+  const SOFT = "#5b6876", GRID = "#e3e7eb", FONT = "12px system-ui, 'Segoe UI', Roboto, Arial, sans-serif";
   const charts = [];
   let linked = true;
 
@@ -60,7 +61,8 @@
 
   // View ------------------------------------------------------------------------------------------------------------
 
-  const affected = (chart) => (linked ? charts : [chart]);
+  const alike = (chart) => charts.filter((other) => other.data.time === chart.data.time);
+  const affected = (chart) => (linked ? alike(chart) : [chart]);
   const show = (chart, from, to) => {
     const [first, last] = chart.data.whole;
     const width = Math.min(Math.max(to - from, (last - first) * 1e-4), last - first);
@@ -129,10 +131,26 @@
     }
     ctx.restore();
   };
+  const bars = (u, c) => {  // of dots, from one bound to the other
+    const { ctx } = u, [low, high] = c.bands;
+    ctx.strokeStyle = `${c.color}88`;
+    ctx.lineWidth = uPlot.pxRatio;
+    ctx.beginPath();
+    c.t.forEach((t, i) => {
+      if (low.y[i] === null || high.y[i] === null) return;
+      const x = u.valToPos(t, "x", true);
+      ctx.moveTo(x, u.valToPos(low.y[i], "y", true));
+      ctx.lineTo(x, u.valToPos(high.y[i], "y", true));
+    });
+    ctx.stroke();
+  };
   const marks = (panel) => (u) => {
     const { ctx, bbox } = u, ratio = uPlot.pxRatio;
     const { min, max } = u.scales.y, [from, to] = [u.scales.x.min, u.scales.x.max];
     ctx.save();
+    ctx.beginPath();  // marks at the upper and lower edge stand inside
+    ctx.rect(bbox.left - 6 * ratio, bbox.top, bbox.width + 12 * ratio, bbox.height);
+    ctx.clip();
     if (panel.zero && min < 0 && max > 0) {
       const y = Math.round(u.valToPos(0, "y", true)) + 0.5;
       ctx.strokeStyle = "#4d4d4d";
@@ -144,6 +162,7 @@
     }
     for (const c of panel.curves) {
       if (c.hidden) continue;
+      if (c.bars) bars(u, c);
       ctx.fillStyle = c.color;
       c.y.forEach((y, i) => {
         if (y === null || (y <= max && y >= min) || c.t[i] < from || c.t[i] > to) return;
@@ -178,16 +197,20 @@
   const tables = (panel) => panel.curves.flatMap((c) => [
     [c.t, c.y], ...c.bands.map((b) => [b.t, b.y]),
   ]);
+  const joined = (panel) => {
+    const all = tables(panel);
+    return uPlot.join(all, all.map(() => [1, 1]));
+  };
   const series = (panel) => {
     const found = [{}], bands = [];
     for (const c of panel.curves) {
       found.push({
-        label: c.label, stroke: c.color, width: 1.6, dash: c.dash, spanGaps: false,
-        points: c.points ? { show: true, size: 3, width: 0, fill: c.color, stroke: c.color } : { show: false },
+        label: c.label, stroke: c.color, width: 1.6, dash: c.dash, spanGaps: false, auto: !c.aside,
+        points: c.points ? { show: true, size: c.size || 3, width: 0, fill: c.color, stroke: c.color } : { show: false },
         ...(c.points ? { paths: () => null } : {}),
       });
       if (c.bands.length) {
-        bands.push({ series: [found.length + 1, found.length], fill: `${c.color}33` });
+        if (!c.bars) bands.push({ series: [found.length + 1, found.length], fill: `${c.color}33` });
         for (const _ of c.bands) found.push({ label: "", stroke: "transparent", width: 0, points: { show: false } });
       }
     }
@@ -200,7 +223,6 @@
     const bar = element("div", place, { class: "bar", role: "group", "aria-label": `${panel.label}: curves` });
     element("span", bar, { text: panel.label });
     const { found, bands } = series(panel);
-    const data = uPlot.join(tables(panel), tables(panel).map(() => [1, 1]));
     const only = ["mousemove", "mouseleave"];
     const refine = (u, number, index, time) => {
       // curves have samples of their own: the nearest one that this curve has
@@ -220,7 +242,7 @@
         drag: { x: true, y: false, dist: 6 }, dataIdx: refine,
         points: { size: 6 },
         bind: { dblclick: () => () => { reset(chart); return null; } },
-        sync: { key: SYNC, scales: ["x", null], filters: {
+        sync: { key: chart.data.time, scales: ["x", null], filters: {
           pub: (type) => only.includes(type),
           sub: (type, source) => only.includes(type) && (linked || chart.plots.includes(source)),
         } },
@@ -234,7 +256,7 @@
           readout(chart, left === undefined || left < 0 ? null : u.posToVal(left, "x"));
         }],
       },
-    }, data, box);
+    }, joined(panel), box);
     box.addEventListener("mouseleave", () => { for (const other of affected(chart)) readout(other, null); });
     touch(chart, plot);
     chart.plots.push(plot);
@@ -319,8 +341,7 @@
     acts[e.key]();
   };
 
-  const draw = (figure) => {
-    const data = read(JSON.parse(figure.querySelector("script").textContent));
+  const draw = (figure, data) => {
     const place = figure.querySelector(".plot");
     figure.classList.add("drawn");  // before drawing, as a hidden element has no width
     const chart = { figure, data, plots: [], keys: [], range: data.view, home: true, cursor: null, ready: false };
@@ -330,7 +351,8 @@
     button(bar, "+", "Zoom in", () => zoomBy(chart, 0.5, chart.cursor === null ? undefined : chart.cursor));
     button(bar, "\u25c2", "Earlier", () => pan(chart, -0.25));
     button(bar, "\u25b8", "Later", () => pan(chart, 0.25));
-    chart.reset = button(bar, "Reset zoom", "Reset zoom", () => reset(chart));
+    const back = data.reset || "Reset zoom";
+    chart.reset = button(bar, back, back, () => reset(chart));
     chart.link = button(bar, "Together", "Zoom all charts of the page together", () => link(!linked));
     chart.clock = element("output", bar);
     place.setAttribute("tabindex", "0");
@@ -342,23 +364,44 @@
     data.panels.forEach((panel, k) => drawPanel(chart, panel, k, place));
     show(chart, ...data.view);
     chart.ready = true;
-    new ResizeObserver(() => {
+    chart.resized = new ResizeObserver(() => {
       const width = place.clientWidth;
       chart.plots.forEach((plot, k) => { if (width > 0 && plot.width !== width) plot.setSize({ width, height: plot.height }); });
-    }).observe(place);
+    });
+    chart.resized.observe(place);
+    return chart;
   };
   const link = (on) => {
     linked = on;
     for (const chart of charts) {
       chart.link.setAttribute("aria-pressed", String(on));
       chart.link.textContent = on ? "Together" : "Apart";
-      chart.link.hidden = charts.length < 2;
+      chart.link.hidden = alike(chart).length < 2;
     }
   };
 
-  for (const figure of document.querySelectorAll("figure.chart")) {
+  // New samples of a chart: `panels` as [[{t, y, bands}]], and where they change `view`, `whole` and `spans`. A reader
+  // who has zoomed keeps the view.
+  const refresh = (chart, { panels, ...rest }) => {
+    const { home } = chart;
+    Object.assign(chart.data, rest);
+    chart.data.panels.forEach((panel, k) => {
+      panel.curves.forEach((c, i) => Object.assign(c, panels[k][i]));
+      chart.plots[k].setData(joined(panel), false);
+    });
+    show(chart, ...(home ? chart.data.view : chart.range));
+    if (chart.cursor !== null) readout(chart, chart.cursor);
+  };
+  const remove = (chart) => {
+    chart.resized.disconnect();
+    for (const plot of chart.plots) plot.destroy();
+    chart.figure.querySelector(".plot").replaceChildren();
+    charts.splice(charts.indexOf(chart), 1);
+  };
+
+  for (const figure of document.querySelectorAll("figure.chart:has(> script)")) {
     try {
-      draw(figure);
+      draw(figure, read(JSON.parse(figure.querySelector("script").textContent)));
     } catch (error) {  // the picture stays
       figure.classList.remove("drawn");
       console.error(error);
@@ -369,4 +412,5 @@
   const widest = Math.max(...views.map((v) => v[1] - v[0]));
   link(common > 0.1 * widest);  // flights at other times are not moved together unless a reader asks for it
   document.documentElement.dataset.charts = String(charts.filter((c) => c.figure.classList.contains("drawn")).length);
+  window.simHeatingCharts = { draw, refresh, remove, link };
 })();

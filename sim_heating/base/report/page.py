@@ -37,6 +37,7 @@ CHART_SCRIPTS, CHART_STYLE = ("vendor/uPlot.iife.min.js", "chart.js"), "vendor/u
 TABLE_SCRIPTS = ("table.js",)
 SHARED_SCRIPTS = ("element.js",)
 """Scripts that those of charts and of tables need before them."""
+LOOK = "look.css"
 RASTER = re.compile(rb"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
 PALETTE = 200
 """Colours of a picture of pixels on a page."""
@@ -135,8 +136,8 @@ def page_html(page: Page) -> str:
     scripts = [_asset(name) for name in names]
     return _template().render(
         page=page, program=f"sim-heating {package_version()}", scripts=scripts, policy=" ".join(map(_digest, scripts)),
-        style=_asset(CHART_STYLE) if charts else "", drawn=partial(_drawn, intervals=intervals_of(charts)),
-        has_charts=bool(charts),
+        look=_asset(LOOK), style=_asset(CHART_STYLE) if charts else "", has_charts=bool(charts),
+        drawn=partial(_drawn, intervals=intervals_of(charts)),
     )  # fmt: skip
 
 
