@@ -1,0 +1,5 @@
+"""Where a link publishes its state: a page in the browser, lines of JSON for other displays, Prometheus metrics.
+
+Each output has `start`, `publish` and `stop`. `publish` returns at once, whatever a reader does: an output holds the
+latest state only, and who reads slowly misses states in between.
+"""

@@ -1,0 +1,273 @@
+"""Outputs of a link besides the page: who may read, slow readers, lines of JSON, metrics."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import time
+from urllib.error import HTTPError
+from urllib.request import HTTPRedirectHandler, Request, build_opener
+
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from websockets.asyncio.client import connect
+from websockets.asyncio.server import serve
+from websockets.exceptions import InvalidStatus
+
+from sim_heating.base.errors import InputError
+from sim_heating.live.outputs.display import Display, table_curve
+from sim_heating.live.outputs.history import History
+from sim_heating.live.outputs.lines import LARGEST_DATAGRAM, lines_to
+from sim_heating.live.outputs.published import Published
+from sim_heating.live.outputs.server import PageServer, is_loopback
+from sim_heating.live.state import State, plain
+from tests.support.served import Loop, Served, served
+
+NOTHING = Display("nothing", {})
+
+
+class _NoRedirect(HTTPRedirectHandler):
+    def redirect_request(self, *args):
+        return None
+
+
+def ask(url, method="GET", **headers):
+    """Status, headers and text of an answer."""
+    try:
+        with build_opener(_NoRedirect).open(Request(url, method=method, headers=headers), timeout=10) as answer:
+            return answer.status, answer.headers, answer.read().decode()
+    except HTTPError as error:
+        return error.code, error.headers, error.read().decode()
+
+
+async def first_message(url, **options):
+    async with connect(url, compression=None, **options) as reader:
+        return json.loads(await reader.recv())
+
+
+@pytest.fixture(scope="module")
+def state(flown):
+    """A state in the middle of the POPU."""
+    *_, last = flown.states(flown.popu_s, flown.popu_s + 12.0)
+    return last
+
+
+# Who may read --------------------------------------------------------------------------------------------------------
+
+
+def test_a_port_in_use_is_told_in_one_line():
+    with socket.create_server(("127.0.0.1", 0)) as taken, Loop() as loop:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"^page: port {port} of 127.0.0.1 is in use; give another by --port"):
+            loop.run(PageServer(NOTHING, port=port).start())
+        with pytest.raises(InputError, match=r"^page: cannot listen at 192\.0\.2\.1"):  # no machine has it
+            loop.run(PageServer(NOTHING, host="192.0.2.1", port=0).start())
+
+
+def test_other_machines_read_with_the_token_alone(state):
+    with served(NOTHING, host="0.0.0.0") as (server, page):
+        page.publish(state)
+        here = f"http://127.0.0.1:{server.port}/"
+        for path in ("", "state.json", "metrics", "static.json"):
+            assert ask(here + path)[0] == 401
+            assert ask(f"{here}{path}?token=guess")[0] == 401
+        with pytest.raises(InvalidStatus):
+            asyncio.run(first_message(f"ws://127.0.0.1:{server.port}/lines"))
+        status, headers, _ = ask(f"{here}?token={server.token}")
+        assert (status, headers["Location"]) == (303, "/")
+        assert "HttpOnly" in headers["Set-Cookie"]
+        cookie = headers["Set-Cookie"].partition(";")[0]
+        assert ask(here, Cookie=cookie)[0] == 200
+        assert ask(f"{here}metrics", Authorization=f"Bearer {server.token}")[0] == 200
+        url = f"ws://127.0.0.1:{server.port}/lines?token={server.token}"
+        assert asyncio.run(first_message(url))["sequence"] == state.sequence
+
+
+def test_this_machine_needs_no_token_and_other_sites_get_nothing(state):
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("::1")
+    assert is_loopback("localhost")
+    assert not is_loopback("0.0.0.0")
+    with served(NOTHING) as (server, page):
+        page.publish(state)
+        assert "token" not in server.url
+        assert ask(server.url)[0] == 200
+        assert ask(server.url, Host="elsewhere.invalid")[0] == 421  # a name that was made to lead here
+        socket_url = f"ws://127.0.0.1:{server.port}/page"
+        with pytest.raises(InvalidStatus):
+            asyncio.run(first_message(socket_url, origin="http://elsewhere.invalid"))
+        own = f"http://127.0.0.1:{server.port}"
+        assert asyncio.run(first_message(socket_url, origin=own))["sequence"] == state.sequence
+
+
+def test_readers_change_nothing(state):
+    with served(NOTHING) as (server, page):
+        page.publish(state)
+        for path in ("", "state.json", "static.json", "history.json", "curve.json", "metrics"):
+            for method in ("POST", "PUT", "DELETE", "PATCH"):
+                assert ask(server.url + path, method)[0] == 405
+        assert json.loads(ask(f"{server.url}state.json")[2]) == plain(state)
+
+
+# Slow readers --------------------------------------------------------------------------------------------------------
+
+
+def test_a_slow_reader_holds_nobody_back_and_sees_the_latest(state):
+    """400 states, 8 MB, while one reader sleeps: the other has them as they come, the sleeper misses most."""
+    states = [State(k, state.time_s, 0.0, state.conditions, state.points) for k in range(400)]
+
+    async def read(url, until, wakes):
+        seen = []
+        narrow = socket.socket()
+        narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        narrow.connect(("127.0.0.1", server.port))
+        async with connect(url, compression=None, max_queue=1, sock=narrow) as reader:
+            await wakes.wait()
+            async for line in reader:
+                seen.append((json.loads(line)["sequence"], time.monotonic()))
+                if seen[-1][0] >= until:
+                    return seen
+        return seen
+
+    with served(NOTHING) as (server, page), Loop() as readers:
+        url = f"ws://127.0.0.1:{server.port}/lines"
+        now, later = asyncio.Event(), asyncio.Event()
+        now.set()
+        tasks = [asyncio.run_coroutine_threadsafe(read(url, 399, wakes), readers._loop) for wakes in (now, later)]
+        time.sleep(0.5)
+        longest = 0.0
+        for k in states:
+            longest = max(longest, page.publish(k))
+            time.sleep(0.005)
+        published = time.monotonic()
+        readers.call(later.set)
+        awake, asleep = (task.result(30) for task in tasks)
+    assert longest < 0.5  # of a machine that does other things, too
+    assert awake[-1][1] - published < 1.0
+    assert len(awake) > 100
+    assert asleep[-1][0] == 399
+    assert len(asleep) < len(states) / 4  # what was on its way, and the latest
+
+
+def test_a_reader_that_goes_away_is_forgotten(state):
+    with served(NOTHING) as (server, page):
+        page.publish(state)
+        for _ in range(3):
+            asyncio.run(first_message(f"ws://127.0.0.1:{server.port}/lines"))
+        deadline = time.monotonic() + 5.0
+        while server._readers and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert not server._readers
+
+
+# Lines of JSON -------------------------------------------------------------------------------------------------------
+
+
+def flat(value, path=""):
+    if isinstance(value, dict):
+        return {k: v for name, inner in value.items() for k, v in flat(inner, f"{path}/{name}".lstrip("/")).items()}
+    if isinstance(value, list):
+        return {k: v for i, inner in enumerate(value) for k, v in flat(inner, f"{path}[{i}]").items()}
+    return {} if value is None else {path: value}
+
+
+def test_datagrams_together_are_the_state(state):
+    """Each fits a packet of an Ethernet and has the time; none is lost on a machine to itself."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as display, Loop() as loop:
+        display.bind(("127.0.0.1", 0))
+        display.settimeout(1.0)
+        lines = lines_to(f"udp://127.0.0.1:{display.getsockname()[1]}")
+        loop.run(lines.start())
+        Served(loop, lines).publish(state)
+        wanted, found = flat(Published(state).scalars), {}
+        while len(found) < len(wanted) + 1:
+            datagram = display.recv(65536)
+            assert len(datagram) <= LARGEST_DATAGRAM
+            found |= (part := json.loads(datagram))
+            assert part["timestamp"] == part["time_s"] == state.time_s
+        loop.run(lines.stop())
+    assert found == wanted | {"timestamp": state.time_s}
+    assert found["points/OE/surface_K"] == state.points["OE"].surface_K
+
+
+def test_a_display_that_comes_late_and_restarts_gets_the_lines(state):
+    received: list[dict] = []
+
+    async def take(connection):
+        received.append(json.loads(await connection.recv()))
+
+    async def main():
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            port = probe.getsockname()[1]
+        lines = lines_to(f"ws://127.0.0.1:{port}")
+        await lines.start()
+        for _ in range(2):
+            async with serve(take, "127.0.0.1", port):
+                count = len(received)
+                while len(received) == count:
+                    lines.publish(Published(state))
+                    await asyncio.sleep(0.05)
+        await lines.stop()
+
+    asyncio.run(asyncio.wait_for(main(), 30))
+    assert received[0]["timestamp"] == state.time_s
+    assert received[-1]["points"]["OE"]["surface_K"] == state.points["OE"].surface_K
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:9870", "http://127.0.0.1:9870", "udp://127.0.0.1", "udp://h:99999"])
+def test_an_address_that_is_none_of_a_display_is_told(address):
+    with pytest.raises(InputError, match=r"^lines: .*give udp://HOST:PORT, ws://HOST:PORT"):
+        lines_to(address)
+
+
+# Metrics, past, tables -----------------------------------------------------------------------------------------------
+
+
+def test_metrics_are_those_of_the_latest_state(state):
+    with served(NOTHING) as (server, page):
+        assert ask(f"{server.url}metrics")[2].strip() == ""
+        page.publish(state)
+        text = ask(f"{server.url}metrics")[2]
+    samples = {
+        (s.name, tuple(sorted(s.labels.items()))): s.value
+        for f in text_string_to_metric_families(text)
+        for s in f.samples
+    }
+    point = state.points["OE"]
+    assert samples["sim_heating_surface_kelvin", (("point", "OE"),)] == point.surface_K
+    assert samples["sim_heating_link_state", (("state", "live"),)] == 1.0
+    assert samples["sim_heating_link_late_total", ()] == state.link.late
+    scale = (("parameter", "ratio.scale"), ("point", "OE"), ("unit", "-"))
+    assert samples["sim_heating_parameter", scale] == point.parameters["ratio.scale"].value
+    future = (("future", "planned"), ("point", "OE"))
+    assert samples["sim_heating_ahead_limit_probability", future] == point.ahead["planned"].probability
+
+
+def test_the_past_is_bounded_and_its_latest_part_whole(state):
+    past = History()
+    for k in range(20_000):
+        past.add(State(k, 0.1 * k, 0.0, state.conditions, {"OE": state.points["OE"]}))
+    times = past.columns("OE")["time_s"]
+    assert len(times) <= 2400
+    assert times[0] == 0.0
+    assert np.all(np.diff(times) > 0.0)
+    assert np.diff(times)[-1000:] == pytest.approx(0.1)  # two minutes at 10 Hz as they came
+    assert np.max(np.diff(times)) < 4.0
+    assert past.columns("elsewhere") == {}
+
+
+def test_the_drawn_table_meets_the_declared_ratio_at_present(flown, state):
+    table = flown.display.points["OE"].table
+    declared = state.points["OE"].ratio_table
+    curve = table_curve(table, state.conditions, declared)
+    at = np.interp(state.conditions["alpha_deg"], curve["alpha_deg"], curve["ratio"])
+    assert at == pytest.approx(declared, rel=1e-3)  # between drawn angles
+
+
+def test_displays_of_the_link_are_told_of_sensors_by_their_place(flown):
+    places = {name: own.near for name, own in flown.display.points["LS"].sensors.items()}
+    assert places.pop("LS_surface") == "surface"
+    assert places.pop("LS_bond") == "bondline"
+    assert set(places.values()) == {"within"}
