@@ -1,15 +1,62 @@
-"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a workdir."""
+"""What tests share: a hypothesis profile without a deadline, as the first call of a kernel compiles it; a workdir; the
+order of files and their distribution to processes."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")
+
+BEGUN_FIRST = (
+    "simulation/test_fmu_export.py",
+    "cli/test_outputs.py",
+    "closure/test_findings.py",
+    "closure/test_close_loop.py",
+    "planning/test_plan.py",
+    "campaign/test_figures.py",
+    "benchmarks/test_mutants.py",
+    "cli/test_process.py",
+    "test_public_face.py",
+    "estimation/test_design.py",
+    "planning/test_optimal_entry.py",
+    "planning/test_envelope.py",
+    "planning/test_dispersion.py",
+    "closure/test_report.py",
+    "closure/test_joint_search.py",
+    "simulation/test_fmu_instances.py",
+    "simulation/test_fmu_ssp.py",
+    "simulation/test_plugin.py",
+    "trajectory/test_fmu_import.py",
+    "trajectory/test_fmu_import_faults.py",
+    "trajectory/test_jsbsim.py",
+    "trajectory/test_entry.py",
+    "test_distributions.py",
+)
+"""Files of tests that take long, longest first, so that all processes end together. The first two compile different
+kernels: those of exported libraries, and those of the package itself."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Long files first; the others, and the tests of each file, in their order."""
+    place = {config.rootpath / "tests" / name: k for k, name in enumerate(BEGUN_FIRST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Whole files to each process, in this order: a fixture of a module is then made once."""
+    if config.getoption("dist") != "load":  # another way was asked for
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture

@@ -77,7 +77,8 @@ def test_a_job_that_kills_every_worker_fails_alone(tmp_path):
 def test_a_run_killed_at_any_moment_resumes_where_it_stopped(tmp_path):
     count, random_moments = 40, random.Random(5)
     whole = tmp_path / "whole"
-    _start(whole, tmp_path / "a", count, 1).wait()
+    (tmp_path / "a").mkdir()
+    run_batches(jobs(count), partial(batch_jobs.square, tmp_path / "a"), whole, workers=1)
     out, notes = tmp_path / "out", tmp_path / "b"
     kills = 0
     for _ in range(3):
@@ -91,7 +92,7 @@ def test_a_run_killed_at_any_moment_resumes_where_it_stopped(tmp_path):
             os.killpg(run.pid, signal.SIGKILL)
             kills += 1
         run.wait()
-    assert _start(out, notes, count, 2).wait() == 0
+    assert not run_batches(jobs(count), partial(batch_jobs.square, notes), out, workers=1).failed
     assert kills == 3
     done = contents(out)
     assert done == contents(whole)

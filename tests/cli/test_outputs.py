@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -13,20 +14,20 @@ import pytest
 from benchmarks.kills import bad, case, kill_and_judge, snapshot
 from sim_heating.cli import main
 from tests.support.gliding import gliding
-from tests.support.paths import PRACTICE, ROOT, TILE
+from tests.support.paths import PRACTICE, TILE
 from tests.support.systems import posix
 
 
-@pytest.fixture
-def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with a scenario, two records in a folder, and a record that `synthesize` wrote."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
-    (tmp_path / "short.toml").write_text(gliding(60.0, "V09T9527", vehicle="orbiter"))
+@pytest.fixture(scope="module")
+def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scenario, two records in a folder, and a record that `synthesize` wrote."""
+    home = tmp_path_factory.mktemp("flown")
+    (home / "short.toml").write_text(gliding(60.0, "V09T9527"))
     for name in ("p06", "p07"):
-        shutil.copytree(PRACTICE / name, tmp_path / "records" / name)
-    assert main(["synthesize", "short.toml", "--out", "flown"]) == 0
-    return tmp_path
+        shutil.copytree(PRACTICE / name, home / "records" / name)
+    with chdir(home):
+        assert main(["synthesize", "short.toml", "--out", "flown"]) == 0
+    return home
 
 
 INPUTS = [

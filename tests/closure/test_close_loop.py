@@ -36,22 +36,6 @@ from tests.support.paths import BOARD, PRACTICE
 from tests.support.systems import posix
 
 
-@pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
-def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None:
-    found = search_effects(load_record(PRACTICE / name))
-    assert found.names == (effect,)
-    assert found.conclusion.finding == ("none" if effect == "none" else "found")
-    assert found.conclusion.best.adequate
-
-
-def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
-    found = search_effects(load_record(PRACTICE / "p02"))  # a sine in time, which is no effect of the library
-    assert found.names == ("unknown",)
-    assert found.none.excess_chi2 > 10.0
-    assert found.curve is not None  # what it follows best is shown and not named
-    assert found.curve.name not in found.names
-
-
 def simulated_record(
     record: Record,
     uses: Sequence[EffectUse] = (),

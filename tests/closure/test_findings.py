@@ -24,15 +24,31 @@ ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
 
 
 @cache
-def searched() -> SearchResult:
-    """The search on a record with one undeclared effect."""
-    return search_effects(load_record(PRACTICE / "p08"))
+def searched(name: str = "p08") -> SearchResult:
+    """The search on a practice record; that of p08 has one undeclared effect."""
+    return search_effects(load_record(PRACTICE / name))
 
 
 def adequacy_of(record, effects=()) -> Adequacy:
     """Adequacy of the declared model, or with effects at their true values, magnitude and derivatives fitted."""
     fitted = estimate([record], effects=effects)
     return assess(fitted.samples())
+
+
+@pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
+def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None:
+    found = searched(name)
+    assert found.names == (effect,)
+    assert found.conclusion.finding == ("none" if effect == "none" else "found")
+    assert found.conclusion.best.adequate
+
+
+def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
+    found = searched("p02")  # a sine in time, which is no effect of the library
+    assert found.names == ("unknown",)
+    assert found.none.excess_chi2 > 10.0
+    assert found.curve is not None  # what it follows best is shown and not named
+    assert found.curve.name not in found.names
 
 
 def test_the_true_model_is_adequate_and_a_model_without_the_effect_is_not() -> None:

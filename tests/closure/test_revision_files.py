@@ -6,6 +6,7 @@ import copy
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,22 @@ __all__ = ["flown_records"]
 REVISIONS = Path(f"orbiter/ratio_revisions/{POINT}")
 
 
+@pytest.fixture(scope="module")
+def twice_revised(flown_records: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the vehicle after two revisions from two flights."""
+    home = shutil.copytree(flown_records, tmp_path_factory.mktemp("revised"), dirs_exist_ok=True)
+    with chdir(home):
+        for fit in ("first.json", "second.json"):
+            update_and_write(fit)
+    return home
+
+
 @pytest.fixture
-def revised(workdir: Path) -> Path:
-    """The vehicle with two revisions from two flights; the directory of their files."""
-    for fit in ("first.json", "second.json"):
-        update_and_write(fit)
-    return workdir / REVISIONS
+def revised(twice_revised: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the vehicle with two revisions in the working directory; the directory of their files."""
+    shutil.copytree(twice_revised, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / REVISIONS
 
 
 def rewritten(file: Path, change: Callable[[dict[str, Any]], object], sealed: bool = False) -> None:
@@ -169,14 +180,9 @@ OTHERS = st.sampled_from(
 
 
 @pytest.fixture(scope="module")
-def vehicle(flown_records: Path, tmp_path_factory: pytest.TempPathFactory) -> Vehicle:
+def vehicle(twice_revised: Path, tmp_path_factory: pytest.TempPathFactory) -> Vehicle:
     """A vehicle with two revisions, for many readings."""
-    home = tmp_path_factory.mktemp("revised")
-    shutil.copytree(flown_records, home, dirs_exist_ok=True)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.chdir(home)
-        for fit in ("first.json", "second.json"):
-            update_and_write(fit)
+    home = shutil.copytree(twice_revised, tmp_path_factory.mktemp("read"), dirs_exist_ok=True)
     return load_vehicle(home / "orbiter")
 
 

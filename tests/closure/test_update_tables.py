@@ -40,6 +40,7 @@ from sim_heating.simulation.predict import predict
 from sim_heating.simulation.synthesize import synthesize, write_records
 from tests.support.gliding import gliding
 from tests.support.json_output import run_json
+from tests.support.once import made_once
 from tests.support.paths import ROOT
 
 POINT = "V09T9527"
@@ -78,8 +79,12 @@ def one_point_orbiter(home: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the vehicle, two flights of it whose truth differs from its tables, and the estimate of one."""
-    home = tmp_path_factory.mktemp("flown")
+    """A folder with the vehicle, two flights of it whose truth differs from its tables, and the estimate of each."""
+    return made_once(tmp_path_factory, "two_flights", fly_twice)
+
+
+def fly_twice(home: Path) -> None:
+    """Fill the folder `flown_records`."""
     one_point_orbiter(home)
     for name, flight in (
         ("first", {"altitude_m": 74000.0, "velocity_m_s": 6800.0, "sweep_deg": 5.0}),
@@ -89,7 +94,6 @@ def flown_records(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scenario = load_scenario(home / f"{name}.toml")
         write_records(scenario, synthesize(scenario), home / name)
         write_estimate(home / f"{name}.json", least_squares(load_record(home / name), tuple(TRUTH)))
-    return home
 
 
 def least_squares(record: Record, names: tuple[str, ...]) -> Estimate:
