@@ -100,7 +100,7 @@ def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
         assert not (out / "study.json").exists() or (out / "report.html").exists()
-    assert start(study, out, 2).wait() == 0
+    assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
     assert results(out) == results(whole)
 
 
