@@ -46,14 +46,13 @@ def completion(shell: str) -> None:
 
 
 def complete_paths(_: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Records and scenarios below the current folder, and names of vehicles, as an argument takes them.
+    """Records, scenarios and vehicles below the current folder, and names of vehicles, as an argument takes them.
 
     Where none begins with what was typed, the shell completes names of files.
     """
     kinds = (parameter.name or "").rstrip("s")
     found = [*_vehicles()] if kinds in ("vehicle", "path") else []
-    if kinds != "vehicle":
-        found += _below(Path(), kinds)
+    found += _below(Path(), kinds)
     chosen = sorted({name for name in found if name.startswith(incomplete)})
     return [CompletionItem(name) for name in chosen] or [CompletionItem(incomplete, type="file")]
 
@@ -68,7 +67,7 @@ def _vehicles() -> Iterator[str]:
 
 
 def _below(start: Path, kinds: str) -> Iterator[str]:
-    """Records, and files that begin as the parameter takes them, below a folder."""
+    """Records, vehicles, and files that begin as the parameter takes them, below a folder."""
     begins = {"scenario": "scenario/", "study": "study/", "campaign_file": "campaign/"}.get(kinds)
     waiting = [(start, 0)]
     for _ in range(LARGEST):
@@ -79,8 +78,10 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
             entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
         except OSError:
             continue
-        if begins is None and any(entry.name == "record.toml" for entry in entries):
-            yield folder.as_posix()
+        held = {entry.name for entry in entries}
+        if begins is None and not held.isdisjoint({"record.toml", "vehicle.toml"}):
+            if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in held):
+                yield folder.as_posix()
             continue
         for entry in entries:
             if entry.name.startswith("."):
@@ -88,7 +89,7 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
             if entry.is_dir(follow_symlinks=False):
                 if depth < DEPTH:
                     waiting.append((folder / entry.name, depth + 1))
-            elif entry.name.endswith(".toml") and kinds != "record" and _is_of_format(folder / entry.name, begins):
+            elif entry.name.endswith(".toml") and kinds not in ("record", "vehicle") and _is_of_format(folder / entry.name, begins):
                 yield (folder / entry.name).as_posix()
 
 

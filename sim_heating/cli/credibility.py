@@ -81,7 +81,12 @@ def _statement_in(results: Path) -> tuple[Path, dict[str, Any]]:
             f"close-loop wrote from it"
         )
     below = sorted(p.parent for name in RESULTS for p in results.glob(f"*/{name}"))
-    hint = f"; its folders have some, such as {display_path(below[0])}" if below else "; run the command again"
+    kept = next((kind for kind in ("vehicle", "record") if (results / f"{kind}.toml").is_file()), None)
+    hint = "; run the command again"
+    if kept is not None:
+        hint = f": it is a {kept}; name the directory that a command wrote with --out"
+    elif below:
+        hint = f"; its folders have some, such as {display_path(below[0])}"
     raise InputError(f"{display_path(results)}: holds no result with a credibility statement{hint}")
 
 

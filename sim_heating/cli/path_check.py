@@ -78,12 +78,19 @@ def _toml(place: Path, root: Path | None) -> CheckedPath:
         return _study(place, root)
     if data.get("format") == "optimal-entry/1":
         return _optimal_study(place, root)
-    if place.parent.name in ("control_points", "materials") and (place.parent.parent / VEHICLE).is_file():
-        return _vehicle(place.parent.parent, root)
+    if (vehicle := _vehicle_of(place)) is not None:
+        return _vehicle(vehicle, root)
     if "density_kg_m3" in data:
         read_toml(place, Material)
         return CheckedPath("material", place, f"material {place.stem}")
     raise InputError(f"{display_path(place)}: {_format_rule(data.get('format'))}")
+
+
+def _vehicle_of(place: Path) -> Path | None:
+    """Directory of the vehicle that a file is a part of: guidance, or a file of one of its folders; else None."""
+    folders = ("aero", "control_points", "materials", "ratio_sources")
+    directory = place.parent.parent if place.parent.name in folders else place.parent
+    return directory if (directory / VEHICLE).is_file() else None
 
 
 def _format_rule(found: object) -> str:
@@ -98,6 +105,8 @@ def _csv(place: Path, root: Path | None) -> CheckedPath:
     columns = {name.strip() for name in head.split(",")}
     if "time_s" in columns and (place.parent / DECLARATION).is_file():
         return _directory(place.parent, root)
+    if place.parent.name == "aero" and (vehicle := _vehicle_of(place)) is not None:
+        return _vehicle(vehicle, root)
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
         return CheckedPath("ratio table", place, describe_table(read_ratio_table(place)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))

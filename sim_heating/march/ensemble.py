@@ -23,7 +23,7 @@ from sim_heating.base.kernels import block
 from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITIONS
 from sim_heating.base.kernels.jit import address_of
 from sim_heating.heating.effects import Effect
-from sim_heating.heating.effects.compiled import effect_dispatcher
+from sim_heating.heating.effects.compiled import effect_dispatcher, unusable_value
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.lookup import pack_table
 from sim_heating.heating.ratio.table import RatioTable
@@ -562,6 +562,7 @@ class Ensemble:
         else:
             for g in groups:
                 one(g)
+        self._check_effects(time_s, histories, which)
         self.check()
         return out
 
@@ -610,6 +611,17 @@ class Ensemble:
         surface = np.array([self.state[place.temperature(0)] for place in self.lane_offsets])
         away = np.array([model.runs_away for model in self.models])
         return np.asarray((self.failures > 0.0) | ~np.isfinite(surface) | away)
+
+    def _check_effects(self, time_s: FloatArray, histories: FloatArray, which: Sequence[int]) -> None:
+        """Look for the reason of a failure in the effects that a user defined.
+
+        raises : RunError with effect, file, time and value, where a point failed and an effect of it has a value that
+                 no step can use
+        """
+        for model, failed, flight in zip(self.models, self.failed(), which, strict=True):
+            for use in model.effects if failed else ():
+                if fault := unusable_value(use, time_s, histories[flight]):
+                    raise RunError(f"{model.name}: {fault}")
 
     def check(self) -> None:
         """Raise an error where a point failed.

@@ -15,7 +15,9 @@ from sim_heating.heating.effects.compiled import compiled_kernel
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.trajectory import entry3dof, recorded
+from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.flight import Flight, VehicleData, check_samples
+from sim_heating.trajectory.guidance import load_guidance
 from sim_heating.trajectory.manoeuvres import NOT_FLOWN, trigger_text
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -56,7 +58,18 @@ def check_effects(effects: list[Effect]) -> None:
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Compile the user-defined effects of a vehicle's control points; raises as `check_effects`."""
+    """Check what a vehicle needs when it flies, as far as it has it: aerodynamics, guidance, effects.
+
+    raises : InputError where a table or a key of them is wrong, or a user-defined effect cannot be compiled
+    """
+    problems: list[str] = []
+    for file, read in (("aero/aero.toml", load_aero), ("guidance.toml", load_guidance)):
+        try:
+            if (vehicle.directory / file).is_file():
+                read(vehicle.directory)
+        except InputError as error:
+            problems += error.problems
+    raise_problems(problems)
     check_effects([use.effect for point in vehicle.control_points.values() for use in point.effects])
 
 

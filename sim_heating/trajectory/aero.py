@@ -103,10 +103,10 @@ class Mass(Convertible):
 
 
 class FileOfFolders(Convertible):
-    """Files of the tables below the folder `aero`; absent for a vehicle without elevon or body flap.
+    """Files of the tables below the folder `aero`, one row a point of the grid; those of a surface are absent without it.
 
-    longitudinal : CSV of CN, CA and Cm over Mach number and angle of attack
-    elevon, bodyflap : CSV of their increments for a deflection
+    longitudinal : CSV of the columns mach, alpha_deg, CN, CA, Cm: normal and axial force, pitching moment
+    elevon, bodyflap : CSV of the columns mach, alpha_deg, deflection_deg, CN, CA, Cm: increments for a deflection
     """
 
     longitudinal: FileOfFolder

@@ -33,6 +33,8 @@ from sim_heating.base.kernels.jit import njit, pointer
 from sim_heating.trajectory.schedules import pack, schedule_positions, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 
+GUIDANCE = "guidance.toml"
+"""File of a vehicle that holds its guidance."""
 TOUCHDOWN_RATE_M_S = 1.0
 """Sink rate at the end of the flare [m/s]."""
 FLARE_GAIN = 4.0
@@ -91,8 +93,8 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
 
     raises : InputError where the file is damaged, or absent and the scenario does not give all that is needed
     """
-    path = Path(vehicle_dir) / "guidance.toml"
-    own = read_toml(path, GuidanceFile).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
+    path = Path(vehicle_dir) / GUIDANCE
+    own = load_guidance(vehicle_dir).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
     given = changes.model_dump(exclude_none=True)
     # The two ways of reversing the bank exclude each other: that of a scenario replaces the vehicle's.
     if "target" in given or "reversals_m_s" in given:
@@ -110,6 +112,14 @@ class GuidanceFile(Guidance):
     format: str
     source: str
     confidence: str
+
+
+def load_guidance(vehicle_dir: Path) -> GuidanceFile:
+    """Read `<vehicle_dir>/guidance.toml`.
+
+    raises : InputError where it is missing or a key of it is wrong
+    """
+    return read_toml(Path(vehicle_dir) / GUIDANCE, GuidanceFile)
 
 
 def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:

@@ -14,10 +14,11 @@ from tests.support.paths import PRACTICE, ROOT, SCENARIOS
 
 @pytest.fixture
 def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a scenario and two records in it."""
+    """A folder with a scenario, two records and a vehicle in it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
     shutil.copy(SCENARIOS / "capsule.toml", tmp_path)
+    shutil.copytree(ROOT / "aircraft_data" / "capsule", tmp_path / "mine" / "pod")
     for name in ("p01", "p02"):
         shutil.copytree(PRACTICE / name, tmp_path / "flown" / name)
     return tmp_path
@@ -41,6 +42,9 @@ def completed(line: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
         ("sim-heating run c", ["capsule.toml"]),
         ("sim-heating estimate flown/", ["flown/p01", "flown/p02"]),
         ("sim-heating predict flown/p01 flown/p02 --vehicle or", ["orbiter"]),
+        ("sim-heating validate mi", ["mine/pod"]),
+        ("sim-heating new scenario --vehicle mi", ["mine/pod"]),
+        ("sim-heating predict mi", []),
         ("sim-heating validate ca", ["capsule", "capsule.toml"]),
         ("sim-heating plan c", []),  # there is no study: the shell completes names of files
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -214,6 +215,8 @@ def test_a_file_without_a_valid_effect_is_rejected(effects_folder, text, message
         ('physics="test"', "search_starts=7", "`search_starts`: 7 is not a function"),
         ('"multiply"', '"times"', "'times' is not one of add, multiply, emittance, model"),
         ("EFFECT =", "raise SystemExit(3)\nEFFECT =", "SystemExit: 3"),
+        ("steep(B, c, p, wall_K)", "steep(B, c, p)", r"steep\(B, c, p\) takes other .* write steep\(B, c, p, wall_K\)"),
+        ("steep(B, c, p, wall_K)", "steep(alpha)", r"steep\(alpha\) takes other arguments than a kernel"),
     ],
 )
 def test_a_field_of_the_wrong_kind_is_refused_with_the_file(effects_folder, old, new, hint):
@@ -221,6 +224,39 @@ def test_a_field_of_the_wrong_kind_is_refused_with_the_file(effects_folder, old,
     (effects_folder / "steep.py").write_text(SOURCE.replace(old, new))
     with pytest.raises(InputError, match=rf"steep\.py.*{hint}"):
         effects()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("@njit", "", "steep is not compiled; write @njit in the line above its `def`"),
+        ("flight.alpha_deg", "flight.alpha", "flight has no `alpha`; did you mean `alpha_deg`?"),
+        ("return 1.0 +", "1.0 +", "it returns nothing where a number is needed"),
+        ("B[p]", "B[p + 1]", r"reads beyond its numbers: .* its parameters B\[p\] to B\[p \+ 0\]"),
+    ],
+)
+def test_a_kernel_that_cannot_be_run_is_refused_with_what_to_write(effects_folder, capsys, old, new, what):
+    (effects_folder / "steepness.py").write_text(SOURCE.replace(old, new))
+    assert main(["validate", scenario("with_effect", EFFECT.format(table="", growth=GROWTH))]) == 2
+    assert re.search(rf"effect `alpha-growth` \(.*steepness\.py\).*{what}", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("(B[c + flight.alpha_deg] - 60.0) ** 0.5", "is nan at time_s 0; return a factor of 0 or above"),
+        ("-1000.0 * B[p]", "is -150 at time_s 0; return a factor of 0 or above"),
+        ("math.sqrt(500.0 - wall_K)", "is nan at time_s 0 at a wall of 600 K; return a factor of 0 or above"),
+    ],
+)
+def test_a_value_that_no_step_can_use_is_stated_with_effect_and_time(effects_folder, capsys, value, said):
+    changed = re.sub(r"return .*", f"return {value}", SOURCE).replace("\nfrom", "\nimport math\n\nfrom", 1)
+    if "wall_K" in value:
+        changed = changed.replace("physics=", "needs_wall=True, physics=")
+    (effects_folder / "steepness.py").write_text(changed)
+    assert main(["run", scenario("with_effect", EFFECT.format(table="", growth=GROWTH)), "--out", "run"]) == 1
+    message = capsys.readouterr().err
+    assert re.search(rf"{POINT}: effect `alpha-growth` \(.*steepness\.py\): {re.escape(said)} for every input", message)
 
 
 def test_lists_in_place_of_tuples_make_the_same_effect():

@@ -67,6 +67,27 @@ def test_a_glider_with_surfaces_has_them_in_its_tables_and_is_trimmed() -> None:
     assert "gamma_deg = -1.2" in Path("flight/scenario.toml").read_text()
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("aero/longitudinal.csv", ",Cm", ",CM", "longitudinal.csv: there is no column `Cm`"),
+        ("aero/longitudinal.csv", "mach,alpha_deg,CN", "mach,alpha_deg,CL", "longitudinal.csv: there is no column `CN`"),
+        ("aero/aero.toml", "mass_kg = 800.0", "mass_kg = 0.8", "`mass_kg`: 0.8 kg is"),
+        ("guidance.toml", "drag_m_s2", "drag_ms2", "unknown key `drag_ms2`"),
+    ],
+)
+def test_a_vehicle_is_good_only_where_it_can_be_flown(file: str, old: str, new: str, message: str) -> None:
+    """Its aerodynamics and guidance are read with it, and a file of them named alone is checked with its vehicle."""
+    made("vehicle", *POD, "--out", "pod")
+    text = Path("pod", file).read_text()
+    assert old in text
+    Path("pod", file).write_text(text.replace(old, new, 1))
+    for named in ("pod", f"pod/{file}"):
+        assert message in str(run("validate", named).exception)
+    Path("pod", file).write_text(text)
+    assert "good. vehicle pod" in run("validate", f"pod/{file}").output
+
+
 def test_a_trajectory_and_a_record_of_a_vehicle_without_surfaces_need_no_deflections() -> None:
     made("vehicle", *POD, "--out", "pod")
     t = np.arange(0.0, 100.0, 10.0)

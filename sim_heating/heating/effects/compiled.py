@@ -8,6 +8,7 @@ effect is its index.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,18 +17,29 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba import types
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path
+from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.kernels.jit import address_of, c_function
 from sim_heating.base.kernels.numba_private import call_effect_at, can_raise
-from sim_heating.heating.effects import Effect
+from sim_heating.heating import flight_variables
+from sim_heating.heating.effects import Effect, EffectUse
 
 SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value [-] = dispatcher(code, B, c, p, wall_K), wall_K [K]."""
 KERNEL = types.float64(types.CPointer(types.float64), types.int64, types.int64, types.float64)
 """value [-] = kernel(B, c, p, wall_K), wall_K [K]."""
+
+FLOWN = tuple(name for name, place in vars(flight_variables).items() if isinstance(place, int))
+"""Names of the flight conditions that a kernel reads."""
+CONDITIONS = 1 + max(getattr(flight_variables, name) for name in FLOWN)
+"""Flight conditions before the parameters, where a kernel is run by itself."""
+PROBED_WALL_K = 300.0
+PROBED_WALLS_K = (300.0, 600.0, 1000.0, 1500.0, 2000.0)
+"""Wall temperatures at which values of an effect that depends on it are looked at [K]."""
 
 
 @dataclass(frozen=True)
@@ -114,20 +126,87 @@ def compiled_kernel(effect: Effect) -> Any:
     raises : InputError with file and line where it cannot be compiled, or where it can raise an exception (so can
              printing and allocating): a kernel called from C has no caller that could catch one
     """
+    if not hasattr(effect.kernel, "py_func"):
+        name = getattr(effect.kernel, "__name__", "the kernel")
+        raise InputError(f"{effect_context(effect)}: {name} is not compiled; write @njit in the line above its `def`")
     try:
         made, raises = _compiled(effect.kernel)
     except Exception as error:  # whatever the compiler finds in a user's kernel
-        lines = [line.strip(' "') for line in str(error).splitlines()]
-        reason = next((line for line in lines if line and not line.startswith("Failed in")), repr(error))
         number = re.search(r"line (\d+)", str(error))
         at = f", line {number[1]}" if number else ""
-        raise InputError(f"{effect_context(effect)}{at}: cannot be compiled: {reason}") from error
+        raise InputError(f"{effect_context(effect)}{at}: cannot be compiled: {_reason(error)}") from error
     if raises:
         raise InputError(
             f"{effect_context(effect)}: raises, prints or allocates memory, which a time step cannot; "
             "return a number for every input"
         )
+    _check_places(effect)
     return made
+
+
+def _reason(error: Exception) -> str:
+    """What the compiler says of a kernel, in a line; in the user's words where it speaks of its own."""
+    text = str(error)
+    if unknown := re.search(rf"module '{flight_variables.__name__}' has no attribute '(\w+)'", text):
+        return f"flight has no `{unknown[1]}`{suggestion(unknown[1], FLOWN)}"
+    if kind := re.search(r"No conversion from (.+) to float64 for '\$\S*return_value", text):
+        returned = "nothing" if kind[1] == "none" else f"a value of another kind, {kind[1]},"
+        return f"it returns {returned} where a number is needed"
+    lines = [line.strip(' "') for line in text.splitlines()]
+    return next((line for line in lines if line and not line.startswith("Failed in")), repr(error))
+
+
+def _check_places(effect: Effect) -> None:
+    """Run a user's kernel once by the interpreter, which knows where its numbers end: a compiled one reads on.
+
+    raises : InputError where it reads beyond the flight conditions and the parameters of the effect
+    """
+    if effect.built_in:
+        return
+    try:
+        with np.errstate(all="ignore"):
+            nominal = _numbers([p.value for p in effect.parameters])
+            effect.kernel.py_func(nominal, 0, CONDITIONS, PROBED_WALL_K)  # type: ignore[union-attr]
+    except IndexError:
+        raise InputError(
+            f"{effect_context(effect)}: reads beyond its numbers: those of the flight are B[c + flight.NAME], its "
+            f"parameters B[p] to B[p + {len(effect.parameters) - 1}], in the order in which they are declared"
+        ) from None
+    except Exception:  # such as a logarithm of 0: conditions of 0 are of no flight
+        return
+
+
+def _numbers(values: Sequence[float], conditions: Sequence[float] = ()) -> FloatArray:
+    """What a kernel reads by itself: conditions, (CONDITIONS,), zeros where none are given, then its parameters."""
+    flown = np.zeros(CONDITIONS)
+    flown[: len(conditions)] = conditions
+    return np.concatenate([flown, values])
+
+
+def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> str:
+    """Where a user's effect has a value that no thermal step can use, by the interpreter; for a march that failed.
+
+    use     : the effect and the values of its parameters
+    time_s  : (time,) samples of the flight [s];  history : (time, condition) in the units of their columns
+    returns : a line with effect, file, time and value; empty where all values are usable, or the effect is no user's
+    """
+    effect = use.effect
+    if effect.kernel is None or effect.built_in:
+        return ""
+    function = getattr(effect.kernel, "py_func", effect.kernel)
+    for t, conditions in zip(time_s, history, strict=True):
+        for wall_K in PROBED_WALLS_K if effect.needs_wall else (PROBED_WALL_K,):
+            try:
+                with np.errstate(all="ignore"):
+                    value = float(function(_numbers(use.values, conditions), 0, CONDITIONS, wall_K))
+            except (ArithmeticError, TypeError, ValueError):  # what a compiled kernel returns as nan
+                value = math.nan
+            if math.isfinite(value) and not (value < 0.0 and effect.mode != "add"):
+                continue
+            wall = f" at a wall of {wall_K:g} K" if effect.needs_wall else ""
+            rule = "a factor of 0 or above" if effect.mode != "add" else "a finite number"
+            return f"{effect_context(effect)}: is {value:g} at time_s {t:g}{wall}; return {rule} for every input"
+    return ""
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal, get_args, get_type_hints
@@ -14,6 +15,8 @@ from sim_heating.base.parameters import MODEL, RECORD_PARAMETERS, Parameter, is_
 
 NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
 """Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
+KERNEL_ARGUMENTS = ("B", "c", "p", "wall_K")
+"""Arguments of a kernel: the numbers of a lane, where its conditions begin, where the effect's parameters begin, K."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,22 @@ class Effect:
         raise_problems(
             [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {what}" for f, what in wrong.items() if what]
         )
+        self._check_arguments()
+
+    def _check_arguments(self) -> None:
+        """raises : InputError where the kernel takes other arguments than (B, c, p, wall_K)"""
+        if self.kernel is None:
+            return
+        function = getattr(self.kernel, "py_func", self.kernel)
+        try:
+            given = inspect.signature(function)
+            given.bind(*KERNEL_ARGUMENTS)
+        except TypeError:
+            called = f"{function.__name__}({', '.join(given.parameters)})"
+            raise InputError(
+                f"effect {self.name}, `kernel`: {called} takes other arguments than a kernel; "
+                f"write {function.__name__}({', '.join(KERNEL_ARGUMENTS)})"
+            ) from None
 
     def _check_names(self, names: Iterable[str], where: str) -> None:
         """raises : InputError where one of the names is not a parameter of this effect"""

@@ -124,7 +124,7 @@ def effect(name: str) -> Effect:
     # Those of the package first: a vehicle that declares one does not depend on the files of a user.
     known = own if name in (own := _built_in()) else effects()
     if name not in known:
-        folders = os.environ.get(FOLDERS_VARIABLE) or "not set"
+        folders = os.environ.get(FOLDERS_VARIABLE) or "not set: set it to the folder of your file"
         where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders})"
         raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{where}")
     return known[name]
