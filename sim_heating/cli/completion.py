@@ -69,7 +69,7 @@ def _vehicles() -> Iterator[str]:
 def _below(start: Path, kinds: str) -> Iterator[str]:
     """Records, vehicles, and files that begin as the parameter takes them, below a folder."""
     begins = {"scenario": "scenario/", "study": "study/", "campaign_file": "campaign/"}.get(kinds)
-    waiting = [(start, 0)]
+    of_files, waiting = kinds not in ("record", "vehicle"), [(start, 0)]
     for _ in range(LARGEST):
         if not waiting:
             return
@@ -89,7 +89,7 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
             if entry.is_dir(follow_symlinks=False):
                 if depth < DEPTH:
                     waiting.append((folder / entry.name, depth + 1))
-            elif entry.name.endswith(".toml") and kinds not in ("record", "vehicle") and _is_of_format(folder / entry.name, begins):
+            elif of_files and entry.name.endswith(".toml") and _is_of_format(folder / entry.name, begins):
                 yield (folder / entry.name).as_posix()
 
 

@@ -125,6 +125,14 @@ def _number(values: Mapping[str, str], name: str, option: str, low: float, high:
     return value
 
 
+def _limits(point: Mapping[str, Any]) -> str:
+    """Limits of a point in words; that of the bondline with the layer at whose outer face it is."""
+    surface = f"limit {point['surface_K']:g} K"
+    if point["bondline_K"] is None:
+        return surface
+    return f"{surface}, {point['bondline_K']:g} K at the outer face of {point['layers'][-1].name} (bondline)"
+
+
 def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple[Vehicle, list[str]]:
     """Write a vehicle directory, named as the vehicle, and check it as a whole; its ratio tables are built.
 
@@ -172,8 +180,7 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
             path.rmdir()
         made.rmdir()
     notes = [
-        f"{p['name']}: {p['ratio_source']}; limit {p['surface_K']:g} K; thermocouple {p['sensor_place']}"
-        for p in values["points"]
+        f"{p['name']}: {p['ratio_source']}; {_limits(p)}; thermocouple {p['sensor_place']}" for p in values["points"]
     ]
     notes.append(f"aerodynamics: {values['aero_source']}")
     notes.append(f"guidance: drag against speed as {values['guidance_of']}")

@@ -103,7 +103,7 @@ class Mass(Convertible):
 
 
 class FileOfFolders(Convertible):
-    """Files of the tables below the folder `aero`, one row a point of the grid; those of a surface are absent without it.
+    """Files of the tables below the folder `aero`, one row a point of the grid; a surface that does not exist has none.
 
     longitudinal : CSV of the columns mach, alpha_deg, CN, CA, Cm: normal and axial force, pitching moment
     elevon, bodyflap : CSV of the columns mach, alpha_deg, deflection_deg, CN, CA, Cm: increments for a deflection

@@ -71,7 +71,7 @@ def test_a_glider_with_surfaces_has_them_in_its_tables_and_is_trimmed() -> None:
     ("file", "old", "new", "message"),
     [
         ("aero/longitudinal.csv", ",Cm", ",CM", "longitudinal.csv: there is no column `Cm`"),
-        ("aero/longitudinal.csv", "mach,alpha_deg,CN", "mach,alpha_deg,CL", "longitudinal.csv: there is no column `CN`"),
+        ("aero/longitudinal.csv", "deg,CN", "deg,CL", "longitudinal.csv: there is no column `CN`"),
         ("aero/aero.toml", "mass_kg = 800.0", "mass_kg = 0.8", "`mass_kg`: 0.8 kg is"),
         ("guidance.toml", "drag_m_s2", "drag_ms2", "unknown key `drag_ms2`"),
     ],
