@@ -80,6 +80,13 @@ def test_a_flight_that_leaves_the_atmosphere_is_an_error(capsys: pytest.CaptureF
     assert "outside the atmosphere" in error
 
 
+def test_a_flight_without_an_end_is_told_which_keys_end_it(capsys: pytest.CaptureFixture[str]) -> None:
+    status, error = validated(SHORT.replace("time_s = 60.0", ""), capsys)
+    assert status == 2
+    assert "scenario.toml, [trajectory]: 3-DOF entry: at" in error
+    assert "or end the flight earlier by `mach`, `velocity_m_s`, `altitude_m` or `time_s` in [trajectory.stop]" in error
+
+
 def test_the_recorded_flight_that_a_scenario_names_is_read(capsys: pytest.CaptureFixture[str]) -> None:
     flown = read_csv_columns(SCENARIOS / "data" / "sts107_early_entry.csv", ("time_s",)).columns
     write_csv("flight.csv", flown)
