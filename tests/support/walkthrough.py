@@ -95,7 +95,7 @@ class Walk:
         first, *arguments = shlex.split(command.replace("\\\n", " "), comments=True)
         self.commands += 1
         if first == "export":
-            self.environment.update(argument.split("=", 1) for argument in arguments)
+            self.environment |= {name: value for name, _, value in (a.partition("=") for a in arguments)}
             return
         program = ["-m", "sim_heating"] if first == "sim-heating" else []
         done = subprocess.run(
