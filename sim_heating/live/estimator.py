@@ -124,13 +124,20 @@ class LiveEstimate:
 
 
 class Innovation(NamedTuple):
-    """A reading as it was expected: reading less prediction [K], and the variance that it ought to have [K2]."""
+    """A reading as it was expected.
+
+    innovation_K, variance_K2 : reading less prediction [K], and the variance that it ought to have [K2]; of a recorder
+                                word those of docs/theory/filter.md, equation 10
+    predicted_K, predicted_variance_K2 : the expected reading [K] and its variance with its noise [K2]
+    """
 
     time_s: float
     point: str
     sensor: str
     innovation_K: float
     variance_K2: float
+    predicted_K: float
+    predicted_variance_K2: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +213,7 @@ class LiveEstimator:
         self._kept: list[_Kept] = []
         self._provisional, self._changed = False, False
         self._dirty = (math.inf, math.inf)
-        self._log: list[tuple[float, int, float, float]] = []
+        self._log: list[tuple[float, int, float, float, float, float]] = []
         self._given_until = -math.inf
         self.steps = 0
 
@@ -424,7 +431,8 @@ class LiveEstimator:
             self._log += list(
                 zip(
                     given.time_s[read].tolist(), numbers[read].tolist(), found.innovation_K[read].tolist(),
-                    found.innovation_variance_K2[read].tolist(), strict=True,
+                    found.innovation_variance_K2[read].tolist(), found.predicted_K[read].tolist(),
+                    found.variance_K2[read].tolist(), strict=True,
                 )
             )  # fmt: skip
         return vectors
@@ -575,7 +583,7 @@ class LiveEstimator:
         final = sorted(r for r in self._log[:count] if self._given_until < r[0] <= min(until, self._now.time_s))
         self._given_until = min(until, self._now.time_s)
         # what is given is needed no more, but where a snapshot may go back to it
-        return [Innovation(t, *self._sensors.place[n], nu, v) for t, n, nu, v in final]
+        return [Innovation(t, *self._sensors.place[n], *expected) for t, n, *expected in final]
 
     @property
     def diverged(self) -> list[str]:

@@ -1,0 +1,181 @@
+"""Sequential test of innovations: whether something is missing in the model, while the readings come.
+
+Each series of innovations is tested against alternatives: a mean that is not 0, innovations that follow one another, a
+variance that is too large. With l_n the log likelihood ratio of innovation n against an alternative, and dt_n the time
+since the innovation before it, the statistic of Shiryaev and Roberts is
+
+    R_n = (R_(n-1) + dt_n) exp(l_n).
+
+Where nothing is missing, the expected value of exp(l_n) given all earlier readings is at most 1, so that R less the
+time is a supermartingale, and so is a mean R of many series and alternatives. The alarm at R >= A then has a mean time
+to the first false alarm of A at least, whatever the rate of the readings: A is the inverse of the stated rate of false
+alarms (Pollak, Ann. Statist. 13 (1985) 206; Roberts, Technometrics 8 (1966) 411).
+
+A recorder word tells an interval. Its score is the expected value of the standard normal innovation within it, for
+which exp(l) is smaller still on average (Jensen's inequality, as exp(l) is convex in the innovation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+
+MEANS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Means of the alternatives, to either side, over the standard deviation of an innovation [-]."""
+FOLLOWS = (0.25, 0.5)
+"""Part of an innovation that the next one keeps, in the alternatives of innovations that follow one another [-]."""
+VARIANCES = (2.0, 4.0)
+"""Variances of the alternatives over what they ought to be [-]."""
+LONGEST_WAIT_S = 60.0
+"""Most that a pause between two readings adds to a statistic [s]: during a gap there is nothing to test."""
+HOUR_S = 3600.0
+
+_shifts = np.array([sign * m for m in MEANS for sign in (1.0, -1.0)])
+_follows, _variances = np.array(FOLLOWS), np.array(VARIANCES)
+_kinds = np.array(["mean"] * len(_shifts) + ["order"] * len(_follows) + ["variance"] * len(_variances))
+
+
+@dataclass
+class _Series:
+    """Statistics of the innovations of one sensor, or of all sensors of a control point.
+
+    log_R : (alternative,) logarithm of R over an hour;  last_s, last : time [s] and score of the last innovation
+    """
+
+    log_R: FloatArray
+    last_s: float = math.nan
+    last: float = math.nan
+
+    def take(self, time_s: float, score: float) -> None:
+        waited_s = min(max(time_s - self.last_s, 0.0), LONGEST_WAIT_S) if self.last_s == self.last_s else 0.0
+        ratios = np.empty(len(_kinds))
+        n, m = len(_shifts), len(_shifts) + len(_follows)
+        ratios[:n] = _shifts * score - 0.5 * _shifts**2
+        before = _follows * (0.0 if self.last != self.last else self.last)
+        ratios[n:m] = before * score - 0.5 * before**2
+        ratios[m:] = -0.5 * np.log(_variances) + 0.5 * score**2 * (1.0 - 1.0 / _variances)
+        if waited_s > 0.0:
+            self.log_R = np.logaddexp(self.log_R, math.log(waited_s / HOUR_S))
+        self.log_R = self.log_R + ratios
+        self.last_s, self.last = time_s, score
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A sequential test that fired.
+
+    time_s : of the reading with which it fired [s]
+    point  : control point with the largest statistic;  sensor : the sensor, "" where all of the point together have it
+    kind   : what is wrong with the innovations: "mean", "order" (they follow one another) or "variance"
+    """
+
+    time_s: float
+    point: str
+    sensor: str
+    kind: str
+
+    @property
+    def text(self) -> str:
+        """What the readings show, in one line."""
+        where = f"{self.sensor} at {self.point}" if self.sensor else f"the sensors at {self.point}"
+        what = {
+            "mean": "away from what the model expects",
+            "order": "away from what the model expects, one after the other to the same side",
+            "variance": "scattered more than their noise",
+        }[self.kind]
+        return f"since {self.time_s:.1f} s readings of {where} are {what}"
+
+
+@dataclass
+class SequentialTest:
+    """Test of the innovations of all sensors of a link, as they come.
+
+    false_alarms_per_hour : stated rate: where nothing is missing the mean time to the first alarm is at least its
+                            inverse
+
+    `take` gives it innovations in order of time. `alarm` is the first alarm since the start or `again`, or None.
+
+    >>> import numpy as np
+    >>> from sim_heating.live.sequential import SequentialTest
+    >>> test = SequentialTest(false_alarms_per_hour=0.01)
+    >>> noise = np.random.default_rng(1).normal(size=600)
+    >>> for i, z in enumerate(noise + np.where(np.arange(600) < 300, 0.0, 1.5)):
+    ...     test.take(0.5 * i, "NOSE", "surface", z, 1.0)
+    >>> 150.0 < test.alarm.time_s < 165.0
+    True
+    """
+
+    false_alarms_per_hour: float = 0.01
+    alarm: Alarm | None = None
+    _series: dict[tuple[str, str], _Series] = field(default_factory=dict)
+
+    @property
+    def threshold(self) -> float:
+        """Logarithm of the time that the statistic has to exceed, in hours."""
+        return -math.log(self.false_alarms_per_hour)
+
+    @property
+    def statistic(self) -> float | None:
+        """Logarithm of the mean of all R, in hours; None before the first two readings of a sensor."""
+        if not self._series:
+            return None
+        rows = np.concatenate([s.log_R for s in self._series.values()])
+        largest = float(np.max(rows))
+        if not math.isfinite(largest):
+            return None
+        return largest + math.log(float(np.mean(np.exp(rows - largest))))
+
+    def take(self, time_s: float, point: str, sensor: str, innovation: float, variance: float) -> None:
+        """Take one innovation.
+
+        time_s     : of the reading [s]; not before that of the last one
+        innovation : reading less prediction, over any unit;  variance : that it ought to have, in that unit squared
+
+        For a recorder word, the innovation and variance that `score_of_word` gives.
+        """
+        self._take(time_s, point, sensor, innovation / math.sqrt(variance))
+
+    def take_all(self, innovations: Iterable[tuple[float, str, str, float]]) -> None:
+        """Take innovations as (time [s], point, sensor, score), in order of time."""
+        for time_s, point, sensor, score in innovations:
+            self._take(time_s, point, sensor, score)
+
+    def _take(self, time_s: float, point: str, sensor: str, score: float) -> None:
+        for key in ((point, sensor), (point, "")):
+            if key not in self._series:
+                self._series[key] = _Series(np.full(len(_kinds), -np.inf))
+            self._series[key].take(time_s, score)
+        if self.alarm is None:
+            statistic = self.statistic
+            if statistic is not None and statistic >= self.threshold:
+                self.alarm = self._largest(time_s)
+
+    def _largest(self, time_s: float) -> Alarm:
+        (point, sensor), series = max(self._series.items(), key=lambda item: float(np.max(item[1].log_R)))
+        return Alarm(time_s, point, sensor, str(_kinds[int(np.argmax(series.log_R))]))
+
+    def leave_out(self, point: str, sensor: str) -> None:
+        """Forget a sensor that was taken out, and with it what it told of its point."""
+        self._series.pop((point, sensor), None)
+        self._series.pop((point, ""), None)
+
+    def again(self) -> None:
+        """Begin again, after an alarm for instance."""
+        self.alarm = None
+        self._series.clear()
+
+
+def score_of_word(innovation: float, innovation_variance: float, variance: float) -> float:
+    """Expected standard normal innovation of a reading known as an interval, E xi; of an exact one, nu / sqrt(S).
+
+    innovation, innovation_variance : nu and S / (1 - var xi) of docs/theory/filter.md, equation 10
+    variance : S, variance of the expected reading with its noise
+
+    From nu = sqrt(S) E xi / (1 - var xi), the same unit squared for both variances.
+    """
+    return innovation * math.sqrt(variance) / innovation_variance

@@ -1,0 +1,117 @@
+"""The sequential test keeps its stated rate of false alarms, and finds what is missing soon."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sim_heating.base.kernels.truncated_normal import truncated_normal
+from sim_heating.estimation.filter.kernel import innovation
+from sim_heating.live.sequential import SequentialTest, score_of_word
+
+
+def first_alarm_s(scores: np.ndarray, every_s: float, rate: float) -> float:
+    """Time [s] of the first alarm of one sensor; infinite for none."""
+    test = SequentialTest(rate)
+    for i, z in enumerate(scores):
+        test.take(every_s * i, "NOSE", "surface", float(z), 1.0)
+        if test.alarm is not None:
+            return test.alarm.time_s
+    return math.inf
+
+
+def test_mean_time_to_a_false_alarm_is_at_least_the_stated_one() -> None:
+    # 20 alarms an hour: 180 s. Alarms within t of the start have at most the probability t / 180 s.
+    rate, every_s, rng = 20.0, 1.0, np.random.default_rng(20)
+    times = [first_alarm_s(rng.normal(size=400), every_s, rate) for _ in range(60)]
+    assert np.mean(np.minimum(times, 400.0)) > 180.0
+    assert np.mean(np.array(times) < 90.0) < 0.5
+
+
+@pytest.mark.parametrize("every_s", [0.1, 2.0])
+def test_a_null_flight_of_a_quarter_of_an_hour_raises_no_alarm_at_any_rate_of_readings(every_s: float) -> None:
+    rng = np.random.default_rng(3)
+    assert first_alarm_s(rng.normal(size=int(900 / every_s) // 4), every_s, 0.01) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [
+        (lambda z: z + 1.0, "mean"),
+        (lambda z: z - 1.0, "mean"),
+        (lambda z: 2.5 * z, "variance"),
+    ],
+)
+def test_what_is_missing_is_found_within_a_minute(wrong, kind: str) -> None:
+    rng, rate = np.random.default_rng(7), 0.01
+    z = rng.normal(size=600)
+    z[300:] = wrong(z[300:])
+    test = SequentialTest(rate)
+    for i, value in enumerate(z):
+        test.take(float(i), "NOSE", "surface", float(value), 1.0)
+    assert test.alarm is not None
+    assert 300.0 <= test.alarm.time_s < 360.0
+    assert test.alarm.kind == kind
+    assert "NOSE" in test.alarm.text
+
+
+def test_innovations_that_follow_one_another_are_found_although_their_variance_is_right() -> None:
+    rng = np.random.default_rng(11)
+    z = np.zeros(900)
+    for i in range(1, len(z)):
+        z[i] = 0.8 * z[i - 1] + 0.6 * rng.normal()
+    assert first_alarm_s(z, 1.0, 0.01) < 300.0
+
+
+def test_a_small_common_shift_is_found_sooner_with_more_sensors() -> None:
+    rng, alone, together = np.random.default_rng(5), SequentialTest(0.01), SequentialTest(0.01)
+    for i in range(900):
+        for k in range(5):
+            z = float(rng.normal() + 0.35)
+            together.take(float(i), "NOSE", f"tc{k}", z, 1.0)
+            if k == 0:
+                alone.take(float(i), "NOSE", "tc0", z, 1.0)
+    assert together.alarm is not None
+    assert alone.alarm is not None
+    assert together.alarm.time_s < 0.6 * alone.alarm.time_s
+
+
+def test_score_of_a_word_is_the_expected_innovation_within_it() -> None:
+    variance = 9.0
+    nu, against, _ = innovation(500.0, 510.0, 503.0, variance)
+    low, high = (500.0 - 503.0) / 3.0, (510.0 - 503.0) / 3.0
+    x = truncated_normal(low, high, high - low)[1]
+    assert score_of_word(nu, against, variance) == pytest.approx(x, rel=1e-9)
+    exact, same, _ = innovation(505.0, 505.0, 503.0, variance)
+    assert score_of_word(exact, same, variance) == pytest.approx(2.0 / 3.0)
+
+
+def test_coarse_words_raise_fewer_false_alarms_than_exact_readings() -> None:
+    # words of four standard deviations: nearly all is lost, and no alarm may come of it
+    rng, rate, times = np.random.default_rng(2), 20.0, []
+    for _ in range(25):
+        test = SequentialTest(rate)
+        for i in range(300):
+            mean = float(rng.uniform(0.0, 4.0))
+            low = 4.0 * math.floor((mean + rng.normal()) / 4.0)
+            nu, against, _ = innovation(low, low + 4.0, mean, 1.0)
+            if math.isfinite(against):
+                test.take_all([(float(i), "NOSE", "surface", score_of_word(nu, against, 1.0))])
+        times.append(300.0 if test.alarm is None else test.alarm.time_s)
+    assert np.mean(times) > 180.0
+
+
+def test_a_gap_is_no_time_of_test_and_a_sensor_taken_out_is_forgotten() -> None:
+    test = SequentialTest(0.01)
+    test.take(0.0, "NOSE", "surface", 0.0, 1.0)
+    test.take(1.0, "NOSE", "surface", 0.0, 1.0)
+    before = test.statistic
+    assert before is not None
+    test.take(36_000.0, "NOSE", "surface", 0.0, 1.0)
+    after = test.statistic
+    assert after is not None
+    assert math.exp(after) < 120.0 / 3600.0
+    test.leave_out("NOSE", "surface")
+    assert test.statistic is None
