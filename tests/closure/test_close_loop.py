@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import files_written
-from sim_heating.cli import cli
+from sim_heating.cli import cli, main
 from sim_heating.closure.close import FILES, close_loop
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.search import search_effects, search_round
@@ -190,13 +190,17 @@ def test_a_clock_in_milliseconds_is_refused_before_any_search(wrong: str, whose:
 
 
 @posix
-def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no_other(tmp_path: Path) -> None:
+def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     records, out = tmp_path / "records", tmp_path / "out"
     for name in ("b06", "b07", "b99"):
         shutil.copytree(BOARD, records / name)
     (records / "b99" / "thermocouples.csv").write_text("time_s,tc_5p72mm_K\n0,hot\n")
-    command = [sys.executable, "-m", "sim_heating", "close-loop", str(records), "--out", str(out), "--workers", "1"]
-    killed = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    command = ["close-loop", str(records), "--out", str(out), "--workers", "1"]
+    killed = subprocess.Popen(
+        [sys.executable, "-m", "sim_heating", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     finished = out / "finished"
     while killed.poll() is None and not list(finished.glob(".b06-*.sha256")):
         time.sleep(0.05)
@@ -204,10 +208,10 @@ def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no
     killed.wait()
     first = {p.name: p.stat().st_mtime_ns for p in finished.glob("b06-*.json")}
     assert first
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 1
-    assert "b99" in result.stderr
-    assert "Traceback" not in result.stderr
+    assert main(command) == 1
+    error = capsys.readouterr().err
+    assert "b99" in error
+    assert "Traceback" not in error
     assert {p.name: p.stat().st_mtime_ns for p in finished.glob("b06-*.json")} == first
     rows = {row["record"]: row for row in json.loads((out / "summary.json").read_text())["records"]}
     assert rows["b06"]["effects"] == rows["b07"]["effects"]
@@ -218,8 +222,8 @@ def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no
     closure = (out / "b07" / "closure.json").read_bytes()
     shutil.rmtree(out / "b07")
     next(finished.glob("b06-*.json")).write_bytes(b"\xff\xfe{")
-    again = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert "Traceback" not in again.stderr
+    assert main(command) == 1
+    assert "Traceback" not in capsys.readouterr().err
     assert (out / "b07" / "closure.json").read_bytes() == closure
     assert {row["record"]: row for row in json.loads((out / "summary.json").read_text())["records"]} == rows
 
