@@ -195,12 +195,22 @@ def _exit_status(arguments: list[str], report: CommandReport) -> int:
         return stop.exit_code
     except click.ClickException as error:
         name_command(getattr(error, "ctx", None))
+        if isinstance(error, click.NoSuchOption):
+            error.possibilities = _close_options(error)
         return _failed(report, 2, "error", "usage", error.format_message())
     except InputError as error:
         return _failed(report, 2, "error", "input", *error.problems)
     except RunError as error:
         return _failed(report, 1, "failed", "failed", str(error))
     return 0
+
+
+def _close_options(error: click.NoSuchOption) -> list[str]:
+    """The options that an unknown one is similar to by its letters; the dashes are the same in all."""
+    from sim_heating.base.files import nearest_name
+
+    wrong = error.option_name.strip("-")
+    return [name for name in error.possibilities or () if nearest_name(wrong, [name.strip("-")])]
 
 
 def _failed(report: CommandReport, status: int, label: str, kind: str, *problems: str) -> int:

@@ -76,6 +76,7 @@ def _lists(
     path: Path, points: tuple[str, ...] | None, effects: tuple[str, ...], root: Path | None
 ) -> tuple[list[ParameterList], list[Path]]:
     """The parameters of a record or of the control points of a scenario, and the files that they are read from."""
+    from sim_heating.base.files import display_path
     from sim_heating.estimation.parameter_list import parameter_list, scenario_parameters
     from sim_heating.inputs.record import DECLARATION, load_record
     from sim_heating.inputs.scenario import load_scenario
@@ -88,6 +89,10 @@ def _lists(
         record = load_record(path.parent if path.name == DECLARATION else path, root=root)
         with progress_line("parameters") as progress:
             return [parameter_list(record, effects=effects, progress=progress)], [record.directory]
+    if path.is_file() and path.suffix != ".toml":
+        raise InputError(
+            f"{display_path(path)}: give a flight record (a directory with {DECLARATION}) or a scenario.toml"
+        )
     scenario = load_scenario(path, root=root)
     if points is None:
         return scenario_parameters(scenario, effects=effects), list(scenario.files)

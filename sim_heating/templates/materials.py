@@ -95,7 +95,7 @@ def layer_input(text: str, option: str = "--layer") -> LayerInput:
         raise InputError(f"{option} `{text}`: write a material and a thickness with its unit, such as {EXAMPLE}")
     if not found[3]:
         raise InputError(f"{option} `{text}`: the thickness has no unit; write such as {EXAMPLE} (mm, m, in, mil, um)")
-    thickness_m = quantity(f"{found[2]} {found[3]}", "m", f"{option} `{text}`", EXAMPLE)
+    thickness_m = quantity(f"{found[2]} {found[3]}", "m", f"{option} `{text}`", EXAMPLE, "thickness_m")
     name, material = find_material(found[1])
     return LayerInput(name, material, thickness_m)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import warnings
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -379,6 +380,7 @@ def _with_time(
     if unit is not None:
         if si_factors(unit, "s") is None:
             raise InputError(f"--time-unit {unit}: is not a unit of time; give one of {', '.join(DURATIONS)}")
+        _warn_of_other_unit(path, found, unit, "--time-unit")
         found = replace(found, unit=unit, reason=f"{found.reason}; --time-unit")
     elif not found.unit:
         found = replace(found, unit="s", reason=f"{found.reason}; no unit: s assumed")
@@ -389,11 +391,23 @@ def _with_time(
     return [found if k == at else c for k, c in enumerate(others)]
 
 
+def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -> None:
+    """Warn where a column states another unit than the option that prevails over it."""
+    si = SI_UNITS[column.kind]
+    if column.unit and si_factors(column.unit, si) != si_factors(unit, si):
+        warnings.warn(
+            f"{display_path(path)}, column {column.name}: the file says {column.unit}, {option} says {unit}; read as "
+            f"{unit}. Leave {option} out where the file is right",
+            stacklevel=2,
+        )
+
+
 def _with_unit(path: Path, column: CsvColumn, unit: str | None) -> CsvColumn:
     """A temperature with its unit: the one given, that of the name, else by its first readings."""
     if unit is not None:
         if si_factors(unit, "K") is None:
             raise InputError(f"--temperature-unit {unit}: is not a unit of temperature; give K, degC or degF")
+        _warn_of_other_unit(path, column, unit, "--temperature-unit")
         return replace(column, unit=unit, reason=f"{column.reason}; --temperature-unit")
     if column.unit:
         return column

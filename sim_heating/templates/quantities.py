@@ -10,6 +10,7 @@ import pint
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import plain_number, suggestion
+from sim_heating.base.limits import quantity as range_of
 
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number, with a decimal point or a decimal comma."""
@@ -55,25 +56,33 @@ def _pint_syntax(unit: str) -> str:
     return f"{over}/({re.sub(' +', '*', under.strip('() '))})" if slash and "/" not in under else text
 
 
-def quantity(text: str, unit: str, option: str, example: str) -> float:
-    """A number with a unit in SI units; a plain number is taken to be in the SI unit.
+def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> float:
+    """A number with a unit in SI units. Only a 0 may stand without one, where it is the same in all units.
 
     unit    : SI unit of the result, as `m`, `K`, `W/m2`
     option  : what the number is of, for messages
     example : how it may be written, for messages
-    raises  : InputError, one line, where it is no number or its unit is unknown or of another quantity
+    key     : of a declared file, whose range holds for the number, as `initial_K`; that of a standard deviation of a
+              temperature, `noise_sigma_K`, is of differences: 1 degC is 1 K
+    raises  : InputError, one line, where it is no number, its unit is absent, unknown or of another quantity, or it is
+              out of the range of its key
     """
     found = re.fullmatch(rf"\s*({NUMBER})\s*(.*?)\s*", text)
     if found is None:
         raise InputError(f"{option}: `{text}` is not a number with a unit; write {example}")
     value = plain_number(found[1].replace(",", "."))
-    if not found[2]:
-        return value
-    scale = si_factors(found[2], unit)
+    is_difference = key.endswith("sigma_K")
+    if not found[2] and (value != 0.0 or (unit == "K" and not is_difference)):
+        raise InputError(f"{option}: `{text.strip()}` has no unit; write {example}")
+    scale = si_factors(found[2] or unit, unit)
     if scale is None:
         raise InputError(f"{option}: `{found[2]}` is not a unit that converts to {unit}; write {example}")
     # rounded to what a person types: 21 degC is 294.15 K, not 294.15000000000003 K
-    return float(f"{scale[0] * value + scale[1]:.12g}")
+    si = float(f"{scale[0] * value + (0.0 if is_difference else scale[1]):.12g}")
+    known = range_of(key) if key else None
+    if known is not None and (problem := known.problem(si)) is not None:
+        raise InputError(f"{option}: `{text.strip()}`: {problem}")
+    return si
 
 
 def require_known(names: dict[str, str], known: list[str], option: str) -> None:

@@ -21,6 +21,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import HEATING, STATE
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
+    COLDEST_K,
+    celsius_rule,
     display_path,
     output_directory,
     read_csv_columns,
@@ -277,7 +279,9 @@ def write_new_record(
     initial_K, notes = _initial(given, times, sensors)
     surroundings_K = given.surroundings_K
     lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]
-    if surroundings_K is None and given.heat.reference != "none" and not lamp:
+    if surroundings_K is not None:
+        notes.append(f"surroundings at {surroundings_K:g} K (--surroundings)")
+    elif given.heat.reference != "none" and not lamp:
         surroundings_K = 0.0
         notes.append("surroundings at 0 K, the sky of a flight (--surroundings)")
     elif surroundings_K is None:
@@ -301,7 +305,6 @@ def write_new_record(
     text = render_toml(
         "record.toml.j2",
         "record",
-        out,
         title=given.title or f"{given.point}: {measured.path.name}",
         source=measured.path.name,
         point=given.point,
@@ -357,7 +360,9 @@ def _initial(given: RecordInput, times: FloatArray, sensors: Sequence[CsvColumn]
     times : (reading,) [s]
     """
     if given.initial_K is not None:
-        return given.initial_K, []
+        if given.initial_K < COLDEST_K:
+            raise InputError(f"--initial {given.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
+        return given.initial_K, [f"wall at {given.initial_K:g} K at the start (--initial)"]
     cold = times <= _heated_from_s(given.heat)
     first = []
     for s in sensors:

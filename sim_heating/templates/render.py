@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from typing import Any
 
@@ -31,12 +30,12 @@ def _toml_value(value: Any) -> str:
     return tomlkit.item(value).as_string()
 
 
-def render_toml(template: str, schema: str, folder: str | os.PathLike[str], /, **values: Any) -> str:
-    """The text of a template of a TOML file in a folder, after the line by which editors find its schema.
+def render_toml(template: str, schema: str, /, **values: Any) -> str:
+    """The text of a template of a TOML file, after the line by which editors find its schema.
 
     schema : name of the format, as `record`
     """
-    return f"{schema_line(schema, folder)}\n{render(template, **values)}"
+    return f"{schema_line(schema)}\n{render(template, **values)}"
 
 
 def render(template: str, **values: Any) -> str:

@@ -76,7 +76,7 @@ def write_new_scenario(
         "stop_mach": stop_mach,
         "manoeuvre": {"at_velocity_m_s": 6096.0, "deg": 3.0} if manoeuvre else None,
     }
-    return _write(out, {SCENARIO: render_toml("scenario.toml.j2", "scenario", out, **values)}, _check_scenario)
+    return _write(out, {SCENARIO: render_toml("scenario.toml.j2", "scenario", **values)}, _check_scenario)
 
 
 def entry_angle_deg(vehicle: Vehicle) -> float:
@@ -152,7 +152,7 @@ def write_new_study(
         values["alpha_limits_deg"] = [float(aero.basic.alpha_deg[0]), float(aero.basic.alpha_deg[-1])]
         values["gamma_deg"] = entry_angle_deg(base.vehicle)
     values["offsets"] = [-4.0, -2.0, 0.0, 2.0]
-    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", SCHEMAS[kind], out, **values)}, _no_check)
+    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", SCHEMAS[kind], **values)}, _no_check)
 
 
 def _no_check(path: Path) -> None:
@@ -201,7 +201,7 @@ def write_new_effect(
     }  # fmt: skip
     files = {
         f"{module}.py": render("effect.py.j2", **values),
-        f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", folder, **values),
+        f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", **values),
         f"checks/test_{module}.py": render("effect_check.py.j2", **values),
     }
     write_own_files(folder, COMMAND, files)

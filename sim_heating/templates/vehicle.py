@@ -142,24 +142,22 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
     name = Path(os.path.abspath(out)).name
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"--out {out}: its last part is the vehicle's name: letters, digits, - and _")
-    values, home = _values(name, given), Path(out)
+    values = _values(name, given)
     files = {
-        "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", home, **values),
-        "aero/aero.toml": render_toml("vehicle/aero.toml.j2", "aero", home / "aero", **values),
+        "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", **values),
+        "aero/aero.toml": render_toml("vehicle/aero.toml.j2", "aero", **values),
         "aero/longitudinal.csv": _coefficients(given, values["alpha_deg"]),
-        "guidance.toml": render_toml("vehicle/guidance.toml.j2", "guidance", home, **values),
+        "guidance.toml": render_toml("vehicle/guidance.toml.j2", "guidance", **values),
         "provenance.md": render("vehicle/provenance.md.j2", **values),
     }
     files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if given.surfaces}
     for p in values["points"]:
-        files[f"control_points/{p['name']}.toml"] = render_toml(
-            "vehicle/control_point.toml.j2", "control_point", home / "control_points", p=p
-        )
+        files[f"control_points/{p['name']}.toml"] = render_toml("vehicle/control_point.toml.j2", "control_point", p=p)
         files[f"ratio_sources/{p['name'].lower()}.toml"] = render_toml(
-            "vehicle/ratio_source.toml.j2", "ratio_source", home / "ratio_sources", p=p, **values
+            "vehicle/ratio_source.toml.j2", "ratio_source", p=p, **values
         )
     for material, m in values["materials"].items():
-        line = schema_line("material", home / "materials")
+        line = schema_line("material")
         files[f"materials/{material}.toml"] = (
             f"{line}\n{toml_text(m.model_dump(exclude_unset=True, exclude_none=True))}"
         )

@@ -394,3 +394,20 @@ def test_predict_reports_a_negative_heating_ratio(workdir: Path) -> None:
     (workdir / "record" / "ratio_table.csv").write_text("\n".join([*comments, header, *negative]))
     assert main(["predict", "record", "--out", "out"]) == 0
     assert json.loads((workdir / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0
+
+
+# Wrong names and paths -----------------------------------------------------------------------------------------------
+
+
+def test_of_a_misspelt_option_only_close_names_are_suggested(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "record", "--absorbtance", "0.9"]) == 2
+    assert only_line(capsys) == "error: No such option '--absorbtance'. Did you mean '--absorptance'?"
+
+
+def test_parameters_of_a_file_that_is_no_toml_says_what_it_takes(
+    workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (workdir / "README.md").write_text("# mine")
+    assert main(["parameters", "README.md"]) == 2
+    takes = "give a flight record (a directory with record.toml) or a scenario.toml"
+    assert only_line(capsys) == f"error: README.md: {takes}"

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
+from sim_heating.base.files.schema import schema_path
 from sim_heating.cli import cli, main
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import load_record
@@ -339,3 +340,51 @@ def test_a_quantity_has_the_digits_that_were_typed() -> None:
     assert quantity("21 degC", "K", "--initial", "21degC") == 294.15
     assert quantity("0,4 mm", "m", "--depth", "0.4mm") == 4e-4
     assert quantity("1 BTU/ft2/s", "W/m2", "--lamp", "1kW/m2") == pytest.approx(11356.5, rel=1e-5)
+
+
+LAMP = ("new", "record", "--csv", "t.csv", "--layer", "copper 3 mm", "--depth", "TC=back", "--lamp", "20kW/m2")
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("--surroundings=21", "--surroundings: `21` has no unit; write --surroundings 21degC"),
+        ("--initial=21", "--initial: `21` has no unit; write --initial 21degC"),
+        ("--back-temperature=0", "--back-temperature: `0` has no unit; write --back-temperature 21degC"),
+        ("--noise=0.5", "--noise: `0.5` has no unit; write --noise 0.5K"),
+        ("--initial=21K", "--initial 21K: is below 100 K and looks like Celsius"),
+        ("--initial=-300degC", "--initial: `-300degC`: -26.85 is not a temperature in K"),
+        ("--noise=-1K", "--noise: `-1K`: -1 is not a standard deviation of a temperature"),
+        ("--emissivity=90", "--emissivity 90: must be from 0.001 to 1; is this %? write 0.9"),
+        ("--layer=copper 30 m", "is not a thickness of a layer in m (1e-09 to 5); is this mm? write 0.03"),
+    ],
+)
+def test_a_number_without_a_unit_or_out_of_range_is_refused_by_the_name_of_its_option(option: str, said: str) -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    assert said in refused(*LAMP, option, "--out", "a")
+    assert not Path("a").exists()
+
+
+def test_temperatures_that_were_typed_are_among_what_was_used() -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    made = run(*LAMP, "--surroundings", "21degC", "--initial", "26.85degC", "--noise", "1degC", "--out", "a")
+    assert "surroundings at 294.15 K (--surroundings)" in made.output
+    assert "wall at 300 K at the start (--initial)" in made.output
+    assert load_record("a").sensors[0].noise_sigma_K == 1.0  # a difference of temperatures
+
+
+def test_a_unit_that_contradicts_the_file_prevails_with_a_warning_that_names_both() -> None:
+    Path("t.csv").write_text("time_s,TC [degC]\n0,20\n1,21\n2,22\n")
+    said = r"t.csv, column TC: the file says degC, --temperature-unit says F; read as F"
+    with pytest.warns(UserWarning, match=said):
+        found = read_measured_csv(Path("t.csv"), temperature_unit="F")
+    assert found.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(266.483, abs=1e-3)
+    read_measured_csv(Path("t.csv"), temperature_unit="C")  # another word for the same unit: no warning
+
+
+def test_a_record_that_is_moved_still_leads_editors_to_its_schema() -> None:
+    Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
+    assert run(*LAMP, "--out", "a/b/c").exit_code == 0
+    shutil.move("a/b/c", "moved")
+    line = Path("moved/record.toml").read_text().partition("\n")[0]
+    assert line == f"#:schema {schema_path('record').as_uri()}"

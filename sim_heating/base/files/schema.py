@@ -45,15 +45,15 @@ def schema_path(name: str) -> Path:
     return SCHEMAS / f"{name}{SUFFIX}"
 
 
-def schema_line(name: str, folder: str | os.PathLike[str]) -> str:
-    """First line of a TOML file in a folder, by which editors find the schema of its format.
+def schema_line(name: str, folder: str | os.PathLike[str] | None = None) -> str:
+    """First line of a TOML file, by which editors find the schema of its format.
 
-    The path is relative where both have a parent below the root of the file system in common, else a URI.
+    folder : of a file that is moved together with the schemas, whose path is then relative to it; None for a file of a
+             user, which may be moved alone, and has the URI of the installed schema
     """
-    target, start = schema_path(name), Path(folder).resolve()
-    if target.parts[:2] == start.parts[:2] and len(target.parts) > 2:
-        return f"#:schema {Path(os.path.relpath(target, start)).as_posix()}"
-    return f"#:schema {target.as_uri()}"
+    target = schema_path(name)
+    where = target.as_uri() if folder is None else Path(os.path.relpath(target, Path(folder).resolve())).as_posix()
+    return f"#:schema {where}"
 
 
 def documented(js: dict[str, Any], model: type[BaseModel], quantities: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from sim_heating.cli.new.printing import print_made
 @click.option("--vehicle", required=True, help="name or directory of the vehicle")
 @OUT
 @points_option("all")
-@quantity_option("--altitude", "m", "120km", "H", "altitude of the entry; default 120 km")
-@quantity_option("--speed", "m/s", "7450m/s", "V", "speed relative to the air; default 7450 m/s")
+@quantity_option("--altitude", "m", "altitude_m", "120km", "H", "altitude of the entry; default 120 km")
+@quantity_option("--speed", "m/s", "velocity_m_s", "7450m/s", "V", "speed relative to the air; default 7450 m/s")
 @click.option(
     "--gamma", type=click.FloatRange(-89.0, 10.0), help="path angle in deg; default -1.2 for a glider, else -1.5"
 )

@@ -14,11 +14,12 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 def quantity_option(
-    name: str, unit: str, example: str, metavar: str, help: str, *, required: bool = False
+    name: str, unit: str, key: str, example: str, metavar: str, help: str, *, required: bool = False
 ) -> Decorator:
     """Option for a number with a unit: its value in the SI unit, None where not given.
 
-    unit : SI unit, in which a plain number is taken
+    unit : SI unit of the value
+    key  : of a declared file, whose range holds for the number
     example : a value, for messages
     """
 
@@ -27,17 +28,21 @@ def quantity_option(
             return None
         from sim_heating.templates.quantities import quantity
 
-        return quantity(value, unit, option.opts[0], f"{option.opts[0]} {example}")
+        return quantity(value, unit, option.opts[0], f"{option.opts[0]} {example}", key)
 
     return click.option(name, callback=read, metavar=metavar, help=help, required=required)
 
 
 def fraction_option(name: str, help: str) -> Decorator:
-    """Option for a number above 0, up to 1; None where not given."""
+    """Option for an emittance or absorptance [-], in the range of an emittance; None where not given."""
 
     def read(_: click.Context, option: click.Parameter, value: float | None) -> float | None:
-        if value is not None and not 0.0 < value <= 1.0:
-            raise InputError(f"{option.opts[0]} {value:g}: must be above 0, up to 1")
+        from sim_heating.base.limits import QUANTITIES
+
+        known = QUANTITIES["emissivity"]
+        if value is not None and not known.lowest <= value <= known.highest:
+            rule = f"must be from {known.lowest:g} to {known.highest:g}{known.suggestion(value)}"
+            raise InputError(f"{option.opts[0]} {value:g}: {rule}")
         return value
 
     return click.option(name, type=float, callback=read, help=help)

@@ -53,19 +53,25 @@ if TYPE_CHECKING:
 )
 @fraction_option("--absorptance", "absorbed part of the flux; default: it is the absorbed flux")
 @fraction_option("--emissivity", "emittance of the heated surface; default: of its material")
-@quantity_option("--initial", "K", "21degC", "T", "temperature at the start; default: the first readings")
-@quantity_option("--surroundings", "K", "21degC", "T", "what the surface radiates to; default: as --initial")
-@quantity_option("--back-film", "W/m2K", "8W/m2K", "H", "film coefficient behind the wall; default: adiabatic")
-@quantity_option("--back-temperature", "K", "21degC", "T", "temperature behind the wall; default: as --surroundings")
+@quantity_option("--initial", "K", "initial_K", "21degC", "T", "temperature at the start; default: the first readings")
+@quantity_option("--surroundings", "K", "T_K", "21degC", "T", "what the surface radiates to; default: as --initial")
+@quantity_option(
+    "--back-film", "W/m2K", "h_W_m2K", "8W/m2K", "H", "film coefficient behind the wall; default: adiabatic"
+)
+@quantity_option(
+    "--back-temperature", "K", "T_K", "21degC", "T", "temperature behind the wall; default: as --surroundings"
+)
 @fraction_option("--back-emissivity", "emittance of the back face; default: adiabatic")
-@quantity_option("--pressure", "Pa", "1013hPa", "P", "air pressure, for porous insulation; default: sea level")
+@quantity_option(
+    "--pressure", "Pa", "p_surface_Pa", "1013hPa", "P", "air pressure, for porous insulation; default: sea level"
+)
 @click.option(
     "--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV with the columns of conditions.csv"
 )
 @click.option(
     "--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg"
 )
-@quantity_option("--nose-radius", "m", "0.3m", "R", "radius of the reference sphere")
+@quantity_option("--nose-radius", "m", "nose_radius_m", "0.3m", "R", "radius of the reference sphere")
 @click.option(
     "--like",
     type=PATH,
@@ -74,7 +80,7 @@ if TYPE_CHECKING:
 )
 @click.option("--time", "time", metavar="COLUMN", help="column of the time, where the guess is wrong")
 @click.option("--time-unit", metavar="UNIT", help="its unit: s, ms, min, h")
-@quantity_option("--period", "s", "0.1s", "T", "time between rows, where there is no column of it")
+@quantity_option("--period", "s", "period_s", "0.1s", "T", "time between rows, where there is no column of it")
 @click.option(
     "--temperature",
     "temperatures",
@@ -83,7 +89,9 @@ if TYPE_CHECKING:
     help="column of a temperature; repeat; others are left out",
 )
 @click.option("--temperature-unit", metavar="UNIT", help="unit of the temperatures: K, degC, degF")
-@quantity_option("--noise", "K", "0.5K", "SIGMA", "random error of the thermocouples in K; default: estimated")
+@quantity_option(
+    "--noise", "K", "noise_sigma_K", "0.5K", "SIGMA", "random error of the thermocouples in K; default: estimated"
+)
 @click.option("--point", default="plate", show_default=True, help="name of the place that was measured")
 @title_option("record")
 @click.option("--synthetic", is_flag=True, help="the temperatures are computed, not measured")

@@ -15,10 +15,12 @@ from sim_heating.cli.new.printing import print_made, print_notes
 
 @click.command("vehicle")
 @OUT
-@quantity_option("--length", "m", "4m", "L", "reference length, such as 4m or 13ft", required=True)
-@quantity_option("--mass", "kg", "3000kg", "M", "mass at entry, such as 3000kg", required=True)
-@quantity_option("--area", "m2", "12m2", "A", "reference area of CD, such as 12m2", required=True)
-@quantity_option("--nose-radius", "m", "0.5m", "R", "radius of the reference sphere", required=True)
+@quantity_option(
+    "--length", "m", "reference_length_m", "4m", "L", "reference length, such as 4m or 13ft", required=True
+)
+@quantity_option("--mass", "kg", "mass_kg", "3000kg", "M", "mass at entry, such as 3000kg", required=True)
+@quantity_option("--area", "m2", "reference_area_m2", "12m2", "A", "reference area of CD, such as 12m2", required=True)
+@quantity_option("--nose-radius", "m", "nose_radius_m", "0.5m", "R", "radius of the reference sphere", required=True)
 @click.option(
     "--point",
     "points",
