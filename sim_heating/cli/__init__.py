@@ -196,7 +196,7 @@ def _exit_status(arguments: list[str], report: CommandReport) -> int:
     except click.ClickException as error:
         name_command(getattr(error, "ctx", None))
         if isinstance(error, click.NoSuchOption):
-            error.possibilities = _close_options(error)
+            error = click.NoSuchOption(error.option_name, error.message, _close_options(error), error.ctx)
         return _failed(report, 2, "error", "usage", error.format_message())
     except InputError as error:
         return _failed(report, 2, "error", "input", *error.problems)

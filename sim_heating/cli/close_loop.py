@@ -119,7 +119,7 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")
     for line in report.statement.would_tell():
-        CONSOLE.print(f"Would tell them apart: {line}")
+        CONSOLE.print(f"To tell them apart: {line}")
     for line in report.remarks():
         CONSOLE.print(line)
     for line in report.warnings:
@@ -146,7 +146,7 @@ def _print_details(report: Closure) -> None:
     for cause in report.statement.not_effects:
         CONSOLE.print(f"Not an aerothermal effect ({cause.kind}): {cause.what}")
     for line in report.statement.would_tell():
-        CONSOLE.print(f"Would tell them apart: {line}")
+        CONSOLE.print(f"To tell them apart: {line}")
     for effect in report.effects:
         if effect.parameters:
             CONSOLE.print(f"{effect.name}: {', '.join(_bound(n, p) for n, p in effect.parameters.items())}")

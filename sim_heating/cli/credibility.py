@@ -40,7 +40,11 @@ def credibility() -> None:
 
 @credibility.command(SHOW)
 @click.argument("results", type=PATH, default=".")
-@click.option("--reviews", type=PATH, help="a credibility.toml of signed reviews that count as well")
+@click.option(
+    "--reviews",
+    type=PATH,
+    help="signed reviews of a file elsewhere; the credibility.toml beside the record or vehicle counts anyhow",
+)
 def show(results: Path, reviews: Path | None) -> None:
     """Show the credibility statement of RESULTS, a directory that a command wrote (default: the current one)."""
     from sim_heating.credibility.reviews import reviews_of_file

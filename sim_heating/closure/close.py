@@ -236,6 +236,8 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         not_effects=not_effects,
         converged=fitted.fit.converged,
         would_tell_apart=tell_apart(result.none, conclusion.best, _rivals(result)),
+        alternative_values=_alternative_values(result),
+        experiment="flight" if result.record.has_flow else "test",
     )
 
 
@@ -268,6 +270,29 @@ def _rivals(result: SearchResult) -> list[Hypothesis]:
         if found is not None:
             rivals.setdefault(found)
     return list(rivals)
+
+
+def _alternative_values(result: SearchResult) -> dict[str, dict[str, ParameterEstimate]]:
+    """Estimates of each effect of a set: of the best hypothesis with it, as the search fitted it."""
+    names = [name for names in result.conclusion.alternatives if len(names) > 1 for name in names]
+    values = {}
+    for name in names:
+        found = next((h for h in (result.conclusion.best, *result.hypotheses) if name in h.effects), None)
+        if found is not None:
+            values[name] = _values_of(found, name)
+    return values
+
+
+def _values_of(found: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
+    """Estimates of an effect of a hypothesis by their names within it."""
+    last = found.last
+    estimated = {
+        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
+        for u, v, s in zip(last.problem.unknowns, last.fit.values, last.fit.sigma, strict=True)
+    }
+    if found.change is not None and found.change.change.effect == name:
+        return change_parameters(found.change, estimated)
+    return effect_parameters(next(t for t in found.added if t.name == name), estimated)
 
 
 def _in_words(result: SearchResult, name: str) -> str:

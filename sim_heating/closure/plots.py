@@ -36,7 +36,7 @@ MAX_PANELS, MAX_LOOPS = 6, 3
 
 
 def comparison_figure(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
-    """Measured against predicted temperatures of each used sensor: declared tables, derivatives fitted, with effect."""
+    """Measured against predicted temperatures of each used sensor: declared model, the same fitted, with effect."""
     figure, axes = fit_figure(after.record, _compared(predicted, before, after, effect))
     add_grid_and_title(figure, "", axes)
     return figure
@@ -51,7 +51,7 @@ def comparison_chart(predicted: Prediction, before: Prediction, after: Predictio
 def _compared(
     predicted: Prediction, before: Prediction, after: Prediction, effect: str
 ) -> list[tuple[Prediction, str, str]]:
-    curves = [(predicted, PREDICTED, "declared tables"), (before, BEFORE, "derivatives fitted")]
+    curves = [(predicted, PREDICTED, "declared model"), (before, BEFORE, "declared model fitted")]
     if after is not before:
         curves.append((after, AFTER, f"with {effect}"))
     return curves
@@ -59,7 +59,7 @@ def _compared(
 
 def heating_chart(before: ResidualHeating, after: ResidualHeating | None, evidence: ResidualEvidence) -> Chart:
     """The residual as heating against time with its band, and the flight; `heating_figure` is the picture."""
-    shown = [(before, BEFORE, "derivatives fitted")] + ([] if after is None else [(after, AFTER, "with the effect")])
+    shown = [(before, BEFORE, "declared model fitted")] + ([] if after is None else [(after, AFTER, "with the effect")])
     curves = [Curve(label, r.time_s, r.delta_ratio, color, sigma=r.sigma) for r, color, label in shown]
     limits = np.array([_limits(r) for r, _, _ in shown])
     missing = Panel(
@@ -83,7 +83,7 @@ def heating_figure(before: ResidualHeating, after: ResidualHeating | None, evide
     shown = [before] if after is None else [before, after]
     limits = np.array([_limits(residual) for residual in shown])
     axes[0].set_ylim(limits[:, 0].min(), limits[:, 1].max())
-    _band(axes[0], before, BEFORE, "derivatives fitted")
+    _band(axes[0], before, BEFORE, "declared model fitted")
     if after is not None:
         _band(axes[0], after, AFTER, "with the effect")
     axes[0].axhline(0.0, color="0.3", linewidth=0.8)

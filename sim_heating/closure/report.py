@@ -38,7 +38,16 @@ from sim_heating.closure.plots import (
     variables_figure,
 )
 from sim_heating.closure.record_checks import DataFault
-from sim_heating.closure.statement import FOUND, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.closure.statement import (
+    FOUND,
+    LEAST_ODDS,
+    ONE_OF,
+    PARTLY,
+    UNKNOWN,
+    ParameterEstimate,
+    Statement,
+    finite,
+)
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.estimate_file import Remark
@@ -105,7 +114,7 @@ class CandidateScore:
 class Closure:
     """The result of closing the loop on one record.
 
-    predicted, before, after : declared tables; derivatives fitted; effects added, `before` where none were
+    predicted, before, after : declared model; the same fitted; with effects added, `before` where none were
     noise_floor_K : of the used sensors over the fit segments [K]
     reference     : the ratio variables that the derivatives refer to
     effects       : effects in the order in which they were added; a single "none" or "unknown" where there are none
@@ -230,7 +239,7 @@ def closure_page(found: Closure) -> Page:
     sections = [
         *_not_effects_section(found), *tell_apart_section(found.statement),
         _errors_section(found), *_adequacy_section(found),
-        _comparison_section(found), _parameters_section(found), _candidates_section(found), _heating_section(found),
+        _comparison_section(found), *_parameters_section(found), _candidates_section(found), _heating_section(found),
         _evidence_section(found), _sensors_section(found), credibility_section(found.credibility.as_json()),
     ]  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
@@ -258,11 +267,16 @@ def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None
             _finding_text(r),
             r["probability"],
             _p_value_cell(r["p_value"]),
-            *(r[key] for key in errors.values()),
+            *(_error_cell(r, key) for key in errors.values()),
         ]
         for r in rows
     ]
     return Table("What the declared models lack", columns, cells, sortable=True, choices=["finding"], links=pages)
+
+
+def _error_cell(row: Mapping[str, Any], key: str) -> float | None:
+    """An error of a row; none after where nothing was added to the model."""
+    return None if key.startswith("after_") and row["finding"] not in (FOUND, ONE_OF) else row[key]
 
 
 def _finding_text(row: Mapping[str, Any]) -> str:
@@ -308,8 +322,9 @@ def tell_apart_section(statement: Statement) -> list[Section]:
     if not lines:
         return []
     text = (
-        "Expected odds between the alternatives after one more flight like this one, with the change named: the same "
-        "trajectory, instruments and noise, and no other error of the model. Odds below 20 to 1 tell nothing apart."
+        f"Expected odds between the alternatives after one more {statement.experiment} like this one, with the change "
+        "named: the same conditions, instruments and noise, and no other error of the model. Odds below "
+        f"{LEAST_ODDS:g} to 1 tell nothing apart."
     )
     return [Section("What would tell them apart", [text], points=lines)]
 
@@ -342,7 +357,7 @@ def _adequacy_section(found: Closure) -> list[Section]:
 
 
 def _errors_section(found: Closure) -> Section:
-    stages = [("Declared tables, nothing fitted", found.predicted), ("Declared model fitted (before)", found.before)]
+    stages = [("Declared model, nothing fitted", found.predicted), ("Declared model fitted (before)", found.before)]
     if found.added:
         stages.append((f"With {found.fitted_with} (after)", found.after))
     rows = []
@@ -374,18 +389,26 @@ def _comparison_section(found: Closure) -> Section:
     return Section("Measured against predicted", charts=[chart])
 
 
-def _parameters_section(found: Closure) -> Section:
+def _parameters_section(found: Closure) -> list[Section]:
+    """Estimates of what was found, then those of the model; none where nothing was estimated."""
     rows = [
         [f"{e.title}: {n}", p.value, _sigma_cell(p), p.unit] for e in found.effects for n, p in e.parameters.items()
+    ]
+    rows += [
+        [f"{c.kind}: {n}", p.value, _sigma_cell(p), p.unit]
+        for c in found.statement.not_effects
+        for n, p in c.parameters.items()
     ]
     of_effects = len(rows)
     derivatives = {n: p for n, p in found.parameters.items() if not n.startswith(EFFECT_PREFIX)}
     rows += [[n, p.value, _sigma_cell(p), p.unit] for n, p in derivatives.items()]
+    if not rows:
+        return []
     about = derivatives_about(derivatives, found.reference)
     caption = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
     columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g"), "unit"]
     table = Table(caption, columns, rows, strong=list(range(of_effects)))
-    return Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])
+    return [Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])]
 
 
 def _sigma_cell(p: ParameterEstimate) -> float | str:

@@ -14,6 +14,13 @@ FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "
 """The findings of a closure report."""
 LEAST_P_VALUE = 1e-6
 """p-value below which its size says no more."""
+LEAST_ODDS = 20.0
+"""Odds below which an experiment tells nothing apart."""
+HARDLY = 1.05
+"""Odds below which their size says no more."""
+FACTOR = "_factor"
+NOUNS = {"coating_factor": "coating thickness"}
+"""Quantity of a factor whose name does not state it."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +38,24 @@ class ParameterEstimate:
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
         return {"value": float(self.value), "sigma": finite(self.sigma), "unit": self.unit}
+
+
+def values_in_words(parameters: Mapping[str, ParameterEstimate]) -> str:
+    """Estimates in a few words: a factor as a change in per cent, others by their names; no more than three.
+
+    >>> from sim_heating.closure.statement import ParameterEstimate, values_in_words
+    >>> values_in_words({"heat_capacity_factor": ParameterEstimate(0.949, 0.002, "1")})
+    'heat capacity 5.1 % lower'
+    """
+    return ", ".join(_value_in_words(n, p) for n, p in list(parameters.items())[:3])
+
+
+def _value_in_words(name: str, p: ParameterEstimate) -> str:
+    if name.endswith(FACTOR) and p.unit == "1":
+        percent = 100.0 * (p.value - 1.0)
+        noun = NOUNS.get(name, name.removesuffix(FACTOR).replace("_", " "))
+        return f"{noun} {abs(percent):.2g} % {'higher' if percent > 0.0 else 'lower'}"
+    return f"{name} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}"
 
 
 def finite(value: float | None) -> float | None:
@@ -72,6 +97,8 @@ class Statement:
     not_effects  : causes that are no aerothermal effect
     converged    : whether the last fit converged
     would_tell_apart : measurements and manoeuvres that are expected to tell the alternatives apart, the best first
+    alternative_values : estimates of each effect of a set, fitted with it, by its name and theirs
+    experiment   : what may be repeated: "flight", or "test" of a record without flow
     """
 
     finding: str
@@ -82,12 +109,18 @@ class Statement:
     not_effects: Sequence[NotEffect] = ()
     converged: bool = True
     would_tell_apart: Sequence[Experiment] = ()
+    alternative_values: Mapping[str, Mapping[str, ParameterEstimate]] = field(default_factory=dict)
+    experiment: str = "flight"
 
     def as_json(self) -> dict[str, Any]:
         """Its keys in closure.json."""
         return {
             "finding": self.finding,
             "alternatives": [list(names) for names in self.alternatives],
+            "alternative_values": {
+                name: {n: p.as_json() for n, p in parameters.items()}
+                for name, parameters in self.alternative_values.items()
+            },
             "adequacy": None if self.adequacy is None else self.adequacy.as_json(),
             "probability": self.probability,
             "not_effects": [n.as_json() for n in self.not_effects],
@@ -108,6 +141,16 @@ class Statement:
         """What was found or what the residual resembles: things joined by "+", those of a set by "or"."""
         return " + ".join(" or ".join(names) for names in self.alternatives)
 
+    @property
+    def _named_with_values(self) -> str:
+        """What was found, the effects of a set with their values."""
+
+        def shown(name: str, names: Sequence[str]) -> str:
+            values = values_in_words(self.alternative_values.get(name, {})) if len(names) > 1 else ""
+            return f"{name} ({values})" if values else name
+
+        return " + ".join(" or ".join(shown(name, names) for name in names) for names in self.alternatives)
+
     def in_words(self) -> str:
         """The finding in a few words."""
         if self.finding == FOUND:
@@ -115,7 +158,7 @@ class Statement:
             aerothermal = any(name not in causes for names in self.alternatives for name in names)
             return f"Found: {self.named}" if aerothermal else f"Found, and no aerothermal effect: {self.named}"
         if self.finding == ONE_OF:
-            return f"One of: {self.named}, which the record cannot tell apart"
+            return f"One of: {self._named_with_values}, which the record cannot tell apart"
         if self.finding == PARTLY:
             return f"Partly: it resembles {self.named}, which leaves {self.noise_floors:.1f} noise floors {self._where}"
         if self.finding == UNKNOWN:
@@ -138,6 +181,11 @@ class Statement:
                 self.finding, "The model with it"
             )
             lines.append(f"{model} {self._adequacy_in_words(self.adequacy)}.")
+        if self.finding == PARTLY:
+            lines.append(
+                f"It explains {100.0 * min(self.explained, 1.0):.0f} % of what the declared model leaves above noise, "
+                "and is not added to the model: the error after is that before."
+            )
         return " ".join(lines)
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
@@ -156,8 +204,17 @@ class Statement:
         return f"does not explain the record to its noise ({p}){remain}{most}"
 
     def would_tell(self) -> list[str]:
-        """What would tell the alternatives apart, a line each; none where nothing has to be told apart."""
-        return [e.in_words() for e in self.would_tell_apart]
+        """What would tell the alternatives apart, a line each; none where nothing has to be told apart.
+
+        Where the best has odds below LEAST_ODDS, one line that says so.
+        """
+        if not self.would_tell_apart:
+            return []
+        best = max(self.would_tell_apart, key=lambda e: e.log_odds)
+        if best.log_odds >= math.log(LEAST_ODDS):
+            return [e.in_words() for e in self.would_tell_apart]
+        found = f"; the best, {best.in_words()}" if best.log_odds > math.log(HARDLY) else ""
+        return [f"none of the {self.experiment}s tried tells them apart{found}"]
 
 
 def _percent(probability: float) -> str:

@@ -15,7 +15,7 @@ from sim_heating.credibility.contributors import Uncertainty, combined, declares
 from sim_heating.credibility.own_cases import samples_of, wall_readings
 from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.sources import conditions_of_record, inputs_of_record
-from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts
+from sim_heating.credibility.statement import LARGEST_SHARE, NOT_LOOKED_AT, SIGMAS, Answer, Facts
 from sim_heating.credibility.topics import topics_of_record
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.inputs.points import point_of_record
@@ -63,6 +63,8 @@ def facts_of_record(
         consistent=within_noise(record, residual_K),
         holds=within,
         varied=within if record.declared.measured else Answer(False, "the record is synthetic"),
+        own_share=_share_of_rise(record, residual_K),
+        own_noise=within_noise(record, residual_K),
         folder=record.directory if digest else None,
         reviewed=digest,
     )
@@ -97,6 +99,15 @@ def within_noise(record: Record, residual_K: FloatArray) -> Answer:
     rmse, floor = _rmse(residual_K[used]), record.noise_floor_K(record.read_mask)
     text = f"RMSE {rmse:.3g} K, noise floor {floor:.3g} K"
     return Answer(bool(rmse <= MODEL_ERROR_RATIO * floor), text)
+
+
+def _share_of_rise(record: Record, residual_K: FloatArray) -> Answer:
+    """Whether the RMSE of the used sensors [K] is a small part of the rise of their readings."""
+    used = [i for i, sensor in enumerate(record.sensors) if sensor.used]
+    readings = record.temperatures_K()[used]
+    rise_K, rmse = float(np.nanmax(readings) - np.nanmin(readings)), _rmse(residual_K[used])
+    text = f"its own readings are missed by {rmse:.3g} K of a rise of {rise_K:.3g} K"
+    return Answer(bool(rmse <= LARGEST_SHARE * rise_K), text)
 
 
 def held_out(fitted_K: float | None, held_K: float | None) -> Answer:
@@ -136,6 +147,8 @@ def of_several(facts: Sequence[Facts]) -> Facts:
         consistent=_all(f.consistent for f in facts),
         holds=_all(f.holds for f in facts),
         varied=_all(f.varied for f in facts),
+        own_share=_all(f.own_share for f in facts),
+        own_noise=_all(f.own_noise for f in facts),
     )
 
 

@@ -12,11 +12,12 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.inputs.record import Record
+from sim_heating.inputs.record import DECLARATION, Record
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.thermal.stack import Construction
 
+IN = "`{{key}}` in {}"
 CONFIDENCES = "ABC"
 """A: read in a primary or stored data set; B: known from the literature; C: judged."""
 
@@ -28,12 +29,14 @@ class DeclaredInput:
     name       : what it is;  source : where it comes from, as stated; empty where it is not stated
     confidence : as stated; empty where it is not
     measured   : whether it is said to be measured, or recorded
+    place      : where it is stated, with `{key}` for the key, as "`{key}` in record.toml"; empty where there is none
     """
 
     name: str
     source: str
     confidence: str
     measured: bool = False
+    place: str = ""
 
     @property
     def worst(self) -> str | None:
@@ -45,16 +48,21 @@ class DeclaredInput:
         return max(re.findall(rf"\b[{CONFIDENCES}]\b", self.confidence), default=None)
 
 
-def _materials(construction: Construction) -> list[DeclaredInput]:
+def _materials(construction: Construction, place: str) -> list[DeclaredInput]:
+    """Materials of the layers; place : where one is declared, with `{name}` for its name."""
     layers = zip(construction.stack.layer, construction.layer_materials(), strict=True)
     found = {layer.material: m for layer, m in layers}
-    return [DeclaredInput(f"material {n}", m.source or "", m.confidence or "") for n, m in found.items()]
+    return [
+        DeclaredInput(f"material {n}", m.source or "", m.confidence or "", place=place.replace("{name}", n))
+        for n, m in found.items()
+    ]
 
 
-def _table(name: str, table: RatioTable | None) -> list[DeclaredInput]:
+def _table(name: str, table: RatioTable | None, file: str | None) -> list[DeclaredInput]:
     if table is None:
         return []
-    return [DeclaredInput(name, table.header.get("source", ""), table.header.get("confidence", ""))]
+    place = f"`# {{key}}: ...` at the head of {file}" if file else ""
+    return [DeclaredInput(name, table.header.get("source", ""), table.header.get("confidence", ""), place=place)]
 
 
 def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[EffectUse]) -> list[DeclaredInput]:
@@ -68,10 +76,20 @@ def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[Eff
     coating = point.construction.stack.layer[0].material
     catalysis = declared.catalysis or vehicle.declared.catalysis.get(coating)
     found = [
-        DeclaredInput(f"vehicle {vehicle.name}", vehicle.declared.source, vehicle.declared.confidence),
-        DeclaredInput(f"control point {point.name}", declared.source, declared.confidence),
-        *_materials(point.construction),
-        *_table(f"heating ratio of {point.name}", point.ratio),
+        DeclaredInput(
+            f"vehicle {vehicle.name}",
+            vehicle.declared.source,
+            vehicle.declared.confidence,
+            place=IN.format("vehicle.toml"),
+        ),
+        DeclaredInput(
+            f"control point {point.name}",
+            declared.source,
+            declared.confidence,
+            place=IN.format(f"control_points/{point.name}.toml"),
+        ),
+        *_materials(point.construction, IN.format("materials/{name}.toml")),
+        *_table(f"heating ratio of {point.name}", point.ratio, declared.ratio_table),
     ]
     for effect in (used.effect.name for used in effects):
         if effect == TRANSITION and transition is not None:
@@ -90,10 +108,15 @@ def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[Decla
     """
     declared, heating = record.declared, record.declared.heating
     found = [
-        DeclaredInput("construction of the wall", declared.source, declared.confidence),
-        *_materials(record.construction),
-        *_table("heating ratio", record.ratio_table),
-        *_table("turbulent heating ratio", record.turbulent),
+        DeclaredInput(
+            "construction of the wall",
+            declared.source,
+            declared.confidence,
+            place=f"{IN.format(DECLARATION)}, at the top",
+        ),
+        *_materials(record.construction, f"{IN.format(DECLARATION)}, [materials.{{name}}]"),
+        *_table("heating ratio", record.ratio_table, heating.ratio_table),
+        *_table("turbulent heating ratio", record.turbulent, heating.turbulent_file),
     ]
     for effect in (used.effect.name for used in effects):
         if effect == TRANSITION and heating.transition is not None:
@@ -109,7 +132,9 @@ def conditions_of_record(record: Record) -> list[DeclaredInput]:
     """Where the flight conditions of a record come from."""
     declared = record.declared.conditions
     confidence = declared.confidence
-    return [DeclaredInput("flight conditions", declared.source, confidence, measured=record.declared.measured)]
+    name = "flight conditions" if record.has_flow else "conditions"
+    place = f"{IN.format(DECLARATION)}, [conditions]"
+    return [DeclaredInput(name, declared.source, confidence, measured=record.declared.measured, place=place)]
 
 
 def conditions_of_scenario(scenario: Scenario) -> list[DeclaredInput]:

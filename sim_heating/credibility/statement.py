@@ -34,6 +34,7 @@ class Answer:
 
 
 NOT_LOOKED_AT = Answer(False, "not evaluated for this result")
+NO_READINGS = Answer(True, "no readings of its own")
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,8 @@ class Facts:
     uncertainty  : of the main quantity
     consistent   : whether residuals are those of noise;  holds : whether the conclusion does within two sigma
     varied       : whether it holds with all inputs varied together, or on data that were not fitted
+    own_share    : whether its own readings are missed by a small part of their rise, where it has any
+    own_noise    : whether they are missed by no more than noise
     folder       : where signed reviews lie;  reviewed : digest that they have to name
     """
 
@@ -65,6 +68,8 @@ class Facts:
     consistent: Answer = NOT_LOOKED_AT
     holds: Answer = NOT_LOOKED_AT
     varied: Answer = NOT_LOOKED_AT
+    own_share: Answer = NO_READINGS
+    own_noise: Answer = NO_READINGS
     folder: Path | None = None
     reviewed: str = ""
 
@@ -250,20 +255,22 @@ def findings(
 
 
 def _data_findings(facts: Facts) -> dict[str, Answer]:
-    silent = [i.name for i in facts.model if not i.source]
-    unrated = [i.name for i in facts.model if i.worst is None]
+    silent = [i for i in facts.model if not i.source]
+    unrated = [i for i in facts.model if i.worst is None]
     judged = [i.name for i in facts.model if i.worst == "C"]
     return {
-        "data.sources": _none_of(silent, "without a source", facts.model),
-        "data.confidences": _none_of(unrated, "without a confidence", facts.model),
+        "data.sources": _none_of(silent, "source", facts.model),
+        "data.confidences": _none_of(unrated, "confidence", facts.model),
         "data.no_estimates": Answer(
             bool(facts.model) and not unrated and not judged, f"estimates of confidence C: {_some(judged) or 'none'}"
         ),
     }
 
 
-def _none_of(names: Sequence[str], what: str, of: Sequence[DeclaredInput]) -> Answer:
-    text = f"{what}: {_some(names)}" if names else f"none of {len(of)} inputs is {what}"
+def _none_of(lacking: Sequence[DeclaredInput], key: str, of: Sequence[DeclaredInput]) -> Answer:
+    """Whether no input lacks a key, `source` or `confidence`; else which ones do, and where the key has to stand."""
+    names = [f"{i.name} ({i.place.format(key=key)})" if i.place else i.name for i in lacking]
+    text = f"without a {key}: {_some(names)}" if names else f"none of {len(of)} inputs is without a {key}"
     return Answer(bool(of) and not names, text)
 
 
@@ -305,15 +312,17 @@ def _validation_findings(facts: Facts, cases: Sequence[ValidationCase], region: 
             "no measured data set covers it" if error is None
             else f"predictions there err by up to {error:.0%} of the measured rise",
         ),
+        "validation.own_share": facts.own_share,
+        "validation.own_noise": facts.own_noise,
     }  # fmt: skip
 
 
 def _input_findings(facts: Facts) -> dict[str, Answer]:
-    silent = [i.name for i in facts.conditions if not i.source]
+    silent = [i for i in facts.conditions if not i.source]
     weak = [i.name for i in facts.conditions if not i.measured or i.worst not in ("A", "B")]
     return {
         "inputs.identified": Answer(bool(facts.files), f"{len(facts.files)} digests"),
-        "inputs.sources": _none_of(silent, "without a source", facts.conditions),
+        "inputs.sources": _none_of(silent, "source", facts.conditions),
         "inputs.measured": Answer(
             bool(facts.conditions) and not weak,
             f"not measured with confidence A or B: {_some(weak)}" if weak else "measured, confidence A or B",

@@ -459,6 +459,11 @@ class Record:
         other = Segments(fit=[list(s) for s in segments], holdout=self.declared.segments.holdout)
         return replace(self, declared=self.declared.model_copy(update={"segments": other}))
 
+    @property
+    def has_flow(self) -> bool:
+        """Whether air flows past the wall at some time; under a lamp in a room it does not."""
+        return "velocity_m_s" in self.conditions and bool(np.any(self.conditions["velocity_m_s"] > 0.0))
+
     def with_sensors(self, sensors: Sequence[Sensor]) -> Record:
         """The record with other declarations of its thermocouples, of which it has the columns."""
         thermocouples = self.declared.thermocouples.model_copy(update={"sensor": list(sensors)})

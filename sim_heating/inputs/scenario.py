@@ -182,6 +182,8 @@ class Compare(Declared):
     until_s: float | None = Field(default=None, description="end of the comparison in s, all where absent")
     fit_s: list[list[float]] | None = Field(default=None, description="fit segments of a record made of it, in s")
     holdout_s: list[list[float]] = Field(default=[], description="segments that are held out there, in s")
+    source: str = Field(default="", description="where the history comes from, for the record made of it")
+    confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
 
 
 class DesignVariable(Declared):
@@ -292,6 +294,7 @@ class MeasuredHistory:
     """A measured history to compare with: (sample,) times [s] and temperatures [K] with their sigma [K].
 
     segments : fit and holdout segments of the record made from it
+    source, confidence : of the history, as stated; empty where they are not
     """
 
     control_point: str
@@ -300,6 +303,8 @@ class MeasuredHistory:
     temperature_K: np.ndarray
     sigma_K: np.ndarray
     segments: Segments = field(default_factory=Segments)
+    source: str = ""
+    confidence: str = ""
 
 
 @dataclass(frozen=True)
@@ -555,4 +560,7 @@ def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
     inside = time <= until
     columns = {name: table[name][inside] for name in ("time_s", "temperature_K", "sigma_K")}
     segments = check({"fit": compare.fit_s, "holdout": compare.holdout_s}, Segments, f"[[compare]] {compare.label}")
-    return MeasuredHistory(compare.control_point, compare.label, **columns, segments=segments)
+    return MeasuredHistory(
+        compare.control_point, compare.label, **columns, segments=segments,
+        source=compare.source, confidence=compare.confidence,
+    )  # fmt: skip

@@ -66,7 +66,14 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
     )
     declared = declaration(scenario, point, [sensor])
     title = f"{measured.label}: {scenario.title}"
-    declared = declared.model_copy(update={"title": title, "measured": True, "segments": measured.segments})
+    stated: dict[str, str] = (
+        {"source": f"measurements: {measured.source}; {declared.source}"} if measured.source else {}
+    )
+    if measured.confidence and declared.confidence:
+        stated["confidence"] = f"measurements {measured.confidence}, construction {declared.confidence}"
+    declared = declared.model_copy(update={"title": title, "measured": True, "segments": measured.segments, **stated})
+    # the flight is one like that of the measurement, and not reconstructed from it
+    declared = declared.model_copy(update={"conditions": declared.conditions.model_copy(update={"confidence": "C"})})
     columns = {"time_s": measured.time_s, sensor.column: measured.temperature_K, "sigma_K": measured.sigma_K}
     conditions = conditions_at_point(scenario.vehicle, point, flown)
     table, turbulent = ratio_table_of(point), turbulent_table_of(point)

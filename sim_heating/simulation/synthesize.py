@@ -202,12 +202,20 @@ def point_declaration(vehicle: Vehicle, point: ControlPoint, title: str, sensors
         "vehicle": vehicle.name,
         "control_point": point.name,
         "measured": False,
+        **_pedigree(vehicle, point),
         "thermocouples": {
             "sensor": [s.model_dump(exclude_unset=True, exclude={"rate_hz", "sample_offset_s"}) for s in sensors]
         },
         "stack": point.construction.stack.model_dump(exclude_unset=True),
         "materials": {n: m.model_dump(exclude_unset=True) for n, m in point.construction.materials.items()},
     }
+
+
+def _pedigree(vehicle: Vehicle, point: ControlPoint) -> dict[str, str]:
+    """Source and confidence of the construction of a control point, those that its file states."""
+    stated = {"source": point.declared.source, "confidence": point.declared.confidence}
+    stated["source"] = stated["source"] and f"construction: {vehicle.name}, {point.name}: {stated['source']}"
+    return {key: text for key, text in stated.items() if text}
 
 
 def _recovery_keys(point: ControlPoint) -> dict[str, Any]:
@@ -279,7 +287,7 @@ def record_declaration(
         **_declared_effects(point),
     }
     data |= {
-        "conditions": {"file": CONDITIONS},
+        "conditions": {"file": CONDITIONS, "source": f"synthetic: flown along {scenario.path.name}, {scenario.title}"},
         "thermocouples": {"file": THERMOCOUPLES} | data["thermocouples"],
         "heating": {name: value for name, value in heating.items() if value is not None},
     }

@@ -27,6 +27,7 @@ from sim_heating.closure.report import (
     Finding,
     closure_json,
     closure_page,
+    closures_table,
     write_closure,
 )
 from sim_heating.closure.search.adequacy import Adequacy
@@ -34,7 +35,7 @@ from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.several.batch import summary_row
 from sim_heating.closure.several.batch_page import batch_page, residual_history
-from sim_heating.closure.statement import ParameterEstimate, Statement
+from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import pooled_rmse_K
@@ -144,6 +145,52 @@ def test_a_set_is_stated_first_with_what_would_tell_it_apart():
         "a thermocouple at the bondline: odds of 55 to 1",
         "the same flight again: odds of 1.6 to 1",
     ]
+
+
+def test_each_member_of_a_set_has_its_value_in_text_and_json():
+    names = [["emissivity", "heat-capacity"]]
+    values = {
+        "emissivity": {"emissivity_factor": ParameterEstimate(1.056, 0.002, "1")},
+        "heat-capacity": {"heat_capacity_factor": ParameterEstimate(0.949, 0.001, "1")},
+    }
+    stated = replace(FOUND_ONSET, finding="one of", alternatives=names, alternative_values=values)
+    said = "One of: emissivity (emissivity 5.6 % higher) or heat-capacity (heat capacity 5.1 % lower)"
+    assert stated.in_words().startswith(said)
+    assert stated.as_json()["alternatives"] == names
+    assert stated.as_json()["alternative_values"]["heat-capacity"]["heat_capacity_factor"]["value"] == 0.949
+
+
+def test_where_nothing_tells_a_set_apart_one_line_says_so_in_the_word_of_the_record():
+    tell = (Experiment("the same test again", 0.0),)
+    stated = replace(FOUND_ONSET, would_tell_apart=tell, experiment="test")
+    assert stated.would_tell() == ["none of the tests tried tells them apart"]
+    little = replace(stated, would_tell_apart=(Experiment("a thermocouple at the bondline", np.log(2.5)), *tell))
+    best = "the best, a thermocouple at the bondline: odds of 2.5 to 1"
+    assert little.would_tell() == [f"none of the tests tried tells them apart; {best}"]
+
+
+def test_what_a_record_partly_resembles_adds_no_error_after_but_what_it_would_explain():
+    partly = replace(FOUND_ONSET, finding="partly", explained=0.87)
+    found = replace(closed(), statement=partly, after=closed().before, effects=[Finding("unknown", 0.9, {})])
+    assert "explains 87 % of what the declared model leaves above noise, and is not added" in partly.certainty()
+    errors = next(s for s in closure_page(found).sections if s.title == "Errors").tables[0]
+    assert [row[0] for row in errors.rows] == ["Declared model, nothing fitted", "Declared model fitted (before)"]
+    table = closures_table([summary_row(found)])
+    row = dict(zip([c.head for c in table.layout], table.rows[0], strict=True))
+    assert row["before, fit"] > 0.0
+    assert row["after, fit"] is None
+
+
+def test_a_change_of_the_wall_is_among_the_estimates_and_no_table_is_empty():
+    wall = {"stack.al2024.heat_capacity_factor": ParameterEstimate(1.06, 0.01, "1")}
+    cause = NotEffect("wall", "heat capacity of layer al2024 6 % above the declared one", wall)
+    stated = replace(FOUND_ONSET, not_effects=[cause])
+    found = replace(closed(), statement=stated, effects=[Finding("none", 0.1, {})], parameters={})
+    section = next(s for s in closure_page(found).sections if s.title == "Estimated parameters")
+    assert section.tables[0].rows == [["wall: stack.al2024.heat_capacity_factor", 1.06, 0.01, "1"]]
+    assert "Derivatives" not in section.tables[0].title
+    bare = replace(found, statement=FOUND_ONSET)
+    assert "Estimated parameters" not in [s.title for s in closure_page(bare).sections]
 
 
 def test_no_share_of_a_candidate_is_stated_as_certain():
@@ -270,7 +317,7 @@ def test_the_charts_of_a_report_have_the_curves_of_its_pictures():
     used = [s.name for s in closed().record.used_sensors]
     assert [p.label.split(",")[0] for p in compared.panels[: 2 * len(used)]] == [n for n in used for _ in "ab"]
     names = [c.label.split(",")[0] for c in compared.panels[0].curves]
-    assert names == ["measured", "declared tables", "derivatives fitted", "with impingement-onset"]
+    assert names == ["measured", "declared model", "declared model fitted", "with impingement-onset"]
     after = closed().after
     np.testing.assert_array_equal(compared.panels[1].curves[-1].values, after.residual_K[0])
     np.testing.assert_array_equal(missing.panels[0].curves[0].values, closed().residual.delta_ratio)

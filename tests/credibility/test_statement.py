@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from sim_heating.credibility.evidence import shipped_evidence
 from sim_heating.credibility.reviews import Review, Reviewed, add_review, digest_of, reviews_in
 from sim_heating.credibility.sources import DeclaredInput
 from sim_heating.credibility.statement import Answer, Facts, Statement, assess
+from sim_heating.inputs.record import ConditionsFile
 from sim_heating.march.history import march_points
 from sim_heating.simulation.predict import Prediction
 
@@ -34,8 +36,9 @@ def facts(tile: Prediction) -> Facts:
         flown, values={k: v[150:200] for k, v in flown.values.items()}, duration_s=flown.duration_s[150:200]
     )
     return replace(
-        found, model=(GOOD,), conditions=(GOOD,), samples=(plateau,), consistent=YES, holds=YES, varied=YES, folder=None
-    )
+        found, model=(GOOD,), conditions=(GOOD,), samples=(plateau,), consistent=YES, holds=YES, varied=YES,
+        own_share=YES, own_noise=YES, folder=None,
+    )  # fmt: skip
 
 
 def reviews(*factors: str) -> list[Reviewed]:
@@ -103,6 +106,30 @@ def test_a_data_set_that_was_predicted_badly_is_evidence_against(facts: Facts):
     cases = {c.name: c for c in shipped_evidence().cases}
     assert levels(assess(facts, cases=[cases["sts96_597"]]))["validation"] == 3
     assert levels(assess(facts, cases=[cases["sts96_597"], cases["sts96_480"]]))["validation"] == 2
+
+
+def test_a_record_that_is_itself_missed_is_not_validated_by_others(facts: Facts, tile: Prediction):
+    near = [c for c in shipped_evidence().cases if c.name == "sts96_597"]
+    no = Answer(False, "missed")
+    assert levels(assess(facts, cases=near))["validation"] == 3
+    assert levels(assess(replace(facts, own_noise=no), cases=near))["validation"] == 2
+    assert levels(assess(replace(facts, own_share=no), cases=near))["validation"] == 1
+    found = tile.credibility
+    assert re.match(
+        r"its own readings are missed by [\d.]+ K of a rise of \d+ K", found.findings["validation.own_share"].text
+    )
+    assert not found.findings["validation.own_noise"].holds
+    assert levels(found)["validation"] in (1, 2)
+
+
+def test_an_input_without_a_source_is_named_with_the_place_where_to_state_it(board: Prediction):
+    declared = board.record.declared.model_copy(
+        update={"source": "", "conditions": ConditionsFile(file="conditions.csv")}
+    )
+    silent = replace(board, record=replace(board.record, declared=declared))
+    found = silent.credibility.findings
+    assert "construction of the wall (`source` in record.toml, at the top)" in found["data.sources"].text
+    assert "conditions (`source` in record.toml, [conditions])" in found["inputs.sources"].text
 
 
 def test_sources_that_are_gone_lower_the_pedigrees(facts: Facts):

@@ -34,6 +34,8 @@ from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.inputs.record import Record
 
 REPEATED = "the same flight again"
+REPEATED_TEST = "the same test again"
+"""The same of a record without flow, as under a lamp."""
 PERIOD_S = {"alpha_deg": 30.0, "beta_deg": 20.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0}
 """Duration of a manoeuvre in each variable [s]: that of the founding paper's."""
 AMPLITUDE_DEG = {"alpha_deg": 5.0, "beta_deg": 2.0, "elevon_deg": 5.0, "bodyflap_deg": 5.0}
@@ -156,7 +158,7 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
 
     recorders : whether other recorders are among them, which average noise and no error of a model
     """
-    yield _Flight(REPEATED, REPEATED, record)
+    yield _Flight(REPEATED if record.has_flow else REPEATED_TEST, REPEATED, record)
     if recorders:
         yield from _recorders(record)
     for place, sensor in extra_sensors(record.declared.stack, record.used_sensors):
@@ -188,7 +190,7 @@ def _manoeuvres(record: Record) -> Iterator[_Flight]:
     """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state."""
     flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
-    if not np.any(flown["velocity_m_s"] > 0.0) or end - begin < 3.0 * max(PERIOD_S.values()):
+    if not record.has_flow or end - begin < 3.0 * max(PERIOD_S.values()):
         return
     starts = [begin + place * (end - begin) for place in PLACES]
     # One grid for all, so that all are marched side by side.

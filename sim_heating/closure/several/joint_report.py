@@ -286,7 +286,7 @@ def _residuals_section(found: JointClosure) -> Section:
     charts: list[Chart] = []
     picture = Picture(partial(residuals_figure, found), "Measured minus predicted, by record; held-out spans shaded.")
     for closure, after in zip(found.closures, found.after, strict=True):
-        curves = [(closure.before, BEFORE, "derivatives fitted")]
+        curves = [(closure.before, BEFORE, "declared model fitted")]
         curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
         chart = fit_chart(closure.record, curves, picture, temperatures=False)
         charts.append(replace(chart, pictured=not charts))  # one picture shows them all
@@ -300,7 +300,7 @@ def residuals_figure(found: JointClosure) -> Figure:
     for a, closure, after in zip(axes, found.closures, found.after, strict=True):
         record = closure.record
         judged = record.fit_mask() | record.holdout_mask()
-        curves = [(closure.before, BEFORE, "derivatives fitted")]
+        curves = [(closure.before, BEFORE, "declared model fitted")]
         curves += [(after, AFTER, f"with {found.named}")] if after is not closure.before else []
         for prediction, color, label in curves:
             for k, i in enumerate(i for i, s in enumerate(record.sensors) if s.used):
