@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, FORCE, OUT, PATH, ROOT, optional_directory, print_table, progress_line
 from sim_heating.cli.output import report_files, report_results
 
 
@@ -96,6 +96,7 @@ def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None
 
 @click.command("ratio-tables")
 @click.argument("vehicles", nargs=-1, required=True)
+@FORCE
 @ROOT
 def ratio_tables(vehicles: tuple[str, ...], root: Path | None) -> None:
     """Build the heating-ratio tables of VEHICLES from the descriptions in their folders `ratio_sources`.

@@ -236,7 +236,8 @@ def test_a_file_of_other_origin_is_refused_before_any_work(
         assert main([*command, "--out", "occupied"]) == 2
         errors = capsys.readouterr().err.splitlines()
         assert errors == [
-            f"error: occupied: {name} already exists and was not written by sim-heating; choose another directory"
+            f"error: occupied: {name} already exists and was not written by sim-heating; choose another directory, or "
+            "replace what is there with --force"
         ]
         assert [p for p in (workdir / "occupied").rglob("*") if p.is_file()] == [mine]
         shutil.rmtree(workdir / "occupied")

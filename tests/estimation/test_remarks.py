@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from sim_heating.estimation.report.remarks import (
     EMITTANCE,
     MEANINGS,
     NEGATIVE_CONDUCTIVITY,
+    NEGATIVE_RATIO,
     PRIOR,
     remarks,
 )
@@ -50,6 +52,14 @@ def test_heating_and_emittance_of_one_record_are_correlated() -> None:
 def test_a_conductivity_by_radiation_below_0_is_remarked() -> None:
     fitted = estimate(BOARD, [RADIATIVE], fixed={"stack.rsi.conductivity_factor": 2.0})
     assert [r.kind for r in remarks(fitted)] == [NEGATIVE_CONDUCTIVITY]
+
+
+def test_a_ratio_below_0_is_remarked_with_its_duration() -> None:
+    """A derivative that no flight has, over the angles of a pull-up, takes the ratio below 0 at one end of it."""
+    found = {r.kind: r for r in remarks(estimate(PRACTICE / "p06", ["ratio.scale"], fixed={"ratio.d_alpha": 0.05}))}
+    remark = found[NEGATIVE_RATIO]
+    assert remark.parameters == ["ratio.scale"]
+    assert re.fullmatch(r"p06: the heating ratio is negative for [1-9]\d* s", remark.message)
 
 
 def test_a_good_fit_has_none() -> None:

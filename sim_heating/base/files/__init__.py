@@ -10,6 +10,7 @@ from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.results import (
     MARKER,
+    OR_FORCE,
     all_files_written,
     files_written,
     json_text,
@@ -48,7 +49,7 @@ from sim_heating.base.files.toml import (
 from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle
 
 __all__ = [
-    "COLDEST_K", "DIGEST", "MARKER", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
+    "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
     "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_text", "digest_matches",
     "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name",
     "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json",

@@ -30,6 +30,8 @@ from sim_heating.base.files.transaction import (
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
 MARKER_FORMAT = "sim_heating-output/2"
+OR_FORCE = ", or replace what is there with --force"
+"""End of a message about files that others wrote, which every command that writes has the option for."""
 REPLACE_OTHERS = "SIM_HEATING_REPLACE_OTHERS"
 """Environment variable that is set within `replacing_others`: processes that a command starts inherit it."""
 
@@ -158,10 +160,15 @@ def output_directory(
             foreign = _others(target, command, old)
             commit(target, old)
         if foreign:
-            warnings.warn(
-                f"{display_path(target)}: replaced {_listed(foreign)}, which `{command}` had not written, or not so",
-                stacklevel=3,
-            )
+            _warn_of_replaced(target, foreign, command)
+
+
+def _warn_of_replaced(target: Path, names: list[str], command: str) -> None:
+    """Warn of files that were replaced although others had written or changed them."""
+    warnings.warn(
+        f"{display_path(target)}: replaced {_listed(names)}, which `{command}` had not written, or not so",
+        stacklevel=4,
+    )
 
 
 def require_writable(
@@ -253,15 +260,17 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
         kept = {name: text for name, text in texts.items() if has_digest(target / name, text_digest(text))}
         new = {name: text for name, text in texts.items() if name not in kept}
         foreign = [n for n in new if os.path.lexists(target / n) and not has_digest(target / n, listed.get(n, ""))]
-        if foreign:
+        if foreign and (not replaces_others() or any((target / name).is_dir() for name in foreign)):
             raise InputError(
                 f"{display_path(target)}: {', '.join(foreign)} was not written by `{command}`, or was changed since, "
-                "and is not replaced; move it away"
+                f"and is not replaced; move it away{OR_FORCE}"
             )
         digests = {**listed, **{name: text_digest(text) for name, text in texts.items()}}
         marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
         if new or found is None or digests != listed:
             replace_files(target, {**new, MARKER: marker})
+        if foreign:
+            _warn_of_replaced(target, foreign, command)
 
 
 def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dict[str, str]:
@@ -276,7 +285,7 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     if earlier != command and not replaces_others():
         raise InputError(
             f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
-            "directory"
+            f"directory{OR_FORCE}"
         )
     there = [name for name in sorted({*files, *names} - {MARKER}) if os.path.lexists(target / name)]
     for name in {*files, *names}:
@@ -290,13 +299,13 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     if foreign:
         raise InputError(
             f"{display_path(target)}: {', '.join(foreign)} already exists and was not written by sim-heating; choose "
-            "another directory"
+            f"another directory{OR_FORCE}"
         )
     changed = [n for n in there if not has_digest(target / n, files[n])]
     if changed:
         raise InputError(
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
-            "move it away or choose another directory"
+            f"move it away or choose another directory{OR_FORCE}"
         )
     own = {} if found is None else {MARKER: file_digest(target / MARKER)}
     return own | {name: files[name] for name in there}

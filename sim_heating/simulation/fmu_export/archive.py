@@ -12,7 +12,7 @@ import zlib
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import replaces_others
+from sim_heating.base.files import OR_FORCE, replaces_others
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import display_path
 
@@ -81,5 +81,5 @@ def require_replaceable(path: str | os.PathLike[str]) -> None:
     if os.path.lexists(path) and not replaces_others() and not is_unmodified_export(path):
         raise InputError(
             f"{display_path(path)}: exists and is not an unmodified export of sim-heating; it is not replaced: "
-            "choose another name, or remove it first"
+            f"choose another name{OR_FORCE}"
         )
