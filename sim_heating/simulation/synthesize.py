@@ -255,7 +255,9 @@ def declaration(
     scenario: Scenario, point: ControlPoint, sensors: Sequence[Sensor], windows: Sequence[Window] = ()
 ) -> RecordFile:
     """Content of record.toml for a control point with these sensors, and the manoeuvres flown in these windows."""
-    return record_declaration(scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows)
+    declared = record_declaration(scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows)
+    source = f"synthetic: flown along {scenario.path.name}, {scenario.title}"
+    return declared.model_copy(update={"conditions": declared.conditions.model_copy(update={"source": source})})
 
 
 def record_declaration(
@@ -287,7 +289,7 @@ def record_declaration(
         **_declared_effects(point),
     }
     data |= {
-        "conditions": {"file": CONDITIONS, "source": f"synthetic: flown along {scenario.path.name}, {scenario.title}"},
+        "conditions": {"file": CONDITIONS},
         "thermocouples": {"file": THERMOCOUPLES} | data["thermocouples"],
         "heating": {name: value for name, value in heating.items() if value is not None},
     }

@@ -56,7 +56,7 @@ def test_a_conductivity_by_radiation_below_0_is_remarked() -> None:
 
 def test_a_ratio_below_0_is_remarked_with_its_duration() -> None:
     """A derivative that no flight has, over the angles of a pull-up, takes the ratio below 0 at one end of it."""
-    found = {r.kind: r for r in remarks(estimate(PRACTICE / "p06", ["ratio.scale"], fixed={"ratio.d_alpha": 0.05}))}
+    found = {r.kind: r for r in remarks(estimate(PRACTICE / "p06", ["ratio.scale"], fixed={"ratio.d_alpha": 0.005}))}
     remark = found[NEGATIVE_RATIO]
     assert remark.parameters == ["ratio.scale"]
     assert re.fullmatch(r"p06: the heating ratio is negative for [1-9]\d* s", remark.message)
