@@ -129,6 +129,7 @@ class Innovation(NamedTuple):
     innovation_K, variance_K2 : reading less prediction [K], and the variance that it ought to have [K2]; of a recorder
                                 word those of docs/theory/filter.md, equation 10
     predicted_K, predicted_variance_K2 : the expected reading [K] and its variance with its noise [K2]
+    read_K : the reading itself [K], the middle of the interval of a word
     """
 
     time_s: float
@@ -138,6 +139,7 @@ class Innovation(NamedTuple):
     variance_K2: float
     predicted_K: float
     predicted_variance_K2: float
+    read_K: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +215,7 @@ class LiveEstimator:
         self._kept: list[_Kept] = []
         self._provisional, self._changed = False, False
         self._dirty = (math.inf, math.inf)
-        self._log: list[tuple[float, int, float, float, float, float]] = []
+        self._log: list[tuple[float, int, float, float, float, float, float]] = []
         self._given_until = -math.inf
         self.steps = 0
 
@@ -432,7 +434,7 @@ class LiveEstimator:
                 zip(
                     given.time_s[read].tolist(), numbers[read].tolist(), found.innovation_K[read].tolist(),
                     found.innovation_variance_K2[read].tolist(), found.predicted_K[read].tolist(),
-                    found.variance_K2[read].tolist(), strict=True,
+                    found.variance_K2[read].tolist(), _middle_K(given)[read].tolist(), strict=True,
                 )
             )  # fmt: skip
         return vectors
@@ -589,6 +591,12 @@ class LiveEstimator:
     def diverged(self) -> list[str]:
         """Names of the points whose filter diverged."""
         return [self.names[k * LANES + i] for k, f in enumerate(self.filters) for i in f.diverged]
+
+
+def _middle_K(readings: PointReadings) -> FloatArray:
+    """(reading,) middle of the interval of each reading [K], the finite end of an open one."""
+    low, high = readings.lower_K, readings.upper_K
+    return np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
 
 
 class _SensorTable:

@@ -138,10 +138,10 @@ class RemovedSensor:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A missing effect that the record so far points to, with its probability."""
+    """A missing effect that the record so far points to, with its probability; None where that is not calibrated."""
 
     what: str
-    probability: float
+    probability: float | None
 
 
 @dataclass(frozen=True)

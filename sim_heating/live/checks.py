@@ -1,0 +1,143 @@
+"""Sensors that fail while a link runs: stuck, clipped, flickering, or away from their neighbours.
+
+The checks see each reading once, in order of time, when no late sample can change it any more, and compare it with what
+the estimator expected. What they decide is a function of the readings alone. A sensor that failed is left out from a
+stated time on, a little after the reading that told, so that the decision does not depend on how the readings came.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_heating.live.estimator import Innovation
+from sim_heating.live.sequential import score_of_word
+from sim_heating.thermal.stack import Sensor
+
+WINDOW = 60
+"""Readings of a sensor that are looked at."""
+STUCK_READINGS, STUCK_SIGMAS = 12, 8.0
+"""Equal readings in a row from which on a sensor may be stuck; it is where the expected reading moves by a step of the
+recorder and this many standard deviations of its noise meanwhile [-]."""
+FLICKER_OF, FLICKERS, FLICKER_SIGMAS = 20, 4, 6.0
+"""Readings, how many of them may be this many standard deviations off [-], with others that agree in between."""
+AGREES_SIGMAS = 3.0
+"""Standard deviations within which a reading agrees with what is expected [-]."""
+DRIFT_OF, DRIFT_SIGMAS, NEIGHBOUR_SIGMAS, NEIGHBOURS = 40, 9.0, 4.0, 2
+"""Readings whose mean is off by so many of its own standard deviations [-], while those of at least so many other
+sensors of the point are not off by NEIGHBOUR_SIGMAS."""
+FLOOR_SIGMA_K = 0.02
+"""Least noise that is assumed of a sensor [K]."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A sensor that failed.
+
+    found_s : time of the reading that told [s];  from_s : from when on it is left out [s];  why : in one line
+    """
+
+    point: str
+    sensor: str
+    found_s: float
+    from_s: float
+    why: str
+
+
+@dataclass
+class _Recent:
+    """The last readings of a sensor: time [s], reading, expected reading [K], score [-]."""
+
+    rows: deque[tuple[float, float, float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    equal: int = 0
+    least_K: float = math.inf
+    most_K: float = -math.inf
+
+    def take(self, row: tuple[float, float, float, float]) -> None:
+        self.equal = self.equal + 1 if self.rows and self.rows[-1][1] == row[1] else 1
+        self.rows.append(row)
+        self.least_K, self.most_K = min(self.least_K, row[1]), max(self.most_K, row[1])
+
+    @property
+    def scores(self) -> list[float]:
+        return [row[3] for row in self.rows]
+
+    def mean_over(self, count: int) -> float | None:
+        """Mean of the last scores over its own standard deviation [-]; None before there are so many. No single score
+        counts as more than AGREES_SIGMAS: a spike is no drift."""
+        last = np.clip(self.scores[-count:], -AGREES_SIGMAS, AGREES_SIGMAS)
+        return None if len(last) < count else float(np.sum(last)) / math.sqrt(count)
+
+
+class SensorChecks:
+    """Checks of all sensors of a link, as their readings come.
+
+    sensors : by control point and name;  lateness_s : how late a sample may come [s]
+    """
+
+    def __init__(self, sensors: Mapping[tuple[str, str], Sensor], lateness_s: float = 2.0) -> None:
+        self.sensors, self.wait_s = dict(sensors), lateness_s + 1.0
+        self.failures: list[Failure] = []
+        self._recent: dict[tuple[str, str], _Recent] = {}
+        self._failed: set[tuple[str, str]] = set()
+
+    def take(self, read: Innovation) -> Failure | None:
+        """Take the next reading; the failure of its sensor, where this reading told it."""
+        key = read.point, read.sensor
+        if key in self._failed:
+            return None
+        recent = self._recent.setdefault(key, _Recent())
+        score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
+        recent.take((read.time_s, read.read_K, read.predicted_K, score))
+        why = self._stuck(key, recent) or self._flickers(recent) or self._drifts(key, recent)
+        if not why:
+            return None
+        self._failed.add(key)
+        self.failures.append(Failure(*key, read.time_s, read.time_s + self.wait_s, why))
+        return self.failures[-1]
+
+    def _stuck(self, key: tuple[str, str], recent: _Recent) -> str:
+        if recent.equal < STUCK_READINGS:
+            return ""
+        sensor, run = self.sensors[key], list(recent.rows)[-recent.equal :]
+        expected = [row[2] for row in run]
+        noise_K = max(sensor.noise_sigma_K or 0.0, FLOOR_SIGMA_K)
+        if max(expected) - min(expected) <= sensor.lsb_K + STUCK_SIGMAS * noise_K:
+            return ""
+        (since_s, level, *_), away = run[0], expected[-1] - run[-1][1]
+        at_end = (level >= recent.most_K and away > 0.0) or (level <= recent.least_K and away < 0.0)
+        if at_end and recent.most_K > recent.least_K:
+            return f"clips at {level:.1f} K since {since_s:.1f} s, {expected[-1]:.1f} K is expected"
+        return f"stuck at {level:.1f} K since {since_s:.1f} s, {expected[-1]:.1f} K is expected"
+
+    def _flickers(self, recent: _Recent) -> str:
+        last = recent.scores[-FLICKER_OF:]
+        off = [abs(z) > FLICKER_SIGMAS for z in last]
+        if len(last) < FLICKER_OF or sum(off) < FLICKERS or not off[-1]:
+            return ""
+        # steadily off is a drift, or a model that is wrong: a flickering sensor agrees in between
+        agrees = [abs(z) < AGREES_SIGMAS for z in last]
+        returns = sum(1 for was_off, now in zip(off, agrees[1:], strict=False) if was_off and now)
+        if returns < FLICKERS - 1:
+            return ""
+        return f"flickers: {sum(off)} of its last {FLICKER_OF} readings are more than {FLICKER_SIGMAS:g} sigma off"
+
+    def _drifts(self, key: tuple[str, str], recent: _Recent) -> str:
+        own = recent.mean_over(DRIFT_OF)
+        if own is None or abs(own) < DRIFT_SIGMAS:
+            return ""
+        others = [
+            self._recent[k].mean_over(DRIFT_OF)
+            for k in self._recent
+            if k[0] == key[0] and k != key and k not in self._failed
+        ]
+        agree = [m for m in others if m is not None and abs(m) < NEIGHBOUR_SIGMAS]
+        if len(agree) < NEIGHBOURS or len(agree) < len(others):
+            return ""
+        rows = list(recent.rows)[-DRIFT_OF:]
+        by_K = float(np.mean([y - expected for _, y, expected, _ in rows]))
+        return f"{by_K:+.1f} K away from what it and its neighbours gave before, and they are not"

@@ -1,0 +1,131 @@
+"""What could be missing, once the sequential test has fired: close-loop on the record so far, in another process.
+
+The journal is closed as a record without the sensors that were taken out, and `close_loop` weighs its candidates on it.
+The link goes on meanwhile.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim_heating.base.errors import InputError, RunError, one_line
+from sim_heating.live.state import Candidate
+
+NICE = 10
+"""By how much the other process steps back behind the link's own."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What the record so far says is missing at a control point.
+
+    until_s    : end of the record [s]
+    finding    : "found", "one of", "partly", "unknown" or "none", as close-loop states it; "" where it could not
+    candidates : effects that were named, those that the record cannot tell apart as one, with their calibrated
+                 probability
+    text       : in one line
+    """
+
+    point: str
+    until_s: float
+    finding: str
+    candidates: Sequence[Candidate]
+    text: str
+
+
+class Weighing:
+    """Closes the loop on the journal of a link, in a process of its own; one record at a time."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._running: Future[Weighed] | None = None
+        self.last: Weighed | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a record is being weighed."""
+        return self._running is not None and not self._running.done()
+
+    def start(
+        self, journal: str | os.PathLike[str], point: str, left_out: Sequence[str] = (), *,
+        root: str | os.PathLike[str] | None = None,
+    ) -> bool:  # fmt: skip
+        """Begin with the record so far of a control point; False while another one is being weighed.
+
+        journal  : directory of the link, or its journal
+        left_out : names of the sensors that were taken out
+        """
+        if self.busy:
+            return False
+        if self._pool is None:
+            # spawned: a fork of a process with threads may hold their locks
+            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_step_back)
+        place = None if root is None else os.fspath(root)
+        self._running = self._pool.submit(weigh, os.fspath(journal), point, tuple(left_out), place)
+        return True
+
+    def poll(self) -> Weighed | None:
+        """What was found, once after it was; None otherwise."""
+        if self._running is None or not self._running.done():
+            return None
+        running, self._running = self._running, None
+        try:
+            self.last = running.result()
+        except BrokenProcessPool:
+            self._pool = None
+            self.last = Weighed("", float("nan"), "", (), "the process that weighs candidates ended; it begins anew")
+        return self.last
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        if self._pool is not None:
+            for process in list((self._pool._processes or {}).values()):
+                process.terminate()
+            self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = self._running = None
+
+
+def _step_back() -> None:
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+
+
+def weigh(journal: str, point: str, left_out: Sequence[str] = (), root: str | None = None) -> Weighed:
+    """Close the loop on the record so far of a control point.
+
+    journal  : directory of the link, or its journal;  left_out : names of sensors that were taken out
+    returns  : what is missing; a record that cannot be closed gives the reason as its text
+    """
+    from sim_heating.closure.close import close_loop
+    from sim_heating.inputs.record import load_record
+    from sim_heating.live.to_record import link_of, to_record
+
+    until_s = float("nan")
+    try:
+        with tempfile.TemporaryDirectory(prefix="sim_heating_live_") as folder:
+            place = Path(folder) / "records"
+            records, _ = to_record(journal, place, link_of(journal, root=root))
+            if point not in records:
+                return Weighed(point, until_s, "", (), f"{point}: no reading of it yet")
+            record = load_record(place if len(records) == 1 else place / point)
+            record = record.with_sensors([s for s in record.sensors if s.name not in left_out])
+            until_s = float(record.time_s[-1])
+            stated = close_loop(record).report.statement
+    except (InputError, RunError) as error:
+        return Weighed(point, until_s, "", (), f"{point}: not weighed: {one_line(str(error))}")
+    named = [Candidate(" or ".join(names), stated.probability) for names in stated.alternatives]
+    found = [c.what for c in named]
+    sure = "" if stated.probability is None else f", probability {stated.probability:.2f}"
+    text = {
+        "none": "no effect on the list is missing",
+        "unknown": "unknown: no effect on the list explains it",
+        "partly": f"unknown in part; it resembles {' and '.join(found)}{sure}",
+    }.get(stated.finding, f"{' and '.join(found)}{sure}")
+    return Weighed(point, until_s, stated.finding, () if stated.finding == "none" else named, f"{point}: {text}")
