@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError, error_context, one_line
@@ -47,6 +47,14 @@ REMARKS = 12
 """Remarks that a state shows; all of them are in the summary."""
 KEPT_REMARKS = 10_000
 """Remarks that are kept for the summary."""
+
+
+WARM_UP = {
+    "altitude_m": 70e3, "velocity_m_s": 6000.0, "alpha_deg": 40.0, "beta_deg": 0.0, "elevon_deg": 0.0,
+    "bodyflap_deg": 0.0, "rho_kg_m3": 1e-4,
+}  # fmt: skip
+"""A frame within the tables; what it is does not matter."""
+WARM_UP_K, WARM_UP_FRAMES = 300.0, 12
 
 
 @dataclass
@@ -134,6 +142,7 @@ class LinkEngine:
         self._latest_frame: Frame | None = None
         self._latest: dict[tuple[str, str], Reading] = {}
         self._sequence = 0
+        self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
         declared = link.declared.estimate.parameters or ["ratio.scale"]
         self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in declared}
@@ -241,7 +250,7 @@ class LinkEngine:
         """The state now; states are numbered."""
         now = time.monotonic()
         self._sequence += 1
-        return State(
+        self._last = State(
             sequence=self._sequence - 1,
             time_s=self.estimator.time_s,
             wall_s=now - self._started_s,
@@ -251,6 +260,28 @@ class LinkEngine:
             removed=self._removed(),
             missing=self._missing(),
         )
+        return self._last
+
+    def last_state(self) -> State:
+        """The last state with the health of the link now; for another thread while the engine is at work."""
+        now = time.monotonic()
+        self._sequence += 1
+        self._last = replace(
+            self._last, sequence=self._sequence - 1, wall_s=now - self._started_s, link=self.link_state(now)
+        )
+        return self._last
+
+    def warm_up(self) -> None:
+        """Compile all that messages will run, with a flight of a few seconds of its own: no message waits for it."""
+        estimator = make_estimator(self.link)
+        record = next(iter(self.link.records.values()), None)
+        first = WARM_UP if record is None else {n: float(v[0]) for n, v in record.conditions.columns.items()}
+        for k in range(WARM_UP_FRAMES):
+            estimator.add(Frame(0.5 * k, {name: first.get(name, 0.0) for name in self.estimator.source.columns}))
+            for point in self.link.points:
+                estimator.add(*(Reading(0.5 * k, point.name, s.name, WARM_UP_K) for s in point.sensors))
+            estimator.advance()
+            estimator.estimates()
 
     def link_state(self, now_s: float) -> LinkState:
         """Health of the link at a time of the monotonic clock [s]."""

@@ -557,9 +557,7 @@ class LiveEstimator:
         frames = [] if self._provisional else self.timeline.frames_after(self._now.time_s)
         if frames:
             if not self._now.filters:
-                self._now = self._snapshot(
-                    self._now.time_s, self._now.decided_s, self._now.values, self._now.vectors
-                )
+                self._now = self._snapshot(self._now.time_s, self._now.decided_s, self._now.values, self._now.vectors)
             self._take_steps(frames[-1])
             self._provisional = True
 

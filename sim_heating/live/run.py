@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import os
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sim_heating.base.errors import InputError
 from sim_heating.live.engine import IN_A_ROW, LinkEngine
+from sim_heating.live.journal import read_journal
 from sim_heating.live.sources import Remark, SourceStream, open_source
 from sim_heating.live.spec import Link, Network, Replay
 from sim_heating.live.state import State
@@ -70,12 +72,17 @@ async def run_link(
             await output.start()
             started.append(output)
         if resume and engine.journal is not None:
-            taken = await loop.run_in_executor(worker, engine.resume, engine.journal.path)
+            taken = Counter(entry.source for entry in read_journal(engine.journal.path))
         streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
         readers = [asyncio.create_task(_read(s, queue, _skipped(link, s.number, taken))) for s in streams]
-        await _take_all(engine, queue, len(readers), worker, stop, _publisher(engine, started, on_state))
+        publish = _publisher(engine, started, on_state)
+        await _meanwhile(loop.run_in_executor(worker, engine.warm_up), publish, loop.time())
+        if taken and engine.journal is not None:
+            again = loop.run_in_executor(worker, engine.resume, engine.journal.path)
+            await _meanwhile(again, publish, loop.time())
+        await _take_all(engine, queue, len(readers), worker, stop, publish)
         await loop.run_in_executor(worker, engine.end)
         last = engine.state()
         _publish(last, started, on_state)
@@ -116,7 +123,7 @@ async def _take_all(
     sources: int,
     worker: ThreadPoolExecutor,
     stop: asyncio.Event,
-    publish: Callable[[], Any],
+    publish: Callable[[bool], None],
 ) -> None:
     """Give messages to the engine until all sources have ended, and publish its states at their rate."""
     loop = asyncio.get_running_loop()
@@ -139,12 +146,26 @@ async def _take_all(
                     break
                 first = queue.get_nowait()
             if batch:
-                await loop.run_in_executor(worker, _take, engine, batch)
+                due = await _meanwhile(loop.run_in_executor(worker, _take, engine, batch), publish, due, interval)
             if loop.time() >= due:
-                await publish()
+                publish(False)
                 due = max(due + interval, loop.time())
     finally:
         stopped.cancel()
+
+
+async def _meanwhile(
+    work: asyncio.Future[Any], publish: Callable[[bool], None], due: float, interval: float = 0.1
+) -> float:
+    """Wait for the engine, and publish the health of the link while it is at work; when the next state is due."""
+    loop = asyncio.get_running_loop()
+    while not work.done():
+        await asyncio.wait({work}, timeout=max(due - loop.time(), 0.0))
+        if not work.done():
+            publish(True)
+            due = loop.time() + interval
+    work.result()
+    return due
 
 
 _NOTHING: Any = object()
@@ -172,9 +193,11 @@ def _take(engine: LinkEngine, batch: Sequence[tuple[int, Message]]) -> None:
 
 def _publisher(
     engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None
-) -> Callable[[], Any]:
-    async def publish() -> None:
-        _publish(engine.state(), outputs, on_state)
+) -> Callable[[bool], None]:
+    """What publishes the state now; with True the last one, with the link's health now, while the engine is busy."""
+
+    def publish(is_busy: bool) -> None:
+        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state)
 
     return publish
 

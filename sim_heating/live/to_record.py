@@ -19,7 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, output_directory
 from sim_heating.heating.atmosphere import free_stream
 from sim_heating.inputs.points import conditions_at_point
-from sim_heating.inputs.record import Record, make_record, write_record
+from sim_heating.inputs.record import Record, Segments, make_record, write_record
 from sim_heating.live.estimator import BRIDGED_S
 from sim_heating.live.journal import journal_file, read_head, read_journal
 from sim_heating.live.mapping import FieldMapping
@@ -164,6 +164,14 @@ def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapp
     """A record with the declaration of another one, and what was flown and measured now."""
     sensors = [s for s in record.sensors if s.column in measured]
     declared = record.with_sensors(sensors).declared
+    first_s, last_s = float(measured["time_s"][0]), float(measured["time_s"][-1])
+    own = declared.segments
+    reached = {
+        name: [s for s in segments if s[0] <= last_s and s[1] >= first_s] if segments is not None else None
+        for name, segments in (("fit", own.fit), ("holdout", own.holdout))
+    }
+    given = {name: segments for name, segments in reached.items() if segments}
+    declared = declared.model_copy(update={"segments": Segments(**given)})
     conditions = Conditions({name: v for name, v in flown.items() if name in DESCRIPTIONS or name in record.conditions})
     return make_record(
         declared, conditions, measured, record.ratio_table, record.declared.control_point, record.turbulent

@@ -64,10 +64,10 @@ def test_a_word_that_is_no_number_is_a_lost_sample(word):
     ("values", "problem"),
     [
         ({"altitude_m": 74e3}, "time field `time_s` is missing"),
-        ({"time_s": "noon"}, "field `time_s`: \"noon\" is not a number"),
+        ({"time_s": "noon"}, 'field `time_s`: "noon" is not a number'),
         ({"time_s": float("inf")}, "field `time_s`: inf is not a finite number"),
         (FRAME | {"velocity_m_s": 22300.0}, "looks like ft/s; no frame at 0 s"),
-        (FRAME | {"alpha_deg": "?"}, "field `alpha_deg`: \"?\" is not a number; no frame at 0 s"),
+        (FRAME | {"alpha_deg": "?"}, 'field `alpha_deg`: "?" is not a number; no frame at 0 s'),
         ({"time_s": 0.0, "V09T9527_K": 20.0}, "looks like Celsius"),
         ({"time_s": 0.0, "V09T9527_K": 1700.0}, "outside the recorder's 255 to 1533 K"),
     ],

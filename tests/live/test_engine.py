@@ -1,0 +1,200 @@
+"""A link from its source to its state: a recorded flight replayed, killed and gone on with, and closed as a record."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_heating.inputs.record import Record, Segments, load_record, write_record
+from sim_heating.live.engine import LinkEngine
+from sim_heating.live.journal import NAME, Journal
+from sim_heating.live.run import run, run_link
+from sim_heating.live.sources import open_source
+from sim_heating.live.spec import Link, make_link
+from sim_heating.live.state import State, plain, state_json
+from sim_heating.live.to_record import link_of, to_record
+from sim_heating.live.types import Message
+from tests.live.links import FRAME, free_port, json_lines, link
+from tests.support.paths import ROOT
+
+RECORD = ROOT / "scenarios" / "records" / "practice" / "p06"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """200 s of a practice record, from the middle of the flight."""
+    from dataclasses import replace
+
+    from sim_heating.base.conditions import Conditions
+
+    whole = load_record(RECORD)
+
+    def within(columns: dict) -> dict:
+        t = columns["time_s"]
+        return {name: values[(t >= 500.0) & (t <= 700.0)] for name, values in columns.items()}
+
+    cut = replace(
+        whole,
+        declared=whole.declared.model_copy(update={"segments": Segments()}),
+        conditions=Conditions(within(dict(whole.conditions.columns))),
+        thermocouples=within(dict(whole.thermocouples)),
+    )
+    place = tmp_path_factory.mktemp("records") / "short"
+    write_record(cut, place)
+    return place
+
+
+def replaying(record: Path, **keys) -> Link:
+    data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}], **keys}
+    return make_link(data, record.parent / "link.toml")
+
+
+def contents(made: Link) -> dict:
+    return made.declared.model_dump(mode="json", exclude_unset=True)
+
+
+def journal_of(made: Link, folder: Path) -> Journal:
+    return Journal(folder / NAME, contents(made), made.path)
+
+
+def points_of(state: State) -> str:
+    return json.dumps(plain(state.points))
+
+
+def messages_of(made: Link) -> list[Message]:
+    async def main() -> list[Message]:
+        return [m async for m in open_source(made, 0, print)]
+
+    return asyncio.run(main())
+
+
+@pytest.fixture(scope="module")
+def followed(short: Path) -> State:
+    """The last state of the replay."""
+    return run(LinkEngine(replaying(short)))
+
+
+def test_a_replayed_record_gives_an_estimate_with_its_bounds(followed: State, short: Path):
+    (point,) = followed.points.values()
+    record = load_record(short)
+    assert followed.link.state == "ended"
+    assert followed.time_s == record.conditions.time_s[-1]
+    surface = point.sensors["LS_surface"]
+    assert surface.measured_s == record.time_s[-1]
+    assert abs(surface.measured_K - surface.predicted_K) < 5.0 * surface.sigma_K
+    assert 0.0 < point.parameters["ratio.scale"].sigma < 0.1
+    assert point.ratio == pytest.approx(point.ratio_table * (1.0 + point.parameters["ratio.scale"].value), rel=0.05)
+    assert json.loads(state_json(followed))["points"]["LS"]["surface_K"] == point.surface_K
+
+
+def test_what_came_closes_as_the_record_that_was_sent(short: Path, tmp_path: Path):
+    made = replaying(short)
+    own = journal_of(made, tmp_path / "link")
+    for message in messages_of(made):
+        own.append(message.body)
+    own.close(is_end=True)
+    assert link_of(tmp_path / "link").names == ("LS",)
+    (found,), notes = to_record(tmp_path / "link", tmp_path / "record")[0].values(), []
+    sent, read = load_record(short), load_record(tmp_path / "record")
+    assert notes == []
+    assert same(sent, read)
+    assert same(sent, found)
+
+
+def same(a: Record, b: Record) -> bool:
+    flown = all(np.array_equal(a.conditions[n], b.conditions[n]) for n in a.conditions.names)
+    read = all(np.array_equal(a.thermocouples[n], b.thermocouples[n], equal_nan=True) for n in a.thermocouples)
+    return flown and read and a.declared.stack == b.declared.stack
+
+
+def test_a_link_that_was_killed_goes_on_from_its_journal_with_the_same_bits(short: Path, tmp_path, followed: State):
+    made = replaying(short)
+    engine = LinkEngine(made, journal_of(made, tmp_path))
+    for message in messages_of(made)[:120]:
+        engine.take(message)
+        engine.advance()
+    engine.journal.close(is_end=False)  # as after a kill: without its end
+    again = LinkEngine(made, journal_of(made, tmp_path))
+    assert again.journal.is_resumed
+    state = run(again, resume=True)
+    again.journal.close(is_end=True)
+    assert again.remarks.lines()[0] == "goes on from a journal of 120 messages"
+    assert points_of(state) == points_of(followed)
+
+
+def test_messages_out_of_order_within_the_lateness_give_the_same_bits(short: Path, followed: State):
+    engine = LinkEngine(replaying(short))
+    rng = np.random.default_rng(1)
+    messages = messages_of(engine.link)
+    late = np.argsort(np.arange(len(messages)) + rng.uniform(0.0, 1.9, len(messages)), kind="stable")
+    first = messages[:5]  # the first frame has to come first
+    for message in [*first, *(messages[k] for k in late if k >= 5)]:
+        engine.take(message)
+        engine.advance()
+    engine.end()
+    state = engine.state()
+    assert state.link.late > 10
+    assert state.link.too_late == 0
+    assert points_of(state) == points_of(followed)
+
+
+def test_doubled_damaged_and_lost_samples_are_counted_and_told(short: Path, followed: State):
+    engine = LinkEngine(replaying(short))
+    for k, message in enumerate(messages_of(engine.link)):
+        engine.take(message)
+        if k % 10 == 0:
+            engine.take(message)
+            engine.take(Message(0.0, b"?", {}, damaged="? is not JSON"))
+        engine.advance()
+    engine.end()
+    state = engine.state()
+    assert state.link.doubled >= 20
+    assert state.link.damaged == 21
+    assert any("is not JSON (21 times)" in line for line in state.link.messages)
+    assert points_of(state) == points_of(followed)
+
+
+def test_a_link_is_waiting_then_live_then_stalled():
+    port = free_port()
+    made = link({"kind": "json-lines", "port": port}, output={"rate_Hz": 10.0})
+    engine = LinkEngine(made)
+    engine.warm_up()
+    states: list[State] = []
+
+    async def main() -> None:
+        stop = asyncio.Event()
+        task = asyncio.create_task(run_link(engine, on_state=states.append, stop=stop))
+        await asyncio.sleep(0.5)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+            for k in range(20):
+                own.sendto(json_lines([FRAME | {"time_s": k / 10.0}]), ("127.0.0.1", port))
+                await asyncio.sleep(0.05)
+        await asyncio.sleep(2.0)
+        stop.set()
+        await task
+
+    asyncio.run(main())
+    phases = list(dict.fromkeys(s.link.state for s in states))
+    assert phases == ["waiting", "live", "stalled", "ended"]
+    assert engine.counts["frames"] == 20
+    assert max(s.link.frames_Hz for s in states) > 5.0
+    live = [s.wall_s for s in states if s.link.state == "live"]
+    stalled = next(s for s in states if s.link.state == "stalled")
+    assert stalled.wall_s - live[-1] < 1.0  # states go on while nothing comes
+    assert stalled.link.since_s < 2.0
+
+
+def test_a_problem_of_a_source_ends_the_link_with_its_line(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        made = link({"kind": "json-lines", "port": other.getsockname()[1]})
+        begun = time.monotonic()
+        with pytest.raises(ValueError, match="is in use"):
+            run(LinkEngine(made))
+        assert time.monotonic() - begun < 60.0
