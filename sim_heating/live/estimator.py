@@ -211,9 +211,12 @@ class LiveEstimator:
         self._restart()
 
     def _restart(self) -> None:
+        self._starts: list[tuple[FloatArray, FloatArray]] = []
         self._now: _Kept | None = None
         self._kept: list[_Kept] = []
         self._provisional, self._changed = False, False
+        # frames since the last step, all on one straight line
+        self._passed: list[tuple[Frame, FloatArray]] = []
         self._dirty = (math.inf, math.inf)
         self._log: list[tuple[float, int, float, float, float, float, float]] = []
         self._given_until = -math.inf
@@ -275,6 +278,8 @@ class LiveEstimator:
             return
         frame, reading = self._dirty
         if isinstance(sample, Frame):
+            if self._passed and sample.time_s < self._passed[-1][0].time_s:
+                self._passed = []
             if sample.time_s <= self._now.decided_s:
                 self._dirty = (min(frame, sample.time_s), reading)
         elif sample.time_s <= self._now.time_s:
@@ -315,7 +320,8 @@ class LiveEstimator:
             f.now_s = first.time_s
         self._given_until = -math.inf
         self._log = []
-        self._now = self._snapshot(first.time_s, first.time_s, self._values(first), self.source.conditions(first))
+        self._passed = []
+        self._now = self._snapshot(first.time_s, first.time_s, self._values(first), self._conditions(first))
         self._kept = [self._now]
 
     def _settle(self) -> None:
@@ -366,33 +372,29 @@ class LiveEstimator:
         self._changed = False
         self._go_back()
         self._undo_provisional()
-        pending: list[Frame] = []
-        rows: list[FloatArray] = []
-        for frame in self.timeline.frames_after(self._now.time_s):
+        last = self._passed[-1][0].time_s if self._passed else self._now.time_s
+        for frame in self.timeline.frames_after(last):
             values = self._values(frame)
-            if pending and not self._on_line(pending, rows, frame, values):
-                self._commit(pending[-1], frame.time_s)
-                pending, rows = [], []
-            pending.append(frame)
-            rows.append(values)
+            if self._passed and not self._on_line(frame, values):
+                self._commit(self._passed[-1][0], frame.time_s)
+            self._passed.append((frame, values))
             if frame.time_s - self._now.time_s >= self.options.wait_s - 1e-9:
                 self._commit(frame, frame.time_s)
-                pending, rows = [], []
         self._forget()
 
     def _values(self, frame: Frame) -> FloatArray:
         return np.array([frame.values[c] for c in self.source.columns])
 
-    def _on_line(self, pending: list[Frame], rows: list[FloatArray], frame: Frame, values: FloatArray) -> bool:
-        """Whether the frames between lie on the straight line from the last step to a frame."""
+    def _on_line(self, frame: Frame, values: FloatArray) -> bool:
+        """Whether the frames that were passed over lie on the straight line from the last step to a frame."""
         assert self._now is not None
         begin, span = self._now.time_s, frame.time_s - self._now.time_s
         if span > self.options.wait_s + 1e-9:
             return False
-        part = np.array([(p.time_s - begin) / span for p in pending])[:, np.newaxis]
-        line = self._now.values + part * (values - self._now.values)
-        given = np.array(rows)
-        return bool(np.all(np.abs(given - line) <= self._apart + self._share * np.abs(given)))
+        part = np.array([(f.time_s - begin) / span for f, _ in self._passed])
+        given = np.array([row for _, row in self._passed])
+        away = given - self._now.values - part[:, np.newaxis] * (values - self._now.values)
+        return bool((np.abs(away) <= self._apart + self._share * np.abs(given)).all())
 
     def _commit(self, frame: Frame, decided_s: float) -> None:
         """Filter up to a frame, and keep a snapshot where one is due."""
@@ -407,6 +409,7 @@ class LiveEstimator:
             self._kept.append(self._now)
         else:
             self._now = _Kept(frame.time_s, decided_s, values, vectors, (), len(self._log))
+        self._passed = []
         self.steps += 1
 
     def _take_steps(self, frame: Frame) -> FloatArray:
@@ -479,7 +482,7 @@ class LiveEstimator:
         for f, snapshot in zip(self.filters, kept.filters, strict=True):
             f.restore(snapshot)
         del self._log[kept.innovations :]
-        self._now, self._provisional = kept, False
+        self._now, self._provisional, self._passed = kept, False, []
 
     def _forget(self) -> None:
         """Drop snapshots and samples that no sample to come can reach."""
@@ -496,12 +499,13 @@ class LiveEstimator:
         frames, options = self.timeline.frames, self.options
         if not frames:
             return False
-        begin, wait = frames[0], options.start_s if options.start != "declared" else options.lateness_s
-        if self.timeline.newest_s < begin.time_s + max(wait, options.lateness_s):
+        # late samples of the start are in by then
+        begin, wait_s = frames[0], options.lateness_s + (0.0 if options.start == "declared" else options.start_s)
+        if self.timeline.newest_s < begin.time_s + wait_s:
             return False
         words = self.timeline.words_between(-math.inf, begin.time_s + options.start_s)
         read = self._sensors.first_readings(words)
-        profiles = [self._profile(i, p, read) for i, p in enumerate(self.points)]
+        self._starts = profiles = [self._profile(i, p, read) for i, p in enumerate(self.points)]
         try:
             vectors = self.source.conditions(begin)
         except InputError as error:
@@ -515,6 +519,15 @@ class LiveEstimator:
         self._now = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
         self._kept = [self._now]
         return True
+
+    def start_of(self, point: str) -> tuple[FloatArray, FloatArray]:
+        """(node,) temperatures that a point began with [K], and their (node, node) covariance [K2].
+
+        raises : InputError before the start
+        """
+        if self._now is None:
+            raise InputError("the link has not begun: no start yet")
+        return self._starts[self._of_point[point]]
 
     def _profile(self, i: int, point: LivePoint, read: Mapping[int, float]) -> tuple[FloatArray, FloatArray]:
         """(node,) temperatures at the start [K] and their covariance [K2]."""
@@ -564,7 +577,9 @@ class LiveEstimator:
     def _undo_provisional(self) -> None:
         if self._provisional:
             assert self._now is not None
+            passed = self._passed
             self._return_to(self._now)
+            self._passed = passed
 
     def _of_one(self, i: int, point: LivePoint, state: PointEstimate) -> LiveEstimate:
         bond = point.mesh.bondline
@@ -645,7 +660,9 @@ class _SensorTable:
             return no_readings(m), np.zeros(0, dtype=np.int64)
         given = np.array(mine)
         t, number, value = given[:, 0], given[:, 1].astype(np.int64), given[:, 2]
-        skipped = ~self.used[number] | np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)])
+        skipped = ~self.used[number]
+        if any(o.spans for o in out):
+            skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)])
         lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
         gain, bias, direct = np.ones(len(t)), np.zeros(len(t)), np.zeros((len(t), m, 3))
         for n in self.curved:
@@ -689,6 +706,11 @@ class _SensorTable:
     def predicted(self, i: int, point: LivePoint, state: PointEstimate) -> dict[str, SensorEstimate]:
         """What each sensor of a point ought to show, with its standard deviation."""
         found = {}
+        if not self._any_terms and not self.curved:
+            nodes = list(point.mesh.sensors)
+            sigma = np.hypot(state.sigma_K[nodes], self.sigma_K[self.of_point[i]]).tolist()
+            pairs = zip(point.sensors, state.temperature_K[nodes].tolist(), sigma, strict=True)
+            return {sensor.name: SensorEstimate(T, own) for sensor, T, own in pairs}
         values = dict(zip(state.names, state.values.tolist(), strict=True))
         for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
             node = point.mesh.sensors[k]

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from sim_heating.live.types import Frame, Reading, Sample
+from sim_heating.live.types import Frame, Sample
 
 CONFIRMED_BY = 3
 """Number of frames in a row that make a new clock."""
@@ -97,21 +97,28 @@ class Timeline:
     def put(self, sample: Sample) -> Placed:
         """Put a sample where it belongs; what became of it.
 
-        JUMPED: `suspects` are the first frames on the new clock, to be taken with `follow` once what was before the
-        jump is done with.
+        JUMPED: the first frames on a new clock are there, to be taken with `follow` once what was before the jump is
+        done with.
         """
-        placed = self._put_frame(sample) if isinstance(sample, Frame) else self._put_reading(sample)
+        if isinstance(sample, Frame):
+            placed = self._put_frame(sample)
+        else:
+            placed = self._put_word(sample.time_s, self.sensors[sample.point, sample.sensor], sample.value_K)
+        if placed is not Placed.TAKEN:
+            self._count(placed, sample.time_s)
+        return placed
+
+    def _count(self, placed: Placed, time_s: float) -> None:
         counts = self.counts
         if placed is Placed.LATE:
             counts.late += 1
-            counts.lateness_s = max(counts.lateness_s, self.newest_s - sample.time_s)
+            counts.lateness_s = max(counts.lateness_s, self.newest_s - time_s)
         elif placed is Placed.TOO_LATE:
             counts.too_late += 1
         elif placed is Placed.DOUBLED:
             counts.doubled += 1
         elif placed is Placed.LOST:
             counts.lost += 1
-        return placed
 
     def _put_frame(self, frame: Frame) -> Placed:
         t = frame.time_s
@@ -171,11 +178,11 @@ class Timeline:
             else:
                 self.counts.off_clock += 1
 
-    def _put_reading(self, reading: Reading) -> Placed:
-        t = reading.time_s
-        if not (math.isfinite(t) and math.isfinite(reading.value_K)):
+    def _put_word(self, t: float, number: int, value_K: float) -> Placed:
+        # a difference that is no number: either of them is none
+        if not math.isfinite(t - value_K):
             return Placed.LOST
-        word = (t, self.sensors[reading.point, reading.sensor], reading.value_K)
+        word = (t, number, value_K)
         if self.frames and t < self.newest_s - self.lateness_s:
             if self._suspects and t >= self._suspects[0].time_s - self.jump_s:
                 self._aside.append(word)

@@ -229,5 +229,5 @@ def test_the_ratio_is_the_linear_one_of_the_table(flown):
 
 def test_a_prior_that_is_flat_is_refused_with_what_to_give(flown):
     tracks, _, _ = flown
-    with pytest.raises(InputError, match="prior of `ratio.scale`.*sigma above 0 and finite"):
+    with pytest.raises(InputError, match=r"prior of `ratio.scale`.*sigma above 0 and finite"):
         OnlineFilter(tracks, [PRIORS | {"ratio.scale": Prior(0.0, np.inf)}] * 2)

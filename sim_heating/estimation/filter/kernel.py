@@ -576,7 +576,7 @@ def march_filter(
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
 
-    All arguments as in `filter_steps`. Derived in docs/theory/filter.md, equations 1 to 14.
+    All arguments as in `filter_steps`, temperatures in [K]. Derived in docs/theory/filter.md, equations 1 to 14.
     """
     begin_march(group, flights)
     filter_steps(group, X, perturbed, offsets, flights, True, f, out)

@@ -60,8 +60,8 @@ from sim_heating.estimation.filter.kernel import (
     filter_steps,
 )
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
-from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights
+from sim_heating.march.linearised import RATIO_ITSELF
 from sim_heating.march.point import PointModel, heating_vector, stack_values
 from sim_heating.thermal.sensitivity import (
     ACTS_NOWHERE,
@@ -231,6 +231,7 @@ class OnlineFilter(FilterMarch):
         self._state_now = self._state(own, n, m)
         self._information = self._prior_information()
         self._heated_at = HeatedAt(np.zeros(len(own)), np.zeros((len(own), m)))
+        self._packed = [_PackedModel.of(p.model, p.names) for p in own]
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
 
@@ -383,7 +384,7 @@ class OnlineFilter(FilterMarch):
         return [i for i in range(len(self.points)) if self._state_now.diverged[self._lane_of[i]]]
 
     def parameters(self, i: int) -> dict[str, float]:
-        """Values of the parameters of a point where it is linearised, each in its unit."""
+        """Values of the parameters of a point where it is linearised, each in its unit ([-] for a ratio)."""
         return dict(zip(self.names[i], self._information.at[self._lane_of[i]].tolist(), strict=False))
 
     # Snapshots -------------------------------------------------------------------------------------------------------
@@ -452,23 +453,61 @@ class OnlineFilter(FilterMarch):
 
     def _write_model(self, i: int) -> None:
         """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
-        lane, track = self._lane_of[i], self.points[i]
-        at = self._information.at[lane]
-        # those behind the named ones are of clock and sensors, and act on the readings alone
-        nominal = track.model.with_parameters(dict(zip(track.names, at.tolist(), strict=False)))
-        self._write_values(self.nominal, self.nominal.state, i, nominal, lane)
-        e = self.perturbed
+        lane, e = self._lane_of[i], self.perturbed
+        at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
+        packed = self._packed[i]
+        self.nominal.write_values(self.nominal.state, i, *packed.values(at, "", 0.0, d))
         for k, perturbed in enumerate(self._lanes):
             if e is not None and perturbed.track == i:
-                model = perturbed.model(self.tracks[i], nominal)
+                values = packed.values(at, perturbed.name, perturbed.by, d)
                 for state in self._X:
-                    self._write_values(e, state, k, model, lane)
+                    e.write_values(state, k, *values)
 
-    def _write_values(self, ensemble: Ensemble, state: FloatArray, k: int, model: PointModel, lane: int) -> None:
-        """Write the parameters of a model into its lane of a state, with the disturbance of the ratio added [-]."""
-        heating = heating_vector(model)
-        heating[D0] += self._state_now.d[lane]
-        ensemble.write_values(state, k, stack_values(model), heating)
+
+@dataclass(frozen=True, eq=False)
+class _PackedModel:
+    """Values of a point as its lanes take them, at any values of its named parameters.
+
+    stack, heating : of the model itself;  places : entries of both that each parameter is, by its name, one array
+    each; None where a parameter acts in another way, and the model has to be made
+    """
+
+    model: PointModel
+    names: tuple[str, ...]
+    stack: FloatArray
+    heating: FloatArray
+    places: Mapping[str, tuple[IntArray, IntArray] | None]
+
+    @staticmethod
+    def of(model: PointModel, names: tuple[str, ...]) -> _PackedModel:
+        """Find the entries that parameters are, the ratio itself among them, as entries that follow two values."""
+        places: dict[str, tuple[IntArray, IntArray] | None] = {}
+        for name in dict.fromkeys((*names, RATIO_ITSELF)):
+            tried = [model.value(name) + by for by in (0.013, 0.029)]
+            made = [model.with_parameters({name: v}) for v in tried]
+            own = []
+            for vectors in ([stack_values(m) for m in made], [heating_vector(m) for m in made]):
+                changed = np.flatnonzero(vectors[0] != vectors[1])
+                is_entry = all(np.all(x[changed] == v) for x, v in zip(vectors, tried, strict=True))
+                own.append(changed if is_entry else None)
+            places[name] = None if own[0] is None or own[1] is None else (own[0], own[1])
+        return _PackedModel(model, names, stack_values(model), heating_vector(model), places)
+
+    def values(self, at: Sequence[float], name: str, by: float, d: float) -> tuple[FloatArray, FloatArray]:
+        """Values of stack and heating at parameters, one of them perturbed, with a disturbance of the ratio [-]."""
+        given = dict(zip(self.names, at, strict=False))
+        if name:
+            given[name] = given.get(name, self.model.value(name)) + by
+        if any(self.places[n] is None for n in given):
+            model = self.model.with_parameters(given)
+            stack, heating = stack_values(model), heating_vector(model)
+        else:
+            stack, heating = self.stack.copy(), self.heating.copy()
+            for n, value in given.items():
+                in_stack, in_heating = self.places[n] or (0, 0)
+                stack[in_stack], heating[in_heating] = value, value
+        heating[D0] += d
+        return stack, heating
 
 
 def _no_samples() -> Samples:
@@ -546,7 +585,7 @@ def factorise(information: Information, lane: int, scale: FloatArray, L: FloatAr
 def whiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
     """x <- L^-1 D x in place: the product of two such vectors is one with the covariance of the parameters between.
 
-    x : (m,) derivative of a quantity against the parameters, in the unit of the quantity over theirs
+    x : (m,) derivative of a quantity against the parameters, in its unit ([K] for a temperature) over theirs
 
     Derived in docs/theory/filter.md, equation 18.
     """
@@ -559,7 +598,7 @@ def whiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
 
 @njit
 def unwhiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
-    """x <- D L^-T x in place: from L^-1 D g to the change (Lambda_0 + A)^-1 g of the parameters, each in its unit.
+    """x <- D L^-T x in place: from L^-1 D g [-] to the change (Lambda_0 + A)^-1 g of the parameters, each in its unit.
 
     Derived in docs/theory/filter.md, equation 18.
     """
@@ -679,7 +718,7 @@ def read_estimates(
     B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
     heated_at: HeatedAt, stepped: bool, found: Outlook,
 ) -> None:  # fmt: skip
-    """State and parameters of all lanes from what the readings say of both; `found` is filled.
+    """State [K] and parameters of all lanes from what the readings say of both; `found` is filled.
 
     B, X    : block of the lanes, and blocks of the perturbed lanes at the end of the last step
     offsets : where the perturbed lanes of each lane are, the column of the ratio disturbance first

@@ -115,8 +115,8 @@ def direct_terms(
     slope   : (reading,) of its calibration [-];  gain : of the sensor [-]
     added_K : (reading,) correction on top of the march [K];  since_s : (reading,) time since the first reading [s]
 
-    Equation 2 of docs/theory/estimation_statistics.md, split into parts that are constant, per temperature and per
-    rate.
+    Split into parts that are constant, per temperature and per rate. Source: docs/theory/estimation_statistics.md,
+    equation 2.
     """
     found = np.zeros((len(slope), len(names), 3))
     for k, name in enumerate(names):

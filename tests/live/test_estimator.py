@@ -1,0 +1,267 @@
+"""The running estimate: a function of the samples, not of the order in which they came; honest, and told where not."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sim_heating.base.errors import InputError
+from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
+from sim_heating.estimation.filter.online import Prior
+from sim_heating.estimation.inference.likelihood import reading_intervals
+from sim_heating.estimation.record_fit import least_sigma_K
+from sim_heating.inputs.points import conditions_of_record, point_of_record
+from sim_heating.inputs.record import Record, load_record
+from sim_heating.live.estimator import LiveEstimator, LiveOptions, default_prior
+from sim_heating.live.points import RecordPoints, VehiclePoints
+from sim_heating.live.types import Frame, Reading, Sample
+from sim_heating.march.ensemble import condition_history
+from tests.support.paths import PRACTICE
+
+NODES = 14
+NAMES = ("ratio.scale", "ratio.d_alpha")
+BEGIN_S, END_S = 850.0, 900.0
+
+
+@cache
+def record() -> Record:
+    """A practice record without an effect."""
+    return load_record(PRACTICE / "p07")
+
+
+@cache
+def samples() -> tuple[Sample, ...]:
+    """Frames at 4 Hz and readings at 2 Hz, between them, of the declared model with 5 % more heating."""
+    r = record()
+    t = np.arange(BEGIN_S, END_S + 0.01, 0.25)
+    flown = r.conditions.at(t)
+    frames = [Frame(float(s), {n: float(flown[n][k]) for n in flown.names if n != "time_s"}) for k, s in enumerate(t)]
+    point = RecordPoints([r], NODES).points[0]
+    model = point_of_record(r, {"ratio.scale": 0.05})
+    read_s = np.arange(BEGIN_S + 0.1, END_S, 0.5)
+    nothing = np.full((len(point.mesh.sensors), len(read_s)), np.nan)
+    track = FilterTrack(model, point.mesh, samples_on_grid(read_s, point.mesh.sensors, nothing, 1.0), (), start_K())
+    history = condition_history(conditions_of_record(r).at(t))[np.newaxis]
+    read = FilterMarch([track], t, history).filter()[0].predicted_K.reshape(len(read_s), -1)
+    read = read + np.random.default_rng(0).normal(0.0, 1.0, read.shape)
+    words = [
+        Reading(float(s), point.name, sensor.name, float(read[k, i]))
+        for k, s in enumerate(read_s)
+        for i, sensor in enumerate(point.sensors)
+    ]
+    return tuple(sorted((*frames, *words), key=lambda s: (s.time_s, isinstance(s, Frame))))
+
+
+@cache
+def start_K() -> np.ndarray:
+    """A hot wall, cooler inward."""
+    mesh = RecordPoints([record()], NODES).points[0].mesh
+    return 900.0 - 400.0 * mesh.depth_m / mesh.depth_m[-1]
+
+
+def estimator(**options) -> LiveEstimator:
+    return LiveEstimator(RecordPoints([record()], NODES), NAMES, PRIORS, LiveOptions(**options))
+
+
+PRIORS = {"ratio.scale": Prior(0.0, 0.2), "ratio.d_alpha": Prior(0.0, 0.002)}
+
+
+def feed(e: LiveEstimator, given, at_once: int = 1) -> LiveEstimator:
+    for k in range(0, len(given), at_once):
+        e.add(*given[k : k + at_once])
+        e.advance()
+    return e
+
+
+def final(e: LiveEstimator) -> tuple[np.ndarray, ...]:
+    found = next(iter(e.estimates().values())).state
+    return found.temperature_K, found.sigma_K, found.values, found.covariance
+
+
+def assert_same_bits(a: LiveEstimator, b: LiveEstimator) -> None:
+    for x, y in zip(final(a), final(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.fixture(scope="module")
+def in_order() -> LiveEstimator:
+    return feed(estimator(), samples())
+
+
+def shuffled(seed: int, by_s: float) -> list[Sample]:
+    """Each sample delayed by up to a time, the first ones excepted, which say when the link begins."""
+    rng = np.random.default_rng(seed)
+    arrive = [s.time_s + (rng.uniform(0.0, by_s) if s.time_s > BEGIN_S else 0.0) for s in samples()]
+    return [samples()[k] for k in np.argsort(arrive, kind="stable")]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, seed):
+    late = feed(estimator(), shuffled(seed, 1.9))
+    assert late.counts.late > 50
+    assert late.counts.too_late == 0
+    assert_same_bits(late, in_order)
+    assert in_order.steps > 100
+
+
+@pytest.mark.parametrize("at_once", [7, 1000])
+def test_samples_that_pile_up_give_the_same_bits(in_order, at_once):
+    assert_same_bits(feed(estimator(), samples(), at_once), in_order)
+
+
+def test_looking_at_the_estimate_does_not_change_it(in_order):
+    watched = estimator(wait_s=1.0)
+    for sample in shuffled(9, 1.9):
+        watched.add(sample)
+        watched.advance()
+        watched.estimates()
+    assert_same_bits(watched, feed(estimator(wait_s=1.0), samples()))
+
+
+def test_doubled_samples_change_nothing_and_are_counted(in_order):
+    doubled = feed(estimator(), [s for sample in samples() for s in (sample, sample)])
+    assert doubled.counts.doubled == len(samples())
+    assert_same_bits(doubled, in_order)
+
+
+def test_in_order_the_estimate_is_that_of_the_batch_filter(in_order):
+    e = feed(estimator(linearise_s=math.inf, wait_s=0.0, start="circuit"), samples())
+    point, r = e.points[0], record()
+    t = np.array([s.time_s for s in samples() if isinstance(s, Frame)])
+    words = [s for s in samples() if isinstance(s, Reading)]
+    nodes = dict(zip((s.name for s in point.sensors), point.mesh.sensors, strict=True))
+    read_s = sorted({w.time_s for w in words})
+    value = {(w.time_s, w.sensor): w.value_K for w in words}
+    sensors = [s for s in point.sensors if s.used]
+    grid = np.array([[value[s, sensor.name] for s in read_s] for sensor in sensors])
+    known = [reading_intervals(sensor, row) for sensor, row in zip(sensors, grid, strict=True)]
+    lower, upper = [i.lower_K for i in known], [i.upper_K for i in known]
+    sigma = [max(s.noise_sigma_K or 1.0, least_sigma_K(s)) for s in sensors]
+    given = samples_on_grid(read_s, [nodes[s.name] for s in sensors], lower, sigma, upper)
+    profile, covariance = e.start_of(point.name)
+    track = FilterTrack(point.model, point.mesh, given, NAMES, profile, covariance_K2=covariance)
+    history = condition_history(conditions_of_record(r).at(t))[np.newaxis]
+    batch = FilterMarch([track], t, history).filter()[0]
+    prior = np.diag([PRIORS[n].sigma ** -2.0 for n in NAMES])
+    expected = np.linalg.inv(prior + batch.information())
+    state = e.estimates()[point.name].state
+    sigma_p = np.sqrt(np.diag(expected))
+    assert np.max(np.abs(state.covariance - expected) / np.outer(sigma_p, sigma_p)) < 1e-9
+    assert np.max(np.abs(state.values - expected @ batch.score()) / sigma_p) < 1e-9
+
+
+def test_the_scale_that_was_flown_is_found_and_the_wall_with_it(in_order):
+    found = in_order.estimates()[in_order.names[0]]
+    value, sigma = found.parameters["ratio.scale"]
+    assert abs(value - 0.05) < 4.0 * sigma < 0.2
+    last = [s for s in samples() if isinstance(s, Reading)][-2:]
+    for word in last:
+        told = found.sensors[word.sensor]
+        assert abs(word.value_K - told.predicted_K) < 5.0 * told.sigma_K
+
+
+def test_innovations_are_given_once_in_order_and_white(in_order):
+    e, seen = estimator(), []
+    for sample in shuffled(2, 1.9):
+        e.add(sample)
+        e.advance()
+        seen += e.innovations()
+    times = [i.time_s for i in seen]
+    assert times == sorted(times)
+    assert len(set(seen)) == len(seen)
+    z = np.array([i.innovation_K / math.sqrt(i.variance_K2) for i in seen[20:]])
+    assert len(z) > 100
+    assert np.mean(z**2) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / len(z)))
+
+
+def test_a_gap_is_bridged_and_the_bounds_grow(in_order):
+    gone = [s for s in samples() if not 880.0 < s.time_s < 890.0]
+    e = estimator()
+    before = None
+    for sample in gone:
+        e.add(sample)
+        e.advance()
+        if isinstance(sample, Frame) and sample.time_s == 880.0:
+            before = e.estimates()[e.names[0]].surface_sigma_K
+        if isinstance(sample, Frame) and sample.time_s == 890.5:
+            assert before is not None
+            assert e.estimates()[e.names[0]].surface_sigma_K > 1.5 * before
+    assert "bridged" in e.messages[-1]
+    assert e.counts.jumps == 1
+    value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
+    assert abs(value - 0.05) < 4.0 * sigma
+
+
+@pytest.mark.parametrize("by_s", [-100.0, 4000.0])
+def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
+    jumped = [
+        s if s.time_s < 880.0 else Frame(s.time_s + by_s, s.values) if isinstance(s, Frame)
+        else Reading(s.time_s + by_s, s.point, s.sensor, s.value_K)
+        for s in samples()
+    ]  # fmt: skip
+    e = feed(estimator(), jumped)
+    assert e.counts.jumps == 1
+    assert "jumped" in e.messages[-1]
+    assert e.time_s == pytest.approx(END_S + by_s)
+    a, b = e.estimates()[e.names[0]], in_order.estimates()[in_order.names[0]]
+    assert abs(a.surface_K - b.surface_K) < 4.0 * b.surface_sigma_K + 1.0
+
+
+def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
+    e, name = estimator(), record().used_sensors[0].name
+    wrong = [
+        Reading(s.time_s, s.point, s.sensor, s.value_K + 300.0)
+        if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0 else s
+        for s in samples()
+    ]  # fmt: skip
+    e.leave_out(e.names[0], name, 870.0)
+    feed(e, wrong)
+    found = e.estimates()[e.names[0]]
+    value, sigma = found.parameters["ratio.scale"]
+    assert abs(value - 0.05) < 4.0 * sigma
+    assert name in found.sensors
+
+
+def test_names_that_the_link_does_not_have_are_told_with_the_nearest():
+    e = estimator()
+    with pytest.raises(InputError, match="unknown control point"):
+        e.add(Reading(850.0, "NOWHERE", "OE_surface", 300.0))
+    with pytest.raises(InputError, match=r"no sensor `OE_surfac`.*OE_surface"):
+        e.add(Reading(850.0, e.names[0], "OE_surfac", 300.0))
+    with pytest.raises(InputError, match="running estimate cannot have it"):
+        LiveEstimator(RecordPoints([record()], NODES), ("clock.skew",))
+
+
+def test_a_frame_that_lacks_a_column_is_told_and_not_used():
+    e = estimator()
+    e.add(Frame(850.0, {"alpha_deg": 40.0}))
+    assert e.refused == 1
+    assert "not used" in e.messages[-1]
+
+
+def test_priors_of_the_ratio_are_wide_and_those_of_the_stack_its_own():
+    model = point_of_record(record())
+    assert default_prior(model, "ratio.scale").sigma == 0.5
+    assert default_prior(model, "stack.emissivity_factor") == Prior(1.0, 0.035)
+    assert default_prior(model, "ratio.d_alpha2").sigma < default_prior(model, "ratio.d_alpha").sigma
+
+
+def test_a_vehicle_in_flight_is_estimated_from_what_a_host_gives():
+    import sim_heating as sh
+
+    vehicle = sh.load_vehicle("orbiter")
+    source = VehiclePoints(vehicle, ["LEE_UPPER"], nodes=NODES)
+    e = LiveEstimator(source, ("ratio.scale",), options=LiveOptions(start="declared"))
+    values = {"altitude_m": 74e3, "velocity_m_s": 6800.0, "alpha_deg": 40.0, "beta_deg": 0.0, "elevon_deg": 1.0,
+              "bodyflap_deg": 15.0, "rho_kg_m3": 4.6e-5}  # fmt: skip
+    plugin = sh.HeatingPlugin(vehicle, ["LEE_UPPER"], nodes=NODES)
+    plugin.reset({"time_s": 0.0, **values})
+    for k in range(1, 601):
+        plugin.step({"time_s": k / 60.0, **values})
+    e.add(*(Frame(k / 60.0, values) for k in range(601)))
+    e.advance()
+    assert e.estimates()["LEE_UPPER"].surface_K == pytest.approx(plugin.surface_K["LEE_UPPER"], abs=0.5)
+    assert e.steps < 60
