@@ -100,6 +100,10 @@ class SensorChecks:
         self.failures.append(Failure(*key, read.time_s, read.time_s + self.wait_s, why))
         return self.failures[-1]
 
+    def has_failed(self, point: str, sensor: str) -> bool:
+        """Whether a sensor has failed."""
+        return (point, sensor) in self._failed
+
     def _stuck(self, key: tuple[str, str], recent: _Recent) -> str:
         if recent.equal < STUCK_READINGS:
             return ""

@@ -19,10 +19,13 @@ from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.heating.atmosphere import free_stream_kernel
+from sim_heating.live.checks import SensorChecks
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
+from sim_heating.live.missing import Weighing
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
+from sim_heating.live.sequential import SequentialTest, score_of_word
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.spec import Link
@@ -38,6 +41,7 @@ from sim_heating.live.state import (
     State,
 )
 from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.thermal.stack import Sensor
 
 RATE_OVER_S = 5.0
 """Time over which rates are counted [s]."""
@@ -141,6 +145,10 @@ class LinkEngine:
         self._frames, self._readings = Rate(), Rate()
         self._latest_frame: Frame | None = None
         self._latest: dict[tuple[str, str], Reading] = {}
+        sensors = {(p.name, s.name): s for p in link.points for s in p.sensors}
+        self.checks = SensorChecks(sensors, link.declared.estimate.lateness_s)
+        self.test = SequentialTest(link.declared.missing.false_alarms_per_hour)
+        self.weighing = Weighing()
         self._sequence = 0
         self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
@@ -240,11 +248,28 @@ class LinkEngine:
         for line in self.estimator.messages:
             self.remarks.add(line)
         self.estimator.messages.clear()
+        self._test_innovations()
+
+    def _test_innovations(self) -> None:
+        """Check the sensors and test the model with the readings that no late sample can change any more."""
+        for read in self.estimator.innovations():
+            failure = self.checks.take(read)
+            if failure is not None:
+                self.estimator.leave_out(failure.point, failure.sensor, failure.from_s)
+                self.test.leave_out(failure.point, failure.sensor)
+                self.remarks.add(f"{failure.sensor} at {failure.point} is taken out: {failure.why}")
+            elif not self.checks.has_failed(read.point, read.sensor):
+                score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
+                self.test.take_all([(read.time_s, read.point, read.sensor, score)])
 
     def end(self) -> None:
         """No more messages come."""
         self.advance()
         self._phase = "ended"
+
+    def stop(self) -> None:
+        """End the process that weighs candidates, where there is one."""
+        self.weighing.stop()
 
     def state(self) -> State:
         """The state now; states are numbered."""
@@ -353,16 +378,40 @@ class LinkEngine:
                 None if latest is None else latest.time_s,
                 None if expected is None else expected.predicted_K,
                 None if expected is None else expected.sigma_K,
-                sensor.used,
-                "" if sensor.used else "held back by its declaration",
+                not (why := self._why_out(point, sensor)),
+                why,
             )
         return found
 
+    def _why_out(self, point: str, sensor: Sensor) -> str:
+        """Why a sensor does not update the estimate; "" where it does."""
+        if not sensor.used:
+            return "held back by its declaration"
+        return next((f.why for f in self.checks.failures if (f.point, f.sensor) == (point, sensor.name)), "")
+
     def _removed(self) -> Sequence[RemovedSensor]:
-        return ()
+        return [RemovedSensor(f.point, f.sensor, f.from_s, f.why) for f in self.checks.failures]
 
     def _missing(self) -> MissingState:
-        return MissingState()
+        alarm, found = self.test.alarm, self.weighing.poll() or self.weighing.last
+        text = "no sign of a missing effect"
+        if alarm is not None:
+            text = alarm.text()
+            if self.journal is not None and found is None and self._phase != "ended":
+                left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
+                self.weighing.start(self.journal.path, alarm.point, left_out)
+            if found is not None:
+                text = f"{text}; {found.text}"
+            elif self.weighing.busy:
+                text = f"{text}; candidates are being weighed"
+        return MissingState(
+            alarm=alarm is not None,
+            statistic=self.test.statistic,
+            threshold=self.test.threshold,
+            false_alarms_per_hour=self.test.false_alarms_per_hour,
+            candidates=() if found is None else found.candidates,
+            text=text,
+        )
 
 
 def _limits(link: Link, point: str) -> dict[str, float]:

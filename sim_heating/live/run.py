@@ -94,6 +94,7 @@ async def run_link(
         for output in started:
             await output.stop()
         worker.shutdown()
+        engine.stop()
 
 
 def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:
