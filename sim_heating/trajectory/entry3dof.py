@@ -131,6 +131,6 @@ def _check_rows(rows: FloatArray) -> None:
         row = rows[int(np.flatnonzero(bad)[0])]
         raise RunError(
             f"3-DOF entry: at {row[0]:.1f} s the vehicle is at {row[1]:.0f} m with {row[2]:.0f} m/s, outside the "
-            f"atmosphere (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, or end the flight earlier by "
-            "`mach`, `velocity_m_s`, `altitude_m` or `time_s` in [trajectory.stop]"
+            f"atmosphere (0 to {HIGHEST_M:.0f} m); check the initial speed and path angle, or end the flight earlier by"
+            " `mach`, `velocity_m_s`, `altitude_m` or `time_s` in [trajectory.stop]"
         )
