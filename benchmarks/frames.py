@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measure import Figure, in_turn, one_thread, save
+from benchmarks.measure import Figure, in_turn, one_thread, resident_kB, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
 
 RATE_HZ = 60.0
@@ -40,13 +39,6 @@ def _frame_times(count: int) -> tuple[float, float]:
     return times.best("called") / FRAMES, times.best("marched") / FRAMES
 
 
-def _resident_kB() -> float:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS"):
-            return float(line.split()[1])
-    return float("nan")
-
-
 def _memory(steps: int) -> tuple[float, float]:
     """Peak of Python's allocations and growth of the process [kB] over a number of frames, without a history."""
     ensemble = ensemble_of(points(64), NODES)
@@ -54,13 +46,13 @@ def _memory(steps: int) -> tuple[float, float]:
     frames = np.repeat(history[0][:, np.newaxis], 64, axis=1)
     ensemble.begin(frames[0])
     ensemble.advance(frames[0], 0.1)
-    before = _resident_kB()
+    before = resident_kB()
     tracemalloc.start()
     for k in range(steps):
         ensemble.advance(frames[k * 1500 // steps], 1500.0 / steps)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    return peak / 1024.0, _resident_kB() - before
+    return peak / 1024.0, resident_kB() - before
 
 
 def run() -> list[Figure]:

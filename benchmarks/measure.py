@@ -68,6 +68,13 @@ def in_turn(tasks: Mapping[str, Task], rounds: int, prepare: Mapping[str, Task] 
     return Times(seconds)
 
 
+def resident_kB() -> float:
+    """Memory of this process that is in use [kB]; NaN where /proc does not tell."""
+    path = Path("/proc/self/status")
+    lines = path.read_text().splitlines() if path.exists() else []
+    return next((float(line.split()[1]) for line in lines if line.startswith("VmRSS")), float("nan"))
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Marches of an ensemble take one thread, however large."""

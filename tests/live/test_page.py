@@ -7,9 +7,9 @@ import time
 from dataclasses import replace
 
 from benchmarks.browser import Browser
+from benchmarks.served import served
 from sim_heating.live.state import LinkState, RemovedSensor
 from tests.support.browser import hostile, needs_browser
-from tests.support.served import served
 
 pytestmark = needs_browser
 

@@ -395,7 +395,8 @@
   const remove = (chart) => {
     chart.resized.disconnect();
     for (const plot of chart.plots) plot.destroy();
-    chart.figure.querySelector(".plot").replaceChildren();
+    const place = chart.figure.querySelector(".plot");
+    place.replaceWith(place.cloneNode(false));  // without its listeners, which hold the chart
     charts.splice(charts.indexOf(chart), 1);
   };
 

@@ -86,7 +86,7 @@
       const columns = await json(address("history.json", point));
       if (point === shown) {
         past = increasing(columns);
-        buildCharts();
+        if (builtFor !== structure()) buildCharts();
         dirty = true;
       }
     } finally {
@@ -155,8 +155,11 @@
     const color = MANY[i % MANY.length];
     return [banded(name, color), plain(`${name} measured`, color, { points: true })];
   });
+  let builtFor = "";
+  const structure = () => JSON.stringify([shown, Object.keys((state.points[shown] || {}).sensors || {}), (state.points[shown] || {}).limits]);
   const buildCharts = () => {
     if (!state || !state.points[shown]) return;
+    builtFor = structure();
     const within = sensorCurves("within"), tall = window.innerWidth >= 1700 ? 1.3 : 1;
     make("strips", "time, s", [
       { label: "surface, K", height: 0.9 * tall, curves: [banded("surface", SURFACE), dashedLimit("surface_K"), ...sensorCurves("surface")] },

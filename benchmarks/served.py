@@ -1,11 +1,11 @@
-"""A page of a link that is served while a test goes on."""
+"""A page of a link that is served while a test or a benchmark goes on."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -49,16 +49,21 @@ async def _awaited(work: Awaitable[T]) -> T:
 
 
 class Served:
-    """Outputs that a test publishes to."""
+    """An output that states are published to."""
 
     def __init__(self, loop: Loop, output: Output) -> None:
         self.loop, self.output = loop, output
+        self.last = -1
+        """Number of the latest state."""
 
     def publish(self, state: State) -> float:
         """Publish a state; the time that it took [s]."""
-        published = Published(state)
+        published, self.last = Published(state), state.sequence
+        return self.loop.call(self._timed, published)
+
+    def _timed(self, published: Published) -> float:
         start = time.perf_counter()
-        self.loop.call(self.output.publish, published)
+        self.output.publish(published)
         return time.perf_counter() - start
 
     def play(self, states: Iterable[State], rate_hz: float) -> None:
@@ -71,7 +76,7 @@ class Served:
 
 
 @contextmanager
-def served(display: Display, **options: Any):
+def served(display: Display, **options: Any) -> Iterator[tuple[PageServer, Served]]:
     """A page server at a free port, and what publishes to it."""
     with Loop() as loop:
         server = PageServer(display, **{"port": 0, **options})
