@@ -22,10 +22,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
+from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
-from sim_heating.base.kernels.block import LANES
+from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
 from sim_heating.estimation.filter.online import (
@@ -43,7 +43,7 @@ from sim_heating.estimation.starts import START_SIGMA_K, shifted_to_readings, sm
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
 from sim_heating.live.types import Frame, Sample
-from sim_heating.march.point import initial_temperatures
+from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.mesh import diffusion_depths
 
 WIDE = 0.5
@@ -209,6 +209,7 @@ class LiveEstimator:
         self.refused = 0
         self._out = [_Out() for _ in self._sensors.sensors]
         self._restart()
+        self._warm_up()
 
     def _restart(self) -> None:
         self._starts: list[tuple[FloatArray, FloatArray]] = []
@@ -221,6 +222,17 @@ class LiveEstimator:
         self._log: list[tuple[float, int, float, float, float, float, float]] = []
         self._given_until = -math.inf
         self.steps = 0
+
+    def _warm_up(self) -> None:
+        """Compile, or read from the cache, all that a step runs, so that no sample waits for it."""
+        still = np.zeros((len(self.points), N_CONDITIONS))
+        still[:, P_SURFACE] = 1000.0
+        for k, f in enumerate(self.filters):
+            own = still[k * LANES : (k + 1) * LANES]
+            f.begin(0.0, own, [np.full(p.mesh.nodes, 300.0) for p in f.points])
+            f.step(np.array([1.0]), own[:, np.newaxis], no_readings(max(p.parameters for p in f.points)))
+            f.linearise_again(0)
+            f.estimates()
 
     def _check(self, names: Sequence[str]) -> None:
         for point in self.points:
@@ -648,7 +660,7 @@ class _SensorTable:
 
     def readings(
         self, words: Sequence[Word], first: int, f: OnlineFilter, out: Sequence[_Out]
-    ) -> tuple[PointReadings, FloatArray]:
+    ) -> tuple[PointReadings, IntArray]:
         """Readings of the points of one filter as it takes them, and the number of the sensor of each.
 
         first : number of the first point of the filter
@@ -746,7 +758,7 @@ def _track(
     return track, {n: priors[n] if n in priors else default_prior(point.model, n) for n in names}
 
 
-def default_prior(model, name: str) -> Prior:  # type: ignore[no-untyped-def]
+def default_prior(model: PointModel, name: str) -> Prior:
     """Prior of a parameter that none was given for: its definition's, and a wide one for the heating ratio.
 
     model : of the control point;  name : dotted name, or that of a sensor's error

@@ -372,9 +372,10 @@ class OnlineFilter(FilterMarch):
     def _estimate(self, i: int, found: Outlook) -> PointEstimate:
         lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
         sigma = np.sqrt(np.maximum(found.variance[lane, : n + 1], 0.0))
+        ratio, ratio_sigma, ratio_table = found.ratio[lane].tolist()
         return PointEstimate(
             self.now_s, found.z[lane, :n], sigma[:n], float(found.z[lane, n]), float(sigma[n]),
-            *found.ratio[lane].tolist(), self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
+            ratio, ratio_sigma, ratio_table, self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
             self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
         )  # fmt: skip
 

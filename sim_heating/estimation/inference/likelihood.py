@@ -85,7 +85,7 @@ def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
 
 
 def word_intervals(
-    reading_K: FloatArray, lowest_K: ArrayLike, lsb_K: ArrayLike, last: ArrayLike
+    reading_K: FloatArray, lowest_K: FloatArray | float, lsb_K: FloatArray | float, last: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
     """Ends of the intervals that readings of recorder words represent [K], as `reading_intervals` describes them.
 
