@@ -352,7 +352,8 @@ class LinkEngine:
             yield (
                 name,
                 PointState(
-                    **now,
+                    surface_K=estimate.surface_K,
+                bondline_K=estimate.bondline_K,
                     surface_sigma_K=estimate.surface_sigma_K,
                     bondline_sigma_K=estimate.bondline_sigma_K,
                     ratio=state.ratio,
@@ -396,7 +397,7 @@ class LinkEngine:
         alarm, found = self.test.alarm, self.weighing.poll() or self.weighing.last
         text = "no sign of a missing effect"
         if alarm is not None:
-            text = alarm.text()
+            text = alarm.text
             if self.journal is not None and found is None and self._phase != "ended":
                 left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
                 self.weighing.start(self.journal.path, alarm.point, left_out)

@@ -268,7 +268,8 @@ class FieldMapping:
         return Frame(time_s, {**given, **self._constants})
 
     def _readings(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Reading], list[str]]:
-        readings, problems = [], []
+        readings: list[Reading] = []
+        problems: list[str] = []
         for w in self._words:
             if w.field not in values:
                 continue
@@ -308,7 +309,8 @@ def _word(value: float | str, name: str) -> float:
 
 def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
     """The columns that come in fields, and problems of their units."""
-    columns, problems = [], []
+    columns: list[_Column] = []
+    problems: list[str] = []
     for name in link.columns:
         declared = link.declared.conditions.get(name, name)
         if isinstance(declared, ConditionField):
@@ -331,7 +333,7 @@ def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
 def _words(link: Link, place: str) -> tuple[list[_Word], list[str]]:
     """The sensors' fields, and problems of their names and units."""
     words: dict[tuple[str, str], _Word] = {}
-    problems = []
+    problems: list[str] = []
     for i, declared in enumerate(link.declared.sensor, start=1):
         where = f"{place}, [[sensor]] {i}"
         try:

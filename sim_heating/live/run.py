@@ -228,9 +228,9 @@ def _ending_signals(stop: asyncio.Event) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in before.items():
-            loop.remove_signal_handler(number)
-            signal.signal(number, handler)
+        for handled, handler in before.items():
+            loop.remove_signal_handler(handled)
+            signal.signal(handled, handler)
 
 
 def run(engine: LinkEngine, outputs: Sequence[Output] = (), **options: Any) -> State:
