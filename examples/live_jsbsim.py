@@ -37,8 +37,7 @@ while fdm.get_sim_time() < float(sys.argv[2]):
 
 async def follow(seconds: float) -> State:
     """Follow a flight of so many seconds; the last state."""
-    engine = LinkEngine(load_link(LIVE / "jsbsim.toml"))
-    engine.warm_up()  # the first time on a machine, compilation takes a minute or more
+    engine = LinkEngine(load_link(LIVE / "jsbsim.toml"))  # the first time on a machine, compilation takes a minute
     stop, next_s = asyncio.Event(), 0.0
 
     def show(state: State) -> None:

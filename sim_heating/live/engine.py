@@ -53,14 +53,6 @@ KEPT_REMARKS = 10_000
 """Remarks that are kept for the summary."""
 
 
-WARM_UP = {
-    "altitude_m": 70e3, "velocity_m_s": 6000.0, "alpha_deg": 40.0, "beta_deg": 0.0, "elevon_deg": 0.0,
-    "bodyflap_deg": 0.0, "rho_kg_m3": 1e-4,
-}  # fmt: skip
-"""A frame within the tables; what it is does not matter."""
-WARM_UP_K, WARM_UP_FRAMES = 300.0, 12
-
-
 @dataclass
 class Rate:
     """Events a second over the last seconds."""
@@ -296,18 +288,6 @@ class LinkEngine:
         )
         return self._last
 
-    def warm_up(self) -> None:
-        """Compile all that messages will run, with a flight of a few seconds of its own: no message waits for it."""
-        estimator = make_estimator(self.link)
-        record = next(iter(self.link.records.values()), None)
-        first = WARM_UP if record is None else {n: float(v[0]) for n, v in record.conditions.columns.items()}
-        for k in range(WARM_UP_FRAMES):
-            estimator.add(Frame(0.5 * k, {name: first.get(name, 0.0) for name in self.estimator.source.columns}))
-            for point in self.link.points:
-                estimator.add(*(Reading(0.5 * k, point.name, s.name, WARM_UP_K) for s in point.sensors))
-            estimator.advance()
-            estimator.estimates()
-
     def link_state(self, now_s: float) -> LinkState:
         """Health of the link at a time of the monotonic clock [s]."""
         since = 0.0 if self._last_message_s is None else max(now_s - self._last_message_s, 0.0)
@@ -403,6 +383,8 @@ class LinkEngine:
                 self.weighing.start(self.journal.path, alarm.point, left_out)
             if found is not None:
                 text = f"{text}; {found.text}"
+            elif self._phase == "ended":
+                text = f"{text}; no candidate was weighed before the end: `close-loop` weighs them on the record"
             elif self.weighing.busy:
                 text = f"{text}; candidates are being weighed"
         return MissingState(

@@ -78,7 +78,6 @@ async def run_link(
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
         readers = [asyncio.create_task(_read(s, queue, _skipped(link, s.number, taken))) for s in streams]
         publish = _publisher(engine, started, on_state)
-        await _meanwhile(loop.run_in_executor(worker, engine.warm_up), publish, loop.time())
         if taken and engine.journal is not None:
             again = loop.run_in_executor(worker, engine.resume, engine.journal.path)
             await _meanwhile(again, publish, loop.time())

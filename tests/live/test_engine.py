@@ -164,7 +164,6 @@ def test_a_link_is_waiting_then_live_then_stalled():
     port = free_port()
     made = link({"kind": "json-lines", "port": port}, output={"rate_Hz": 10.0})
     engine = LinkEngine(made)
-    engine.warm_up()
     states: list[State] = []
 
     async def main() -> None:
