@@ -12,6 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError, error_context, one_line
@@ -157,14 +158,18 @@ class LinkEngine:
 
         source : number of its source in the link
         """
+        self.keep(message, source)
+        self.give(message)
+
+    def keep(self, message: Message, source: int = 0) -> None:
+        """Keep a message in the journal, at once when it comes: the estimator may be at work on those before it."""
+        self._last_message_s = message.arrived_s
         if self.journal is not None:
             self.journal.append(message.body, source)
             self._tell_journal()
-        self.give(message)
 
     def give(self, message: Message) -> None:
         """Give the samples of a message that is kept already to the estimator."""
-        self._last_message_s = message.arrived_s
         self.counts["messages"] += 1
         if not message.values and not message.damaged:  # labels
             return
@@ -182,15 +187,16 @@ class LinkEngine:
             self._note(sample, message.arrived_s)
         self.estimator.add(*samples)
 
-    def resume(self, path: Any) -> dict[int, int]:
+    def resume(self, path: Any, most: int) -> dict[int, int]:
         """Take the messages of a journal that was cut off again, without writing them.
 
         path    : of the journal
+        most    : number of messages that it had; what comes now is behind them
         returns : number of bodies by source
         """
         decoders = [decoder_of(self.link, source) for source in self.link.declared.source]
         taken: Counter[int] = Counter()
-        for entry in read_journal(path):
+        for entry in islice(read_journal(path), most):
             taken[entry.source] += 1
             message = message_of(decoders[entry.source], entry.body, time.monotonic())
             if message is not None:
@@ -333,7 +339,7 @@ class LinkEngine:
                 name,
                 PointState(
                     surface_K=estimate.surface_K,
-                bondline_K=estimate.bondline_K,
+                    bondline_K=estimate.bondline_K,
                     surface_sigma_K=estimate.surface_sigma_K,
                     bondline_sigma_K=estimate.bondline_sigma_K,
                     ratio=state.ratio,

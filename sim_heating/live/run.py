@@ -39,8 +39,8 @@ class _Failed:
     error: BaseException
 
 
-_Item = tuple[int, Message] | _Failed | None
-"""A message with the number of its source, why a source failed, or the end of one."""
+_Item = Message | _Failed | None
+"""A message that is kept, why a source failed, or the end of one."""
 
 
 async def run_link(
@@ -76,12 +76,15 @@ async def run_link(
         streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
-        readers = [asyncio.create_task(_read(s, queue, _skipped(link, s.number, taken))) for s in streams]
+        readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, taken))) for s in streams]
         publish = _publisher(engine, started, on_state)
         if taken and engine.journal is not None:
-            again = loop.run_in_executor(worker, engine.resume, engine.journal.path)
+            again = loop.run_in_executor(worker, engine.resume, engine.journal.path, sum(taken.values()))
             await _meanwhile(again, publish, loop.time())
         await _take_all(engine, queue, len(readers), worker, stop, publish)
+        for task in readers:
+            task.cancel()
+        await _meanwhile(loop.run_in_executor(worker, _give, engine, _waiting(queue)), publish, loop.time())
         await loop.run_in_executor(worker, engine.end)
         last = engine.state()
         _publish(last, started, on_state)
@@ -103,14 +106,15 @@ def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:
     return taken.get(number, 0) if begins_again else 0
 
 
-async def _read(stream: SourceStream, queue: asyncio.Queue[_Item], skip: int) -> None:
-    """Everything of one source into the queue, and how it ended."""
+async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: int) -> None:
+    """Everything of one source into the journal and the queue, and how it ended."""
     try:
         async for message in stream:
             if skip > 0:
                 skip -= 1
                 continue
-            await queue.put((stream.number, message))
+            engine.keep(message, stream.number)
+            await queue.put(message)
     except Exception as error:
         await queue.put(_Failed(error))
         return
@@ -134,7 +138,7 @@ async def _take_all(
         while sources > 0 and not stop.is_set():
             wait_s = max(due - loop.time(), 0.0)
             first = await _next(queue, stopped, wait_s)
-            batch: list[tuple[int, Message]] = []
+            batch: list[Message] = []
             while first is not _NOTHING:
                 if isinstance(first, _Failed):
                     raise first.error
@@ -146,7 +150,7 @@ async def _take_all(
                     break
                 first = queue.get_nowait()
             if batch:
-                due = await _meanwhile(loop.run_in_executor(worker, _take, engine, batch), publish, due, interval)
+                due = await _meanwhile(loop.run_in_executor(worker, _give, engine, batch), publish, due, interval)
             if loop.time() >= due:
                 publish(False)
                 due = max(due + interval, loop.time())
@@ -185,10 +189,20 @@ async def _next(queue: asyncio.Queue[_Item], stopped: asyncio.Future[Any], wait_
     return _NOTHING
 
 
-def _take(engine: LinkEngine, batch: Sequence[tuple[int, Message]]) -> None:
-    for source, message in batch:
-        engine.take(message, source)
+def _give(engine: LinkEngine, batch: Sequence[Message]) -> None:
+    for message in batch:
+        engine.give(message)
     engine.advance()
+
+
+def _waiting(queue: asyncio.Queue[_Item]) -> list[Message]:
+    """Messages that wait for the engine; they are in the journal already."""
+    found: list[Message] = []
+    while not queue.empty():
+        item = queue.get_nowait()
+        if isinstance(item, Message):
+            found.append(item)
+    return found
 
 
 def _publisher(
