@@ -21,7 +21,7 @@ from sim_heating.march.ensemble import condition_history
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import host_array, point_constants
-from sim_heating.simulation.plugin_kernel import derive_conditions
+from sim_heating.simulation.plugin_kernel import derive_conditions, derive_history
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import Sensor
 
@@ -56,6 +56,9 @@ class ConditionsOfFrame(Protocol):
 
     def conditions(self, frame: Frame) -> FloatArray:
         """(point, condition) conditions of a frame, in the units of the condition columns."""
+
+    def histories(self, flown: Mapping[str, FloatArray]) -> FloatArray:
+        """(point, time, condition) conditions along a flight, given by its columns, `time_s` among them."""
 
 
 class VehiclePoints:
@@ -97,6 +100,24 @@ class VehiclePoints:
         derive_conditions(values, self._host, self._constants, self._lanes, vectors)
         return vectors
 
+    def histories(self, flown: Mapping[str, FloatArray]) -> FloatArray:
+        """(point, time, condition) conditions along a flight, as the plug-in derives them at each frame.
+
+        flown  : (time,) columns of frames, `time_s` among them
+        raises : InputError for a column that is missing or a value out of range
+        """
+        time_s = flown["time_s"]
+        frames = np.empty((len(time_s), len(FRAME)))
+        for i, name in enumerate(FRAME):
+            frames[:, i] = _column(flown, name, self._spared)
+            low, high, _ = LIMITS[name]
+            if not np.all((frames[:, i] >= low) & (frames[:, i] <= high)):
+                k = int(np.flatnonzero(~((frames[:, i] >= low) & (frames[:, i] <= high)))[0])
+                raise InputError(f"conditions at {time_s[k]:g} s: {name} {limit_message(name, frames[k, i])}")
+        found = np.zeros((len(self.points), len(time_s), N_CONDITIONS))
+        derive_history(frames, self._host, self._constants, self._lanes, found)
+        return found
+
 
 class RecordPoints:
     """Control points of flight records, or of walls under lamps; a frame has the columns of their conditions.
@@ -123,9 +144,17 @@ class RecordPoints:
 
         raises : InputError for a column that is missing
         """
-        columns = {c: np.array([_value(frame.values, c, ())]) for c in self.columns}
-        now = Conditions({"time_s": np.array([frame.time_s]), **columns})
-        return np.concatenate(
+        flown = {c: np.array([_value(frame.values, c, ())]) for c in self.columns}
+        return self.histories({"time_s": np.array([frame.time_s]), **flown})[:, 0]
+
+    def histories(self, flown: Mapping[str, FloatArray]) -> FloatArray:
+        """(point, time, condition) conditions along a flight, with the reference heating of each record.
+
+        flown  : (time,) columns of frames, `time_s` among them
+        raises : InputError for a column that is missing
+        """
+        now = Conditions({"time_s": flown["time_s"], **{c: _column(flown, c, ()) for c in self.columns}})
+        return np.array(
             [
                 condition_history(conditions_of_record(replace(record, conditions=now), flow))
                 for record, flow in zip(self.records, self._flows, strict=True)
@@ -149,6 +178,14 @@ def _value(given: Mapping[str, float], column: str, spared: set[str] | tuple[str
     if column in spared:
         return 0.0
     raise InputError(f"frame: no `{column}`; it has {', '.join(given)}")
+
+
+def _column(flown: Mapping[str, FloatArray], column: str, spared: set[str] | tuple[str, ...]) -> FloatArray:
+    if column in flown:
+        return flown[column]
+    if column in spared:
+        return np.zeros(len(flown["time_s"]))
+    raise InputError(f"conditions: no `{column}`; they have {', '.join(flown)}")
 
 
 def _meshed(models: Sequence[PointModel], nodes: int | None) -> list[tuple[PointModel, Mesh]]:

@@ -72,6 +72,7 @@ class Track:
     at_rest  : whether times before the march are read as its beginning: temperatures were as they are there
     table_errors : arrays of the shape of the ratio table [-]; sensitivities to the factors c in ratio + c error come
                after the named parameters
+    named_columns : (node, m) sensitivities of the temperatures at the start to the named parameters; 0 where None
     """
 
     model: PointModel
@@ -84,6 +85,7 @@ class Track:
     flight: int = 0
     at_rest: bool = False
     table_errors: tuple[FloatArray, ...] = ()
+    named_columns: FloatArray | None = None
 
     @property
     def read_nodes(self) -> tuple[int, ...]:
@@ -307,6 +309,25 @@ class LinearMarch:
             for k, perturbed in enumerate(self._lanes):
                 self.perturbed.set_model(k, perturbed.model(self.tracks[perturbed.track], models[perturbed.track]))
 
+    def move(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
+        """Go over to other steps, conditions, samples and starts.
+
+        tracks    : the present ones with other `sample_s`, `initial_K`, `initial_columns` and `named_columns`; with
+                    sensitivities where those have some
+        time_s, histories : steps [s] and conditions, as for a new march
+        raises    : InputError where a track is of another point, mesh, flight, or has other names
+
+        What costs most of a new march stays: the lanes are packed already.
+        """
+        for old, new in zip(self.tracks, tracks, strict=True):
+            same = old.model.construction is new.model.construction and old.mesh is new.mesh
+            if not same or (old.names, old.flight) != (new.names, new.flight) or (not old.columns and new.columns):
+                raise InputError(f"{new.model.name}: another point, mesh or list of parameters needs a march of its own")
+        self.tracks = tuple(tracks)
+        self.time_s = np.ascontiguousarray(time_s, dtype=float)
+        self.histories = np.ascontiguousarray(histories, dtype=float)
+        self._flights = Flights(self.time_s, self.histories, self._flights.of_lane)
+
     def march(
         self, shifts_s: Sequence[float] | None = None, initial_K: Sequence[FloatArray | None] | None = None
     ) -> list[Linearised]:
@@ -402,6 +423,8 @@ class LinearMarch:
             if track.initial_columns is not None:
                 first = track.columns - track.initial_columns.shape[1]
                 start[self._lane_of[i], : track.mesh.nodes, first : track.columns] = track.initial_columns
+            if track.named_columns is not None:
+                start[self._lane_of[i], : track.mesh.nodes, : len(track.names)] = track.named_columns
         return start
 
     def _requested(self, times: Sequence[FloatArray]) -> Requested:

@@ -237,6 +237,21 @@ def derive_conditions(
 
 
 @njit
+def derive_history(
+    frames: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, histories: FloatArray
+) -> None:
+    """Derive the conditions of all lanes along a flight; arguments as for `derive_conditions`.
+
+    frames    : (time, len(FRAME))
+    histories : (lane, time, condition), filled
+    """
+    vectors = np.zeros((len(lanes), N_CONDITIONS))
+    for k in range(len(frames)):
+        derive_conditions(frames[k], host, points, lanes, vectors)
+        histories[:, k] = vectors
+
+
+@njit
 def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray, dt: float) -> float:
     """Publish the parabolas of the last step, of dt [s]; the largest error [K] of the previous ones at its end."""
     largest = 0.0

@@ -1,0 +1,363 @@
+"""Temperatures of the next minutes on each future, with what the estimate leaves open, and when to stop a manoeuvre.
+
+From the estimate at the present, of temperatures T, parameters p and ratio disturbance d, the march is linearised along
+the future (march/linearised.py):
+
+    T(t) = m(t) + X(t) z,   z ~ N(0, 1),     X = [dT/dp C, dT/dT_0 L],   C C^T = cov p,   L L^T = cov(T, d | p)
+
+dT/dp begins with the sensitivities that the filter carries. A ratio that wanders is taken to stay where it is, with the
+variance that it has in the long run where that is larger. The probability that a limit is passed is that of the normal
+z for which m + X z passes it at any step; the effects that a model lacks are not in it.
+
+    ahead = LookAhead(estimator.source, limits, Futures.of_scenario(scenario, estimator.source.columns))
+    ahead.predict(estimator.estimates(), frame)["V09T9527"].knock_off_by_s
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import norm, qmc
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.kernels.block import LANES, N_CONDITIONS
+from sim_heating.base.parameters import SENSOR_PREFIX
+from sim_heating.estimation.filter.online import PointEstimate
+from sim_heating.live.estimator import LiveEstimate
+from sim_heating.live.futures import Course, Future, Futures, held
+from sim_heating.live.points import ConditionsOfFrame, LivePoint
+from sim_heating.live.state import AheadState, KnockOff
+from sim_heating.live.types import Frame
+from sim_heating.march.linearised import RATIO_ITSELF, LinearMarch, Track
+
+LONGEST_STEP_S, GROWTH, FIRST_STEP_S = 5.0, 0.04, 1.0
+"""Steps of the march [s]: 1 s at first, then 4 % of the time from now, at most 5 s; 1 s throughout a manoeuvre."""
+SHOWN = 60
+"""Times of a future that a state has, at most, apart from the peak."""
+LEAST_SIGMA_K, DIRECTIONS = 0.02, 8
+"""Directions of the covariance of the temperatures that are carried on: those with at least so large a standard
+deviation [K], and at most so many."""
+CERTAIN, DRAWS, INSTANTS = 1e-4, 2048, 32
+"""Between this probability and 1 less it, that of passing a limit at any time is counted over so many draws (a Sobol
+sequence, always the same) at so many instants; elsewhere it is that at the worst instant."""
+RESOLUTION_S = 0.25
+"""How well the latest time to stop a manoeuvre is found [s]."""
+
+
+class Predicted(NamedTuple):
+    """Surface and bondline on one future.
+
+    time_s : (time,) [s];  mean_K : (2, time) [K];  loading_K : (2, time, direction) of unit normals [K]
+    """
+
+    time_s: FloatArray
+    mean_K: FloatArray
+    loading_K: FloatArray
+
+    @property
+    def sigma_K(self) -> FloatArray:
+        """(2, time) standard deviations [K]."""
+        return np.sqrt(np.sum(self.loading_K**2, axis=-1))
+
+
+@dataclass(frozen=True)
+class PointAhead:
+    """What is ahead of a control point.
+
+    futures        : by name, those of live.state.FUTURES that are known
+    knock_off      : whether the planned manoeuvre has to be stopped; `unknown` without a manoeuvre or without limits
+    knock_off_by_s : latest flight time [s] at which stopping it keeps the limits; None unless `knock_off` is "by"
+    """
+
+    futures: dict[str, AheadState]
+    knock_off: KnockOff = "unknown"
+    knock_off_by_s: float | None = None
+
+
+class LookAhead:
+    """Predictions of all control points of a link.
+
+    source    : the control points, and what a frame is for them
+    limits    : `surface_K` and `bondline_K` [K] of each control point by name; those that it has
+    futures   : the flights of a scenario; None for the present conditions held alone
+    horizon_s : how far ahead [s]
+    keep      : probability with which stopping a manoeuvre keeps the limits
+    raises    : InputError for a horizon or probability out of range
+    """
+
+    def __init__(
+        self,
+        source: ConditionsOfFrame,
+        limits: Mapping[str, Mapping[str, float]],
+        futures: Futures | None = None,
+        horizon_s: float = 60.0,
+        keep: float = 0.95,
+    ) -> None:
+        if not 1.0 <= horizon_s <= 3600.0:
+            raise InputError(f"look-ahead: horizon_s {horizon_s:g}; give 1 to 3600 s")
+        if not 0.5 < keep < 1.0:
+            raise InputError(f"look-ahead: keep {keep:g}; give a probability above 0.5 and below 1")
+        self.source, self.futures = source, futures
+        self.horizon_s, self.keep = horizon_s, keep
+        names = ("surface_K", "bondline_K")
+        self.limits = [
+            np.array([limits.get(p.name, {}).get(n, math.inf) for n in names], dtype=float) for p in source.points
+        ]
+        self._together: list[_Lanes] = []
+        self._alone: dict[int, _Lanes] = {}
+
+    def predict(self, estimates: Mapping[str, LiveEstimate], frame: Frame) -> dict[str, PointAhead]:
+        """What is ahead of each control point.
+
+        estimates : by name, at the time of the frame
+        frame     : the present conditions
+        returns   : by name; a future is left out where a temperature on it is not a number
+        raises    : InputError for conditions out of range
+        """
+        points = self.source.points
+        now = [estimates[p.name].state for p in points]
+        futures: dict[str, Future]
+        futures = {"held": held(self.source.columns, frame)} if self.futures is None else self.futures.after(frame)
+        found = self._march_all(now, frame, futures)
+        ahead = []
+        for i in range(len(points)):
+            states = {n: self._state(p, self.limits[i]) for n, own in found.items() if (p := own[i]) is not None}
+            ahead.append(PointAhead(states, *self._knock_off(i, now[i], frame, futures.get("planned"), states)))
+        return {p.name: a for p, a in zip(points, ahead, strict=True)}
+
+    def _march_all(
+        self, now: Sequence[PointEstimate], frame: Frame, futures: Mapping[str, Future]
+    ) -> dict[str, list[Predicted | None]]:
+        points = self.source.points
+        if not self._together:
+            self._together = [
+                _Lanes(points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k])
+                for k in range(0, len(points), LANES)
+            ]
+        grids = {n: self._steps(frame.time_s, [f]) for n, f in futures.items()}
+        histories = {n: self.source.histories(f.at(grids[n])) for n, f in futures.items()}
+        found: dict[str, list[Predicted | None]] = {n: [] for n in futures}
+        for k, lanes in enumerate(self._together):
+            part = slice(k * LANES, (k + 1) * LANES)
+            lanes.begin(now[part])
+            for n in futures:
+                found[n] += lanes.march(grids[n], histories[n][part])
+        return found
+
+    def _steps(self, begin_s: float, futures: Sequence[Future]) -> FloatArray:
+        """Steps of the march [s]: growing with the time from now, short in manoeuvres, one at each corner."""
+        end = begin_s + self.horizon_s
+        t, steps = begin_s, [begin_s]
+        fine = [
+            (w.start_s, w.end_s + FIRST_STEP_S)
+            for f in futures
+            for course in [getattr(f, "planned", f)]
+            if self.futures is not None and isinstance(course, Course) and course.path is self.futures.planned
+            for w in self.futures.manoeuvres(course)
+        ]
+        while t < end - 1e-9:
+            dt = min(max(FIRST_STEP_S, GROWTH * (t - begin_s)), LONGEST_STEP_S)
+            for start, stop in fine:
+                if start - dt < t < stop:
+                    dt = FIRST_STEP_S if t >= start - 1e-9 else min(dt, max(start - t, FIRST_STEP_S))
+            t = min(t + dt, end)
+            steps.append(t)
+        corners = [c for f in futures for c in f.corners_s if begin_s < c < end]
+        every = np.unique([*steps, *corners])
+        far = np.concatenate([[True], np.diff(every) > 0.02])  # two corners at nearly one time are one
+        far[-1] = True
+        if len(every) > 2 and every[-1] - every[-2] <= 0.02:
+            far[-2] = False
+        return every[far]
+
+    def _state(self, p: Predicted, limits: FloatArray) -> AheadState:
+        """One future as it is published."""
+        margin = np.min(limits[:, np.newaxis] - p.mean_K)
+        limited = bool(np.any(np.isfinite(limits)))
+        peak = int(np.argmax(p.mean_K[0]))
+        count = len(p.time_s)
+        shown = np.unique(np.append(np.round(np.linspace(0, count - 1, min(SHOWN, count))).astype(int), peak))
+        sigma = p.sigma_K[:, shown]
+        return AheadState(
+            self.horizon_s, p.time_s[shown].tolist(), p.mean_K[0, shown].tolist(), sigma[0].tolist(),
+            p.mean_K[1, shown].tolist(), sigma[1].tolist(), float(p.mean_K[0, peak]), float(p.time_s[peak]),
+            float(margin) if limited else None, passing_probability(p, limits) if limited else None,
+        )  # fmt: skip
+
+    # Stopping a manoeuvre --------------------------------------------------------------------------------------------
+
+    def _knock_off(
+        self, i: int, now: PointEstimate, frame: Frame, planned: Future | None, states: Mapping[str, AheadState]
+    ) -> tuple[KnockOff, float | None]:
+        """Whether the planned manoeuvre has to be stopped at point i to keep its limits, and by when [s]."""
+        if self.futures is None or not isinstance(planned, Course) or "planned" not in states:
+            return "unknown", None
+        passes = states["planned"].probability
+        if passes is None:
+            return "unknown", None
+        if passes <= 1.0 - self.keep:
+            return "never needed", None
+        at_once = states["nominal"].probability if "nominal" in states else None
+        if at_once is None or at_once > 1.0 - self.keep:
+            return "too late", None
+        last = max((w.end_s for w in self.futures.manoeuvres(planned)), default=frame.time_s)
+        return "by", self._latest_stop(i, now, frame, planned, min(last, frame.time_s + self.horizon_s))
+
+    def _latest_stop(self, i: int, now: PointEstimate, frame: Frame, planned: Course, last_s: float) -> float:
+        """Latest time [s] at which stopping the manoeuvre keeps the limits of a point, known that stopping now does.
+
+        Eight times are tried at once, then eight between the latest that keeps them and the one after it.
+        """
+        low, high = frame.time_s, max(last_s, frame.time_s)
+        while high - low > RESOLUTION_S:
+            tried = np.linspace(low, high, LANES + 2)
+            keeps = np.flatnonzero(
+                self.stop_probabilities(i, now, frame, planned, tried[1:-1]) <= 1.0 - self.keep
+            )
+            k = 0 if len(keeps) == 0 else int(keeps[-1]) + 1
+            low, high = float(tried[k]), float(tried[k + 1])
+        return low
+
+    def stop_probabilities(
+        self, i: int, now: PointEstimate, frame: Frame, planned: Course, stops_s: FloatArray
+    ) -> FloatArray:
+        """(stop,) probability that a limit of a point is passed where the manoeuvre is stopped at given times [s].
+
+        i : number of the point;  stops_s : (stop,) up to LANES times
+        """
+        assert self.futures is not None
+        courses = [self.futures.stopped(planned, frame, float(s)) for s in stops_s]
+        courses += [courses[-1]] * (LANES - len(courses))
+        if i not in self._alone:
+            self._alone[i] = _Lanes([self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)))
+        lanes, time_s = self._alone[i], self._steps(frame.time_s, courses)
+        histories = np.stack([self.source.histories(c.at(time_s))[i] for c in courses])
+        lanes.begin([now] * LANES)
+        found = lanes.march(time_s, histories)[: len(stops_s)]
+        return np.array([1.0 if p is None else passing_probability(p, self.limits[i]) for p in found])
+
+
+class _Lanes:
+    """Up to LANES points, or futures of one point, that are marched together with their sensitivities."""
+
+    def __init__(self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int]) -> None:
+        self._points = list(points)
+        self._own = [[n for n in e.names if not n.startswith(SENSOR_PREFIX)] for e in now]
+        self._wanders = [bool(e.state_covariance[-1, -1] > 0.0 or np.any(e.sensitivity[-1])) for e in now]
+        tracks = [
+            Track(
+                p.model, p.mesh, (*own, *([RATIO_ITSELF] * wanders)), np.zeros(0), (0, p.mesh.bondline), flight=flight,
+                initial_columns=np.zeros((p.mesh.nodes, 1)),
+            )
+            for p, own, wanders, flight in zip(points, self._own, self._wanders, flights, strict=True)
+        ]  # fmt: skip
+        self._march = LinearMarch(tracks, np.array([0.0, 1.0]), np.zeros((len(tracks), 2, N_CONDITIONS)))
+        self._tracks: list[Track] = tracks
+        self._roots: list[tuple[FloatArray, FloatArray]] = []
+        self._now: list[PointEstimate] = []
+
+    def begin(self, now: Sequence[PointEstimate]) -> None:
+        """Take over estimates: parameters, temperatures, and what of them is open."""
+        models, tracks, self._roots, self._now = [], [], [], list(now)
+        known: dict[int, tuple[Track, tuple[FloatArray, FloatArray]]] = {}
+        for track, own, wanders, estimate, point in zip(
+            self._march.tracks, self._own, self._wanders, now, self._points, strict=True
+        ):
+            if id(estimate) not in known:
+                values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+                model = point.model.with_parameters({n: values[n] for n in own})
+                if wanders:
+                    model = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + estimate.disturbance})
+                C, L = _root(estimate.covariance), _root(estimate.state_covariance, LEAST_SIGMA_K, DIRECTIONS)
+                m, S = len(own), estimate.sensitivity[:-1]
+                named = np.concatenate([S[:, :m], np.zeros((len(S), int(wanders)))], axis=1)
+                first = np.concatenate([S[:, m:], L[:-1]], axis=1)
+                filled = first if first.shape[1] else np.zeros((len(S), 1))
+                known[id(estimate)] = (
+                    replace(
+                        track, model=model, initial_K=estimate.temperature_K, named_columns=named,
+                        initial_columns=filled,
+                    ),
+                    (C, L),
+                )  # fmt: skip
+            begun, roots = known[id(estimate)]
+            tracks.append(replace(begun, flight=track.flight))
+            models.append(begun.model)
+            self._roots.append(roots)
+        self._tracks = tracks
+        self._march.set_models(models)
+
+    def march(self, time_s: FloatArray, histories: FloatArray) -> list[Predicted | None]:
+        """Each lane along its conditions; None where a temperature is not a number.
+
+        time_s : steps [s];  histories : (lane, time, condition)
+        """
+        self._march.move([replace(t, sample_s=time_s) for t in self._tracks], time_s, histories)
+        found = self._march.attempt()
+        return [
+            None if f is None else Predicted(time_s, f.temperature_K, self._loading(i, f.sensitivity))
+            for i, f in enumerate(found)
+        ]
+
+    def _loading(self, i: int, X: FloatArray) -> FloatArray:
+        """(2, time, direction) temperatures over unit normals [K]."""
+        (C, L), estimate, m = self._roots[i], self._now[i], len(self._own[i])
+        ratio = X[..., m] if self._wanders[i] else None
+        others = X[..., m + int(self._wanders[i]) :]
+        sensors = len(estimate.names) - m
+        of_p = np.concatenate([X[..., :m], others[..., :sensors]], axis=-1)
+        of_T = others[..., sensors : sensors + L.shape[1]]
+        if ratio is None:
+            return np.concatenate([of_p @ C, of_T], axis=-1)
+        of_p = of_p + ratio[..., np.newaxis] * estimate.sensitivity[-1]
+        of_T = of_T + ratio[..., np.newaxis] * L[-1]
+        return np.concatenate([of_p @ C, of_T], axis=-1)
+
+
+def _root(covariance: FloatArray, least: float = 0.0, most: int | None = None) -> FloatArray:
+    """(n, direction) root X of a covariance, X X^T; directions of a standard deviation above `least`, the largest ones.
+
+    covariance : (n, n), in units that may differ by many decades
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0)) if least == 0.0 else np.ones(len(covariance))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+    kept = values > max(least**2, 0.0)
+    root = root[:, kept][:, ::-1]
+    return root if most is None else root[:, :most]
+
+
+@lru_cache(maxsize=32)
+def _draws(directions: int) -> FloatArray:
+    """(direction, draw) unit normals, always the same."""
+    sequence = qmc.Sobol(directions, scramble=True, seed=1).random(DRAWS)
+    return np.ascontiguousarray(norm.ppf(np.clip(sequence, 1e-12, 1.0 - 1e-12)).T)
+
+
+def passing_probability(predicted: Predicted, limits: FloatArray) -> float:
+    """Probability that surface or bondline passes its limit at any time.
+
+    limits : (2,) [K]; infinite where there is none
+    """
+    apart = limits[:, np.newaxis] - predicted.mean_K
+    sigma = predicted.sigma_K
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(sigma > 0.0, apart / sigma, np.where(apart >= 0.0, np.inf, -np.inf))
+    worst = float(ndtr(-np.min(u)))
+    if not CERTAIN < worst < 1.0 - CERTAIN:
+        return worst
+    # the nearest instants first: between two of them the loading hardly turns
+    order = np.argsort(u, axis=None)[: 4 * INSTANTS]
+    order = order[u.ravel()[order] < 5.0]
+    chosen = order[np.unique(np.round(np.linspace(0, len(order) - 1, min(INSTANTS, len(order)))).astype(int))]
+    X = predicted.loading_K.reshape(-1, predicted.loading_K.shape[-1])[chosen]
+    passed = np.any(X @ _draws(X.shape[1]) > apart.ravel()[chosen][:, np.newaxis], axis=0)
+    return max(worst, float(np.mean(passed)))
