@@ -16,7 +16,9 @@ z for which m + X z passes it at any step; the effects that a model lacks are no
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -26,13 +28,15 @@ from scipy.special import ndtr
 from scipy.stats import norm, qmc
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError, error_context
+from sim_heating.base.files import display_path
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS
 from sim_heating.base.parameters import SENSOR_PREFIX
 from sim_heating.estimation.filter.online import PointEstimate
 from sim_heating.live.estimator import LiveEstimate
 from sim_heating.live.futures import Course, Future, Futures, held
 from sim_heating.live.points import ConditionsOfFrame, LivePoint
+from sim_heating.live.spec import Link
 from sim_heating.live.state import AheadState, KnockOff
 from sim_heating.live.types import Frame
 from sim_heating.march.linearised import RATIO_ITSELF, LinearMarch, Track
@@ -47,6 +51,8 @@ deviation [K], and at most so many."""
 CERTAIN, DRAWS, INSTANTS = 1e-4, 2048, 32
 """Between this probability and 1 less it, that of passing a limit at any time is counted over so many draws (a Sobol
 sequence, always the same) at so many instants; elsewhere it is that at the worst instant."""
+SPENT = 0.25
+"""Largest part of the time of a link that its look-ahead takes [-]; predictions are rarer where one takes long."""
 RESOLUTION_S = 0.25
 """How well the latest time to stop a manoeuvre is found [s]."""
 
@@ -136,7 +142,7 @@ class LookAhead:
         self, now: Sequence[PointEstimate], frame: Frame, futures: Mapping[str, Future]
     ) -> dict[str, list[Predicted | None]]:
         points = self.source.points
-        if not self._together:
+        if not self._together or not all(lanes.fit(now[k * LANES :]) for k, lanes in enumerate(self._together)):
             self._together = [
                 _Lanes(points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k])
                 for k in range(0, len(points), LANES)
@@ -218,9 +224,7 @@ class LookAhead:
         low, high = frame.time_s, max(last_s, frame.time_s)
         while high - low > RESOLUTION_S:
             tried = np.linspace(low, high, LANES + 2)
-            keeps = np.flatnonzero(
-                self.stop_probabilities(i, now, frame, planned, tried[1:-1]) <= 1.0 - self.keep
-            )
+            keeps = np.flatnonzero(self.stop_probabilities(i, now, frame, planned, tried[1:-1]) <= 1.0 - self.keep)
             k = 0 if len(keeps) == 0 else int(keeps[-1]) + 1
             low, high = float(tried[k]), float(tried[k + 1])
         return low
@@ -235,7 +239,7 @@ class LookAhead:
         assert self.futures is not None
         courses = [self.futures.stopped(planned, frame, float(s)) for s in stops_s]
         courses += [courses[-1]] * (LANES - len(courses))
-        if i not in self._alone:
+        if i not in self._alone or not self._alone[i].fit([now]):
             self._alone[i] = _Lanes([self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)))
         lanes, time_s = self._alone[i], self._steps(frame.time_s, courses)
         histories = np.stack([self.source.histories(c.at(time_s))[i] for c in courses])
@@ -244,13 +248,69 @@ class LookAhead:
         return np.array([1.0 if p is None else passing_probability(p, self.limits[i]) for p in found])
 
 
+class AheadOfLink:
+    """The look-ahead of a link, taken again as its flight goes on.
+
+    link   : whose [ahead] says how;  source : control points of its estimator
+    limits : temperature limits [K] of each control point by name
+    latest : what is ahead of each control point by name, from the last prediction
+    """
+
+    def __init__(self, link: Link, source: ConditionsOfFrame, limits: Mapping[str, Mapping[str, float]]) -> None:
+        self.link, self.source, self.limits = link, source, limits
+        self.latest: dict[str, PointAhead] = {}
+        self.problem = ""
+        self._ahead: LookAhead | None = None
+        self._at_s, self._not_before_s = -math.inf, -math.inf
+
+    def prepare(self) -> LookAhead:
+        """Fly the scenario, once; where that fails the present conditions held are the only future."""
+        if self._ahead is None:
+            own, futures = self.link.declared.ahead, None
+            try:
+                with error_context(f"{display_path(self.link.path)}, [ahead]"):
+                    if self.link.scenario is not None:
+                        futures = Futures.of_scenario(self.link.scenario, self.source.columns)
+            except (InputError, RunError) as error:
+                self.problem = f"{str(error).splitlines()[0]}; only the present conditions are looked ahead of"
+            self._ahead = LookAhead(self.source, self.limits, futures, own.horizon_s, own.keep)
+        return self._ahead
+
+    def warm_up(self, estimates: Mapping[str, LiveEstimate], frame: Frame) -> None:
+        """Compile and pack all that a prediction needs; what it predicts is not kept."""
+        with suppress(InputError, RunError):
+            self.prepare().predict(estimates, frame)
+
+    def due(self, time_s: float | None) -> bool:
+        """Whether a flight time [s] calls for a prediction, and time is left for one."""
+        every = self.link.declared.ahead.every_s
+        return time_s is not None and abs(time_s - self._at_s) >= every and time.monotonic() >= self._not_before_s
+
+    def take(self, estimates: Mapping[str, LiveEstimate], frame: Frame | None) -> None:
+        """Predict from estimates at the time of a frame; `problem` says in a line why that failed, or is empty."""
+        if frame is None or not estimates:
+            return
+        ahead, begin = self.prepare(), time.monotonic()
+        self._at_s = frame.time_s
+        try:
+            self.latest = ahead.predict(estimates, frame)
+        except (InputError, RunError) as error:
+            self.latest, self.problem = {}, f"look-ahead: {str(error).splitlines()[0]}"
+        now = time.monotonic()
+        self._not_before_s = now + (1.0 / SPENT - 1.0) * (now - begin)
+
+    def of(self, point: str) -> PointAhead:
+        """What is ahead of a control point; no future before the first prediction."""
+        return self.latest.get(point, PointAhead({}))
+
+
 class _Lanes:
     """Up to LANES points, or futures of one point, that are marched together with their sensitivities."""
 
     def __init__(self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int]) -> None:
         self._points = list(points)
         self._own = [[n for n in e.names if not n.startswith(SENSOR_PREFIX)] for e in now]
-        self._wanders = [bool(e.state_covariance[-1, -1] > 0.0 or np.any(e.sensitivity[-1])) for e in now]
+        self._wanders = [_wanders(e) for e in now]
         tracks = [
             Track(
                 p.model, p.mesh, (*own, *([RATIO_ITSELF] * wanders)), np.zeros(0), (0, p.mesh.bondline), flight=flight,
@@ -262,6 +322,10 @@ class _Lanes:
         self._tracks: list[Track] = tracks
         self._roots: list[tuple[FloatArray, FloatArray]] = []
         self._now: list[PointEstimate] = []
+
+    def fit(self, now: Sequence[PointEstimate]) -> bool:
+        """Whether the lanes have a column for all that is open in estimates: the ratio may begin to wander."""
+        return all(has or not _wanders(e) for has, e in zip(self._wanders, now, strict=False))
 
     def begin(self, now: Sequence[PointEstimate]) -> None:
         """Take over estimates: parameters, temperatures, and what of them is open."""
@@ -319,6 +383,11 @@ class _Lanes:
         of_p = of_p + ratio[..., np.newaxis] * estimate.sensitivity[-1]
         of_T = of_T + ratio[..., np.newaxis] * L[-1]
         return np.concatenate([of_p @ C, of_T], axis=-1)
+
+
+def _wanders(estimate: PointEstimate) -> bool:
+    """Whether the heating ratio of an estimate has a disturbance."""
+    return bool(estimate.state_covariance[-1, -1] > 0.0 or np.any(estimate.sensitivity[-1]))
 
 
 def _root(covariance: FloatArray, least: float = 0.0, most: int | None = None) -> FloatArray:

@@ -20,6 +20,7 @@ from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.heating.atmosphere import free_stream_kernel
+from sim_heating.live.ahead import AheadOfLink
 from sim_heating.live.checks import SensorChecks
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
 from sim_heating.live.journal import Journal, read_journal
@@ -145,6 +146,7 @@ class LinkEngine:
         self._sequence = 0
         self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
+        self.ahead = AheadOfLink(link, self.estimator.source, self._limits)
         declared = link.declared.estimate.parameters or ["ratio.scale"]
         self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in declared}
         self._named_absent = False
@@ -247,6 +249,14 @@ class LinkEngine:
             self.remarks.add(line)
         self.estimator.messages.clear()
         self._test_innovations()
+        if self.ahead.due(self.estimator.time_s):
+            self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        self.ahead.take(self.estimator.estimates(), self._latest_frame)
+        if self.ahead.problem:
+            self.remarks.add(self.ahead.problem)
+            self.ahead.problem = ""
 
     def _test_innovations(self) -> None:
         """Check the sensors and test the model with the readings that no late sample can change any more."""
@@ -352,6 +362,9 @@ class LinkEngine:
                     },
                     limits=limits,
                     margin_K=min((limit - now[what] for what, limit in limits.items()), default=None),
+                    ahead=self.ahead.of(name).futures,
+                    knock_off=self.ahead.of(name).knock_off,
+                    knock_off_by_s=self.ahead.of(name).knock_off_by_s,
                 ),
             )
 

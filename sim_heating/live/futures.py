@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -163,7 +164,9 @@ class Futures:
         self.columns = tuple(columns)
         if absent := [n for n in self.columns if n not in nominal.columns]:
             raise InputError(f"look-ahead: the flight has no `{absent[0]}`{suggestion(absent[0], nominal.columns)}")
-        keep = [n for n in dict.fromkeys(("time_s", "velocity_m_s", "altitude_m", *columns, "jets"))]
+        if "velocity_m_s" not in self.columns:
+            raise InputError("look-ahead: frames have no `velocity_m_s`, by which the place on a flight is found")
+        keep = dict.fromkeys(("time_s", "velocity_m_s", "altitude_m", *columns, "jets"))
         self.nominal, self.planned = (
             FlownPath({n: p.columns[n] for n in keep if n in p.columns}) for p in (nominal, planned)
         )
@@ -183,9 +186,9 @@ class Futures:
         nominal = _fly(scenario, ()) if manoeuvres else planned
         rates: dict[str, float] = {}
         for m in manoeuvres:
-            points = polygon(m)
-            slopes = [abs((b[1] - a[1]) / (b[0] - a[0])) for a, b in zip(points, points[1:], strict=False) if b[0] > a[0]]
-            rates[commanded_variable(m)] = max(slopes, default=0.0) or USUAL_RATE["alpha_deg"]
+            slopes = [abs((b[1] - a[1]) / (b[0] - a[0])) for a, b in pairwise(polygon(m)) if b[0] > a[0]]
+            if max(slopes, default=0.0) > 0.0:
+                rates[commanded_variable(m)] = max(slopes)
         flown = [FlownPath(f.columns) for f in (nominal[0], planned[0])]
         return cls(columns, flown[0], flown[1], planned[1], rates)
 
@@ -222,7 +225,10 @@ class Futures:
     def after(self, frame: Frame) -> dict[str, Future]:
         """The futures of a frame by their names; without a manoeuvre in the scenario there is none planned."""
         trim = self.trim(frame)
-        found: dict[str, Future] = {"nominal": self.follow(self.nominal, frame, trim), "held": held(self.columns, frame)}
+        found: dict[str, Future] = {
+            "nominal": self.follow(self.nominal, frame, trim),
+            "held": held(self.columns, frame),
+        }
         if self.windows:
             found["planned"] = self.follow(self.planned, frame, trim)
         return found

@@ -322,7 +322,7 @@ class LinearMarch:
         for old, new in zip(self.tracks, tracks, strict=True):
             same = old.model.construction is new.model.construction and old.mesh is new.mesh
             if not same or (old.names, old.flight) != (new.names, new.flight) or (not old.columns and new.columns):
-                raise InputError(f"{new.model.name}: another point, mesh or list of parameters needs a march of its own")
+                raise InputError(f"{new.model.name}: another point, mesh or parameters need a march of their own")
         self.tracks = tuple(tracks)
         self.time_s = np.ascontiguousarray(time_s, dtype=float)
         self.histories = np.ascontiguousarray(histories, dtype=float)
