@@ -273,6 +273,7 @@ class LinkEngine:
     def end(self) -> None:
         """No more messages come."""
         self.advance()
+        self._look_ahead()  # from the last estimate, which depends on the samples alone
         self._phase = "ended"
 
     def stop(self) -> None:
