@@ -55,6 +55,10 @@ LARGEST_RATIO = 1.0
 """Heating ratio of which WIDE is a part where there is no table [-]."""
 BRIDGED_S = 60.0
 """Longest time without frames [s] that is bridged; after a longer one the state is taken over as it was."""
+AGAIN = 4
+"""Steps of the past that are filtered again with each new one."""
+LONGEST_AGAIN_S = 7200.0
+"""Longest flight that is kept to be filtered again [s]."""
 START_AGREES = 4.0
 """Readings within this many standard deviations of the declared start confirm it [-]."""
 GAP_ERROR_1_S, LARGEST_GAP_ERROR = 0.01, 0.3
@@ -75,6 +79,8 @@ class LiveOptions:
     snapshot_s     : time between snapshots [s]
     start          : temperatures at the first frame: as the stack declares (`declared`), by the circuit analogy from
                      the first readings (`circuit`), or the latter where these contradict the former (`auto`)
+    again_s        : time since the start [s] at which the flight so far is filtered again about its estimate, and again
+                     whenever that time has doubled; infinite for never
     start_s        : time of the first readings that a start is made from [s]
     node_noise_K_sqrt_s : white noise of every node [K s^-1/2]
     ratio_noise    : standard deviation [-] and correlation time [s] of a ratio that wanders; None for none
@@ -85,6 +91,7 @@ class LiveOptions:
     longest_step_s: float = 1.0
     wait_s: float = 0.25
     linearise_s: float = 1.0
+    again_s: float = 60.0
     snapshot_s: float = 0.25
     start: Literal["auto", "declared", "circuit"] = "auto"
     start_s: float = 2.0
@@ -142,12 +149,16 @@ class Innovation(NamedTuple):
     read_K: float
 
 
+_Logged = tuple[float, int, float, float, float, float, float]
+"""What is logged of a reading: time [s], number of its sensor, then as Innovation from innovation_K on."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Kept:
     """State of all filters after a step.
 
     time_s    : end of the step [s];  decided_s : time of the last frame that the choice of its end depended on [s]
-    innovations : number of innovations until then
+    innovations : number of innovations until then;  past : number of steps until then that are kept
     """
 
     time_s: float
@@ -156,6 +167,35 @@ class _Kept:
     vectors: FloatArray
     filters: tuple[FilterSnapshot, ...]
     innovations: int
+    past: int
+
+
+class _Past(NamedTuple):
+    """A step that was taken, as it is to be taken again.
+
+    frame     : at its end;  decided_s, innovations : as of _Kept;  vectors : (point, condition) at its end
+    words     : (reading, 3) its readings;  at : estimates of the parameters after it, where they serve to begin again
+    """
+
+    frame: Frame
+    decided_s: float
+    innovations: int
+    vectors: FloatArray
+    words: FloatArray
+    at: tuple[FloatArray, ...] | None
+
+
+@dataclass
+class _Second:
+    """Filters that take the flight so far again, linearised about an estimate.
+
+    known : number of steps whose readings that estimate has; up to there no other is better to be linearised about
+    taken : number of steps that they took
+    """
+
+    filters: list[OnlineFilter]
+    known: int
+    taken: int = 0
 
 
 @dataclass
@@ -199,10 +239,14 @@ class LiveEstimator:
             *(_track(p, self._sensors.names[i], priors or {}, self.options) for i, p in enumerate(self.points)),
             strict=True,
         )
-        self.filters = [
-            OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES])
-            for k in range(0, len(self.points), LANES)
-        ]
+        # the others take the flight so far again
+        self.filters, self._spare = (
+            [
+                OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES])
+                for k in range(0, len(self.points), LANES)
+            ]
+            for _ in range(2)
+        )
         self._apart, self._share = line_tolerance(source.columns)
         self.timeline = Timeline(self._sensors.numbers, self.options.lateness_s, self.options.jump_s)
         self.messages: list[str] = []
@@ -212,6 +256,11 @@ class LiveEstimator:
         self._warm_up()
 
     def _restart(self) -> None:
+        self._past: list[_Past] = []
+        self._final = 0
+        self._second: _Second | None = None
+        self._begun: _Kept | None = None
+        self._begun_s: float | None = None
         self._starts: list[tuple[FloatArray, FloatArray]] = []
         self._now: _Kept | None = None
         self._kept: list[_Kept] = []
@@ -219,7 +268,9 @@ class LiveEstimator:
         # frames since the last step, all on one straight line
         self._passed: list[tuple[Frame, FloatArray]] = []
         self._dirty = (math.inf, math.inf)
-        self._log: list[tuple[float, int, float, float, float, float, float]] = []
+        # from number `_log_from` on
+        self._log: list[_Logged] = []
+        self._log_from = 0
         self._given_until = -math.inf
         self.steps = 0
 
@@ -331,8 +382,9 @@ class LiveEstimator:
         for f in self.filters:
             f.now_s = first.time_s
         self._given_until = -math.inf
-        self._log = []
+        self._log, self._log_from = [], 0
         self._passed = []
+        self._give_up_past()
         self._now = self._snapshot(first.time_s, first.time_s, self._values(first), self._conditions(first))
         self._kept = [self._now]
 
@@ -381,9 +433,16 @@ class LiveEstimator:
         assert self._now is not None
         if not self._changed:
             return
-        self._changed = False
-        self._go_back()
-        self._undo_provisional()
+        while self._changed:
+            self._changed = False
+            self._go_back()
+            self._undo_provisional()
+            self._step_on()
+
+    def _step_on(self) -> None:
+        """Filter the frames since the last step; where filters take over that have taken the flight again, a second
+        call goes on from there."""
+        assert self._now is not None
         last = self._passed[-1][0].time_s if self._passed else self._now.time_s
         for frame in self.timeline.frames_after(last):
             values = self._values(frame)
@@ -411,48 +470,143 @@ class LiveEstimator:
     def _commit(self, frame: Frame, decided_s: float) -> None:
         """Filter up to a frame, and keep a snapshot where one is due."""
         assert self._now is not None
-        vectors, last = self._take_steps(frame), self._now
-        self._linearise(last.time_s, frame.time_s)
+        last = self._now
+        vectors, words = self._conditions(frame), self._words(last.time_s, frame.time_s)
+        self._log += self._take(self.filters, last.time_s, last.vectors, frame.time_s, vectors, words)
+        if self._begun_s is not None:
+            due = self._again_due(last.time_s) < self._again_due(frame.time_s)
+            at = tuple(e.values for f in self.filters for e in f.estimates()) if due else None
+            self._past.append(_Past(frame, decided_s, self._logged, vectors, words, at))
         every = self.options.snapshot_s
-        due = not self._kept or math.floor(frame.time_s / every) > math.floor(self._kept[-1].time_s / every)
         values = self._values(frame)
-        if due:
+        if not self._kept or math.floor(frame.time_s / every) > math.floor(self._kept[-1].time_s / every):
             self._now = self._snapshot(frame.time_s, decided_s, values, vectors)
             self._kept.append(self._now)
         else:
-            self._now = _Kept(frame.time_s, decided_s, values, vectors, (), len(self._log))
+            self._now = _Kept(frame.time_s, decided_s, values, vectors, (), self._logged, len(self._past))
         self._passed = []
         self.steps += 1
 
-    def _take_steps(self, frame: Frame) -> FloatArray:
-        """Filter from the present to a frame; its condition vectors. A step is `longest_step_s` at most."""
-        assert self._now is not None
-        begin, end = self._now.time_s, frame.time_s
-        vectors = self._conditions(frame)
+    @property
+    def _logged(self) -> int:
+        """Number of innovations so far."""
+        return self._log_from + len(self._log)
+
+    def _words(self, after_s: float, until_s: float) -> FloatArray:
+        """(reading, 3) readings of a step: time [s], number of the sensor, value [K]."""
+        return np.array(self.timeline.words_between(after_s, until_s), dtype=float).reshape(-1, 3)
+
+    def _take(
+        self, filters: Sequence[OnlineFilter], begin: float, before: FloatArray, end: float, vectors: FloatArray,
+        words: FloatArray, linearise: bool = True,
+    ) -> list[_Logged]:  # fmt: skip
+        """Take a step from one time to another with its readings, in parts of `longest_step_s` at most.
+
+        before, vectors : (point, condition) at both ends
+        returns         : what is logged of the readings
+        """
         steps = max(1, math.ceil((end - begin) / self.options.longest_step_s - 1e-9))
         part = np.arange(1, steps + 1) / steps
         time_s = begin + part * (end - begin)
         time_s[-1] = end
-        change = (vectors - self._now.vectors)[:, np.newaxis]
-        histories = self._now.vectors[:, np.newaxis] + part[:, np.newaxis] * change
+        histories = before[:, np.newaxis] + part[:, np.newaxis] * (vectors - before)[:, np.newaxis]
         histories[:, -1] = vectors
-        words = self.timeline.words_between(begin, end)
-        for k, f in enumerate(self.filters):
+        # conditions are known at the ends of a gap alone
+        unknown = min(GAP_ERROR_1_S * (end - begin), LARGEST_GAP_ERROR) if steps > 1 else 0.0
+        log: list[_Logged] = []
+        for k, f in enumerate(filters):
             first = k * LANES
             given, numbers = self._sensors.readings(words, first, f, self._out)
             along = histories[first : first + LANES]
-            # conditions are known at the ends of a gap alone
-            unknown = min(GAP_ERROR_1_S * (end - begin), LARGEST_GAP_ERROR) if steps > 1 else 0.0
             found = f.gap(time_s, along, given, unknown) if unknown else f.step(time_s, along, given)
             read = np.isfinite(found.innovation_K)
-            self._log += list(
-                zip(
-                    given.time_s[read].tolist(), numbers[read].tolist(), found.innovation_K[read].tolist(),
-                    found.innovation_variance_K2[read].tolist(), found.predicted_K[read].tolist(),
-                    found.variance_K2[read].tolist(), _middle_K(given)[read].tolist(), strict=True,
-                )
+            columns = (
+                given.time_s, numbers, found.innovation_K, found.innovation_variance_K2, found.predicted_K,
+                found.variance_K2, _middle_K(given),
             )  # fmt: skip
-        return vectors
+            log += zip(*(column[read].tolist() for column in columns), strict=True)
+        if linearise:
+            self._linearise(filters, begin, end)
+        return log
+
+    # Filtered again --------------------------------------------------------------------------------------------------
+
+    def _again_due(self, time_s: float) -> int:
+        """How often the flight is to have been filtered again by a time."""
+        if self._begun_s is None or math.isinf(self.options.again_s):
+            return 0
+        ratio = (time_s - self._begun_s) / self.options.again_s
+        return math.floor(math.log2(ratio)) + 1 if ratio >= 1.0 else 0
+
+    def _filter_again(self, until: int) -> None:
+        """Go on with filtering again, as steps become final: those before number `until` of the past are.
+
+        Steps of the second filters depend on the number of final steps alone, and so does the one at which they take
+        over.
+        """
+        while self._final < until:
+            step = self._past[self._final]
+            self._final += 1
+            if step.at is not None:
+                self._second = self._begin_again(step.at, self._final)
+            if self._second is not None:
+                self._take_again(self._second, min(self._second.taken + AGAIN, self._final))
+                if self._second.taken == self._final:
+                    self._take_over(self._second)
+                    return
+        if self._past and self._past[-1].frame.time_s - self._past[0].frame.time_s > LONGEST_AGAIN_S:
+            self._give_up_past()
+
+    def filter_again(self) -> None:
+        """Filter the whole flight so far again, linearised about the present estimate, at once.
+
+        What earlier readings said is then linearised about the estimate too, as in a fit of the whole record; a flight
+        of 1000 s takes some seconds. Nothing is done before the start, or where the clock jumped.
+        """
+        self.advance()
+        self._undo_provisional()
+        if self._now is None or not self._past:
+            return
+        estimates = tuple(e.values for f in self.filters for e in f.estimates())
+        second = self._begin_again(estimates, len(self._past))
+        self._take_again(second, len(self._past))
+        self._final = len(self._past)
+        self._take_over(second)
+        self._changed = True
+        self.advance()
+
+    def _begin_again(self, at: Sequence[FloatArray], known: int) -> _Second:
+        assert self._begun is not None
+        filters = self._spare
+        for k, f in enumerate(filters):
+            own = slice(k * LANES, (k + 1) * LANES)
+            profiles, covariances = zip(*self._starts[own], strict=True)
+            f.begin(self._begun.time_s, self._begun.vectors[own], profiles, covariances, at[own])
+        return _Second(filters, known)
+
+    def _take_again(self, second: _Second, until: int) -> None:
+        """Take steps of the past with the second filters, up to before number `until`."""
+        assert self._begun is not None
+        while second.taken < until:
+            k = second.taken
+            begin, before = self._begun.time_s, self._begun.vectors
+            if k > 0:
+                begin, before = self._past[k - 1].frame.time_s, self._past[k - 1].vectors
+            step = self._past[k]
+            end, is_new = step.frame.time_s, k >= second.known
+            self._take(second.filters, begin, before, end, step.vectors, step.words, linearise=is_new)
+            second.taken += 1
+
+    def _take_over(self, second: _Second) -> None:
+        """Go on with the second filters from the last step that they took; what came after it is taken again."""
+        last = self._past[second.taken - 1]
+        self._spare, self.filters, self._second = self.filters, second.filters, None
+        del self._past[second.taken :], self._log[last.innovations - self._log_from :]
+        self._now = self._snapshot(last.frame.time_s, last.decided_s, self._values(last.frame), last.vectors)
+        self._kept, self._passed, self._provisional, self._changed = [self._now], [], False, True
+
+    def _give_up_past(self) -> None:
+        self._past, self._final, self._second, self._begun_s = [], 0, None, None
 
     def _conditions(self, frame: Frame) -> FloatArray:
         """Condition vectors of a frame; those of the last one where it is not plausible."""
@@ -464,7 +618,7 @@ class LiveEstimator:
             self._tell(f"{error}; the conditions before are held")
             return self._now.vectors
 
-    def _linearise(self, begin_s: float, end_s: float) -> None:
+    def _linearise(self, filters: Sequence[OnlineFilter], begin_s: float, end_s: float) -> None:
         """Linearise again those points whose time has come, one after the other over `linearise_s`."""
         every = self.options.linearise_s
         if not math.isfinite(every):
@@ -473,10 +627,11 @@ class LiveEstimator:
         for i in range(count):
             phase = i / count
             if math.floor(end_s / every - phase) > math.floor(begin_s / every - phase):
-                self.filters[i // LANES].linearise_again(i % LANES)
+                filters[i // LANES].linearise_again(i % LANES)
 
     def _snapshot(self, time_s: float, decided_s: float, values: FloatArray, vectors: FloatArray) -> _Kept:
-        return _Kept(time_s, decided_s, values, vectors, tuple(f.snapshot() for f in self.filters), len(self._log))
+        filters = tuple(f.snapshot() for f in self.filters)
+        return _Kept(time_s, decided_s, values, vectors, filters, self._logged, len(self._past))
 
     def _go_back(self) -> bool:
         """Return to the last snapshot before the first sample that came late; whether there was one."""
@@ -493,7 +648,7 @@ class LiveEstimator:
     def _return_to(self, kept: _Kept) -> None:
         for f, snapshot in zip(self.filters, kept.filters, strict=True):
             f.restore(snapshot)
-        del self._log[kept.innovations :]
+        del self._log[kept.innovations - self._log_from :], self._past[kept.past :]
         self._now, self._provisional, self._passed = kept, False, []
 
     def _forget(self) -> None:
@@ -501,8 +656,10 @@ class LiveEstimator:
         window = self.timeline.newest_s - self.options.lateness_s
         while len(self._kept) > 1 and self._kept[1].decided_s < window:
             self._kept.pop(0)
-        if self._kept:
-            self.timeline.forget(min(self._kept[0].time_s, window))
+        if self._begun_s is not None:
+            self._filter_again(self._kept[0].past)
+        # filters that took over may stand before the window
+        self.timeline.forget(min(self._kept[0].time_s, window))
 
     # Start -----------------------------------------------------------------------------------------------------------
 
@@ -528,8 +685,8 @@ class LiveEstimator:
         for k, f in enumerate(self.filters):
             own = profiles[k * LANES : (k + 1) * LANES]
             f.begin(begin.time_s, vectors[k * LANES : (k + 1) * LANES], [p for p, _ in own], [c for _, c in own])
-        self._now = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
-        self._kept = [self._now]
+        self._now = self._begun = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
+        self._kept, self._begun_s, self._changed = [self._now], begin.time_s, True
         return True
 
     def start_of(self, point: str) -> tuple[FloatArray, FloatArray]:
@@ -583,7 +740,9 @@ class LiveEstimator:
         if frames:
             if not self._now.filters:
                 self._now = self._snapshot(self._now.time_s, self._now.decided_s, self._now.values, self._now.vectors)
-            self._take_steps(frames[-1])
+            now, vectors = self._now, self._conditions(frames[-1])
+            words = self._words(now.time_s, frames[-1].time_s)
+            self._take(self.filters, now.time_s, now.vectors, frames[-1].time_s, vectors, words, False)
             self._provisional = True
 
     def _undo_provisional(self) -> None:
@@ -606,10 +765,13 @@ class LiveEstimator:
         until = self.timeline.newest_s - self.options.lateness_s
         if self._now is None or until <= self._given_until:
             return []
-        count = self._now.innovations if self._provisional else len(self._log)
-        final = sorted(r for r in self._log[:count] if self._given_until < r[0] <= min(until, self._now.time_s))
+        final = sorted(r for r in self._log if self._given_until < r[0] <= min(until, self._now.time_s))
         self._given_until = min(until, self._now.time_s)
-        # what is given is needed no more, but where a snapshot may go back to it
+        # those that no snapshot goes back to are needed no more
+        gone = self._kept[0].innovations - self._log_from
+        if self._log[:gone] and self._log[gone - 1][0] <= self._given_until:
+            del self._log[:gone]
+            self._log_from += gone
         return [Innovation(t, *self._sensors.place[n], *expected) for t, n, *expected in final]
 
     @property
@@ -659,19 +821,19 @@ class _SensorTable:
         return march + tuple(n for n in names if n in own)
 
     def readings(
-        self, words: Sequence[Word], first: int, f: OnlineFilter, out: Sequence[_Out]
+        self, words: FloatArray, first: int, f: OnlineFilter, out: Sequence[_Out]
     ) -> tuple[PointReadings, IntArray]:
         """Readings of the points of one filter as it takes them, and the number of the sensor of each.
 
-        first : number of the first point of the filter
+        words : (reading, 3) time [s], number of the sensor, value [K];  first : number of the filter's first point
         """
         m = max(p.parameters for p in f.points)
         last = first + len(f.points)
-        mine = [w for w in words if first <= self.point[w[1]] < last] if last - first < self.point[-1] + 1 else words
-        if not mine:
+        number = words[:, 1].astype(np.int64)
+        mine = (self.point[number] >= first) & (self.point[number] < last)
+        if not np.any(mine):
             return no_readings(m), np.zeros(0, dtype=np.int64)
-        given = np.array(mine)
-        t, number, value = given[:, 0], given[:, 1].astype(np.int64), given[:, 2]
+        number, t, value = number[mine], words[mine, 0], words[mine, 2]
         skipped = ~self.used[number]
         if any(o.spans for o in out):
             skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)])

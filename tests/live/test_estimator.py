@@ -11,6 +11,7 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
 from sim_heating.estimation.filter.online import Prior
+from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.record_fit import least_sigma_K
 from sim_heating.inputs.points import conditions_of_record, point_of_record
@@ -107,6 +108,48 @@ def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, see
     assert in_order.steps > 100
 
 
+@pytest.mark.parametrize("at_once", [1, 50, 1000])
+def test_a_flight_that_is_filtered_again_on_the_way_has_the_same_bits_in_any_order(at_once):
+    straight = feed(estimator(again_s=10.0), samples())
+    assert straight._past[0].frame.time_s < BEGIN_S + 1.0
+    assert_same_bits(feed(estimator(again_s=10.0), shuffled(5, 1.9), at_once), straight)
+    assert not np.array_equal(final(straight)[2], final(feed(estimator(again_s=math.inf), samples()))[2])
+
+
+def test_filtered_again_about_its_estimate_the_flight_gives_that_estimate():
+    e = feed(estimator(again_s=math.inf), samples())
+    e.filter_again()
+    once = final(e)
+    e.filter_again()
+    twice = final(e)
+    sigma = np.sqrt(np.diag(once[3]))
+    assert np.max(np.abs(twice[2] - once[2]) / sigma) < 0.1
+
+
+@pytest.mark.parametrize("name", ["p06", "p07"])
+def test_at_the_end_of_a_record_without_an_effect_the_estimate_is_that_of_a_fit(name):
+    r = load_record(PRACTICE / name)
+    names = ("ratio.scale", "ratio.d_alpha", "ratio.d_beta", "ratio.d_logre", "ratio.d_elevon", "ratio.d_bodyflap")
+    fit = estimate([r], list(names)).parameters
+    e = LiveEstimator(RecordPoints([r], 80), names)
+    c, fitted = r.conditions, r.fit_mask(r.time_s)
+    e.add(*(Frame(float(t), {n: float(c[n][k]) for n in c.names if n != "time_s"}) for k, t in enumerate(c.time_s[:5])))
+    for k, t in enumerate(c.time_s[5:], start=5):
+        now = fitted & (r.time_s > c.time_s[k - 1]) & (r.time_s <= t)
+        for s in r.used_sensors:
+            e.add(*(
+                Reading(float(read_s), e.names[0], s.name, float(v))
+                for read_s, v in zip(r.time_s[now], r.thermocouples[s.column][now], strict=True)
+            ))  # fmt: skip
+        e.add(Frame(float(t), {n: float(c[n][k]) for n in c.names if n != "time_s"}))
+        e.advance()
+    e.filter_again()
+    found = e.estimates()[e.names[0]].parameters
+    for n in names:
+        assert abs(found[n][0] - fit[n][0]) < 0.3 * fit[n][1]
+        assert found[n][1] == pytest.approx(fit[n][1], rel=0.15)
+
+
 @pytest.mark.parametrize("at_once", [7, 1000])
 def test_samples_that_pile_up_give_the_same_bits(in_order, at_once):
     assert_same_bits(feed(estimator(), samples(), at_once), in_order)
@@ -128,7 +171,7 @@ def test_doubled_samples_change_nothing_and_are_counted(in_order):
 
 
 def test_in_order_the_estimate_is_that_of_the_batch_filter(in_order):
-    e = feed(estimator(linearise_s=math.inf, wait_s=0.0, start="circuit"), samples())
+    e = feed(estimator(linearise_s=math.inf, again_s=math.inf, wait_s=0.0, start="circuit"), samples())
     point, r = e.points[0], record()
     t = np.array([s.time_s for s in samples() if isinstance(s, Frame)])
     words = [s for s in samples() if isinstance(s, Reading)]

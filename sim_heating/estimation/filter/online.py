@@ -241,6 +241,7 @@ class OnlineFilter(FilterMarch):
         conditions: FloatArray,
         initial_K: Sequence[FloatArray | None] | None = None,
         covariance_K2: Sequence[FloatArray | None] | None = None,
+        at: Sequence[FloatArray] | None = None,
     ) -> None:
         """Start at a time.
 
@@ -248,8 +249,9 @@ class OnlineFilter(FilterMarch):
         initial_K     : (node,) temperatures of each point [K]; as its track declares where None
         covariance_K2 : (node, node) of them [K2]; as its track declares where None
 
-        Parameters are at the means of their priors, and no reading is known. Derived in docs/theory/filter.md,
-        equation 17.
+        at            : (parameter,) of each point, where it is linearised; at the means of its priors where None
+
+        No reading is known. Derived in docs/theory/filter.md, equation 17.
         """
         start = list(initial_K or [None] * len(self.points))
         spread = list(covariance_K2 or [None] * len(self.points))
@@ -259,6 +261,8 @@ class OnlineFilter(FilterMarch):
         ]
         self._state_now, self._information = self._state(points, *self._size), self._prior_information()
         for i in range(len(points)):
+            if at is not None:
+                self._linearise_at(i, at[i])
             self._write_model(i)
         self._begin([p.initial_K for p in points])
         for other in self._X[1:]:
@@ -422,6 +426,13 @@ class OnlineFilter(FilterMarch):
             information.at[lane, : len(priors)] = [p.mean for p in priors]
         self._bounds = [self._bounds_of(p) for p in self.points]
         return information
+
+    def _linearise_at(self, i: int, values: FloatArray) -> None:
+        """Linearise a point about given parameters within their bounds, before any reading."""
+        info, lane = self._information, self._lane_of[i]
+        mean = info.at[lane].copy()
+        info.at[lane, : len(values)] = np.clip(values, *(b[: len(values)] for b in self._bounds[i]))
+        info.pull[lane] = info.prior[lane] @ (info.at[lane] - mean)
 
     def _bounds_of(self, point: FilterTrack) -> tuple[FloatArray, FloatArray]:
         bounds = np.tile([[-np.inf], [np.inf]], self._size[1])
