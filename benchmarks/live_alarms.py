@@ -17,11 +17,11 @@ from benchmarks.live_streams import PRACTICE, SIX, Progress, practice, samples_o
 from benchmarks.measure import Figure
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.live.checks import SensorChecks
 from sim_heating.live.estimator import LiveEstimator
 from sim_heating.live.points import RecordPoints
-from sim_heating.live.sequential import Alarm, SequentialTest, score_of_word
 from sim_heating.live.types import Frame
+from sim_heating.live.watch.checks import SensorChecks
+from sim_heating.live.watch.sequential import Alarm, SequentialTest, score_of_word
 
 RATE, SEED, HOUR_S = 0.01, 26, 3600.0
 

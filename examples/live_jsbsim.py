@@ -10,10 +10,7 @@ import asyncio
 import sys
 from pathlib import Path
 
-from sim_heating.live.engine import LinkEngine
-from sim_heating.live.run import run_link
-from sim_heating.live.spec import load_link
-from sim_heating.live.state import State
+from sim_heating.live import LinkEngine, State, load_link, run_link
 
 LIVE = Path(__file__).resolve().parents[1] / "scenarios" / "live"
 FLIGHT = """

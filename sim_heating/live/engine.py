@@ -21,13 +21,10 @@ from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
-from sim_heating.live.checks import SensorChecks
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
-from sim_heating.live.missing import Weighing
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
-from sim_heating.live.sequential import SequentialTest, score_of_word
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.spec import Link
@@ -43,6 +40,9 @@ from sim_heating.live.state import (
     State,
 )
 from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.live.watch.checks import SensorChecks
+from sim_heating.live.watch.missing import Weighing
+from sim_heating.live.watch.sequential import SequentialTest, score_of_word
 from sim_heating.thermal.stack import Sensor
 
 RATE_OVER_S = 5.0

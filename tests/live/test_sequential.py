@@ -9,7 +9,7 @@ import pytest
 
 from sim_heating.base.kernels.truncated_normal import truncated_normal
 from sim_heating.estimation.filter.kernel import innovation
-from sim_heating.live.sequential import SequentialTest, score_of_word
+from sim_heating.live.watch.sequential import SequentialTest, score_of_word
 
 
 def first_alarm_s(scores: np.ndarray, every_s: float, rate: float) -> float:

@@ -101,7 +101,7 @@ class SequentialTest:
     `take` gives it innovations in order of time. `alarm` is the first alarm since the start or `again`, or None.
 
     >>> import numpy as np
-    >>> from sim_heating.live.sequential import SequentialTest
+    >>> from sim_heating.live.watch.sequential import SequentialTest
     >>> test = SequentialTest(false_alarms_per_hour=0.01)
     >>> noise = np.random.default_rng(1).normal(size=600)
     >>> for i, z in enumerate(noise + np.where(np.arange(600) < 300, 0.0, 1.5)):
