@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -95,6 +95,10 @@ class SamePoints:
     def conditions(self, frame: Frame) -> FloatArray:
         """(point, condition) conditions of a frame."""
         return np.repeat(self._one.conditions(frame), len(self.points), axis=0)
+
+    def histories(self, flown: Mapping[str, FloatArray]) -> FloatArray:
+        """(point, time, condition) conditions along a flight, given by its columns."""
+        return np.repeat(self._one.histories(flown), len(self.points), axis=0)
 
 
 def word_K(sensor: Sensor, T_K: FloatArray) -> FloatArray:

@@ -18,9 +18,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -30,10 +29,10 @@ from scipy.stats import norm, qmc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path
-from sim_heating.base.kernels.block import LANES, N_CONDITIONS
+from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import SENSOR_PREFIX
-from sim_heating.estimation.filter.online import PointEstimate
-from sim_heating.live.estimator import LiveEstimate
+from sim_heating.estimation.filter.online import PackedModel, PointEstimate
+from sim_heating.live.estimator import LiveEstimate, LiveEstimator
 from sim_heating.live.futures import Course, Future, Futures, held
 from sim_heating.live.points import ConditionsOfFrame, LivePoint
 from sim_heating.live.spec import Link
@@ -41,8 +40,8 @@ from sim_heating.live.state import AheadState, KnockOff
 from sim_heating.live.types import Frame
 from sim_heating.march.linearised import RATIO_ITSELF, LinearMarch, Track
 
-LONGEST_STEP_S, GROWTH, FIRST_STEP_S = 5.0, 0.04, 1.0
-"""Steps of the march [s]: 1 s at first, then 4 % of the time from now, at most 5 s; 1 s throughout a manoeuvre."""
+LONGEST_STEP_S, GROWTH, FIRST_STEP_S = 5.0, 0.06, 1.0
+"""Steps of the march [s]: 1 s at first, then 6 % of the time from now, at most 5 s; 1 s throughout a manoeuvre."""
 SHOWN = 60
 """Times of a future that a state has, at most, apart from the peak."""
 LEAST_SIGMA_K, DIRECTIONS = 0.02, 8
@@ -60,17 +59,18 @@ RESOLUTION_S = 0.25
 class Predicted(NamedTuple):
     """Surface and bondline on one future.
 
-    time_s : (time,) [s];  mean_K : (2, time) [K];  loading_K : (2, time, direction) of unit normals [K]
+    time_s : (time,) [s];  mean_K, sigma_K : (2, time) [K];  loading_K : (2, time, direction) of unit normals [K]
     """
 
     time_s: FloatArray
     mean_K: FloatArray
+    sigma_K: FloatArray
     loading_K: FloatArray
 
-    @property
-    def sigma_K(self) -> FloatArray:
-        """(2, time) standard deviations [K]."""
-        return np.sqrt(np.sum(self.loading_K**2, axis=-1))
+    @staticmethod
+    def of(time_s: FloatArray, mean_K: FloatArray, loading_K: FloatArray) -> Predicted:
+        """With the standard deviations of the loading."""
+        return Predicted(time_s, mean_K, np.sqrt(np.einsum("itk,itk->it", loading_K, loading_K)), loading_K)
 
 
 @dataclass(frozen=True)
@@ -138,19 +138,30 @@ class LookAhead:
             ahead.append(PointAhead(states, *self._knock_off(i, now[i], frame, futures.get("planned"), states)))
         return {p.name: a for p, a in zip(points, ahead, strict=True)}
 
-    def _march_all(
-        self, now: Sequence[PointEstimate], frame: Frame, futures: Mapping[str, Future]
-    ) -> dict[str, list[Predicted | None]]:
+    def warm_up(self, now: Sequence[PointEstimate]) -> None:
+        """Pack the points and compile, or read from the cache, all that a prediction runs: none has to wait for it."""
+        still = np.zeros((len(now), 2, N_CONDITIONS))
+        still[..., P_SURFACE] = 1000.0
+        for k, lanes in enumerate(self._packed(now)):
+            lanes.begin(now[k * LANES : (k + 1) * LANES])
+            lanes.march(np.array([0.0, 1.0]), still[k * LANES : (k + 1) * LANES])
+
+    def _packed(self, now: Sequence[PointEstimate]) -> list[_Lanes]:
         points = self.source.points
         if not self._together or not all(lanes.fit(now[k * LANES :]) for k, lanes in enumerate(self._together)):
             self._together = [
                 _Lanes(points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k])
                 for k in range(0, len(points), LANES)
             ]
+        return self._together
+
+    def _march_all(
+        self, now: Sequence[PointEstimate], frame: Frame, futures: Mapping[str, Future]
+    ) -> dict[str, list[Predicted | None]]:
         grids = {n: self._steps(frame.time_s, [f]) for n, f in futures.items()}
         histories = {n: self.source.histories(f.at(grids[n])) for n, f in futures.items()}
         found: dict[str, list[Predicted | None]] = {n: [] for n in futures}
-        for k, lanes in enumerate(self._together):
+        for k, lanes in enumerate(self._packed(now)):
             part = slice(k * LANES, (k + 1) * LANES)
             lanes.begin(now[part])
             for n in futures:
@@ -251,49 +262,43 @@ class LookAhead:
 class AheadOfLink:
     """The look-ahead of a link, taken again as its flight goes on.
 
-    link   : whose [ahead] says how;  source : control points of its estimator
+    link   : whose [ahead] says how
+    estimator : of the link
     limits : temperature limits [K] of each control point by name
     latest : what is ahead of each control point by name, from the last prediction
+    problem : why there is none, in a line
+
+    The scenario is flown when it is made; where that fails, the present conditions held are the only future.
     """
 
-    def __init__(self, link: Link, source: ConditionsOfFrame, limits: Mapping[str, Mapping[str, float]]) -> None:
-        self.link, self.source, self.limits = link, source, limits
+    def __init__(self, link: Link, estimator: LiveEstimator, limits: Mapping[str, Mapping[str, float]]) -> None:
+        self.link, self.estimator = link, estimator
         self.latest: dict[str, PointAhead] = {}
         self.problem = ""
-        self._ahead: LookAhead | None = None
         self._at_s, self._not_before_s = -math.inf, -math.inf
-
-    def prepare(self) -> LookAhead:
-        """Fly the scenario, once; where that fails the present conditions held are the only future."""
-        if self._ahead is None:
-            own, futures = self.link.declared.ahead, None
-            try:
-                with error_context(f"{display_path(self.link.path)}, [ahead]"):
-                    if self.link.scenario is not None:
-                        futures = Futures.of_scenario(self.link.scenario, self.source.columns)
-            except (InputError, RunError) as error:
-                self.problem = f"{str(error).splitlines()[0]}; only the present conditions are looked ahead of"
-            self._ahead = LookAhead(self.source, self.limits, futures, own.horizon_s, own.keep)
-        return self._ahead
-
-    def warm_up(self, estimates: Mapping[str, LiveEstimate], frame: Frame) -> None:
-        """Compile and pack all that a prediction needs; what it predicts is not kept."""
-        with suppress(InputError, RunError):
-            self.prepare().predict(estimates, frame)
+        own, futures = link.declared.ahead, None
+        try:
+            with error_context(f"{display_path(link.path)}, [ahead]"):
+                if link.scenario is not None:
+                    futures = Futures.of_scenario(link.scenario, estimator.source.columns)
+        except (InputError, RunError) as error:
+            self.problem = f"{str(error).splitlines()[0]}; the look-ahead has the present conditions alone"
+        self._ahead = LookAhead(estimator.source, limits, futures, own.horizon_s, own.keep)
+        self._ahead.warm_up([e for f in estimator.filters for e in f.estimates()])
 
     def due(self, time_s: float | None) -> bool:
         """Whether a flight time [s] calls for a prediction, and time is left for one."""
         every = self.link.declared.ahead.every_s
         return time_s is not None and abs(time_s - self._at_s) >= every and time.monotonic() >= self._not_before_s
 
-    def take(self, estimates: Mapping[str, LiveEstimate], frame: Frame | None) -> None:
-        """Predict from estimates at the time of a frame; `problem` says in a line why that failed, or is empty."""
+    def take(self, frame: Frame | None) -> None:
+        """Predict from the estimate at the time of a frame; `problem` says in a line why that failed."""
+        estimates, begin = self.estimator.estimates(), time.monotonic()
         if frame is None or not estimates:
             return
-        ahead, begin = self.prepare(), time.monotonic()
         self._at_s = frame.time_s
         try:
-            self.latest = ahead.predict(estimates, frame)
+            self.latest = self._ahead.predict(estimates, frame)
         except (InputError, RunError) as error:
             self.latest, self.problem = {}, f"look-ahead: {str(error).splitlines()[0]}"
         now = time.monotonic()
@@ -308,7 +313,6 @@ class _Lanes:
     """Up to LANES points, or futures of one point, that are marched together with their sensitivities."""
 
     def __init__(self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int]) -> None:
-        self._points = list(points)
         self._own = [[n for n in e.names if not n.startswith(SENSOR_PREFIX)] for e in now]
         self._wanders = [_wanders(e) for e in now]
         tracks = [
@@ -320,6 +324,11 @@ class _Lanes:
         ]  # fmt: skip
         self._march = LinearMarch(tracks, np.array([0.0, 1.0]), np.zeros((len(tracks), 2, N_CONDITIONS)))
         self._tracks: list[Track] = tracks
+        packed = {
+            (id(t.model), t.names): PackedModel.of(t.model, tuple(own))
+            for t, own in zip(tracks, self._own, strict=True)
+        }
+        self._packed = [packed[id(t.model), t.names] for t in tracks]
         self._roots: list[tuple[FloatArray, FloatArray]] = []
         self._now: list[PointEstimate] = []
 
@@ -329,34 +338,25 @@ class _Lanes:
 
     def begin(self, now: Sequence[PointEstimate]) -> None:
         """Take over estimates: parameters, temperatures, and what of them is open."""
-        models, tracks, self._roots, self._now = [], [], [], list(now)
+        tracks: list[Track] = []
+        self._roots, self._now = [], list(now)
         known: dict[int, tuple[Track, tuple[FloatArray, FloatArray]]] = {}
-        for track, own, wanders, estimate, point in zip(
-            self._march.tracks, self._own, self._wanders, now, self._points, strict=True
-        ):
+        for track, own, wanders, estimate in zip(self._march.tracks, self._own, self._wanders, now, strict=True):
             if id(estimate) not in known:
-                values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
-                model = point.model.with_parameters({n: values[n] for n in own})
-                if wanders:
-                    model = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + estimate.disturbance})
                 C, L = _root(estimate.covariance), _root(estimate.state_covariance, LEAST_SIGMA_K, DIRECTIONS)
                 m, S = len(own), estimate.sensitivity[:-1]
                 named = np.concatenate([S[:, :m], np.zeros((len(S), int(wanders)))], axis=1)
                 first = np.concatenate([S[:, m:], L[:-1]], axis=1)
                 filled = first if first.shape[1] else np.zeros((len(S), 1))
-                known[id(estimate)] = (
-                    replace(
-                        track, model=model, initial_K=estimate.temperature_K, named_columns=named,
-                        initial_columns=filled,
-                    ),
-                    (C, L),
-                )  # fmt: skip
+                begun = replace(track, initial_K=estimate.temperature_K, named_columns=named, initial_columns=filled)
+                known[id(estimate)] = begun, (C, L)
             begun, roots = known[id(estimate)]
             tracks.append(replace(begun, flight=track.flight))
-            models.append(begun.model)
             self._roots.append(roots)
         self._tracks = tracks
-        self._march.set_models(models)
+        for i, (packed, estimate) in enumerate(zip(self._packed, now, strict=True)):
+            at, d = estimate.values.tolist(), estimate.disturbance
+            self._march.set_values(i, partial(packed.values, at, d))
 
     def march(self, time_s: FloatArray, histories: FloatArray) -> list[Predicted | None]:
         """Each lane along its conditions; None where a temperature is not a number.
@@ -366,7 +366,7 @@ class _Lanes:
         self._march.move([replace(t, sample_s=time_s) for t in self._tracks], time_s, histories)
         found = self._march.attempt()
         return [
-            None if f is None else Predicted(time_s, f.temperature_K, self._loading(i, f.sensitivity))
+            None if f is None else Predicted.of(time_s, f.temperature_K, self._loading(i, f.sensitivity))
             for i, f in enumerate(found)
         ]
 
@@ -417,9 +417,7 @@ def passing_probability(predicted: Predicted, limits: FloatArray) -> float:
     limits : (2,) [K]; infinite where there is none
     """
     apart = limits[:, np.newaxis] - predicted.mean_K
-    sigma = predicted.sigma_K
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = np.where(sigma > 0.0, apart / sigma, np.where(apart >= 0.0, np.inf, -np.inf))
+    u = apart / np.maximum(predicted.sigma_K, 1e-30)
     worst = float(ndtr(-np.min(u)))
     if not CERTAIN < worst < 1.0 - CERTAIN:
         return worst

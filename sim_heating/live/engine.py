@@ -146,7 +146,7 @@ class LinkEngine:
         self._sequence = 0
         self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
-        self.ahead = AheadOfLink(link, self.estimator.source, self._limits)
+        self.ahead = AheadOfLink(link, self.estimator, self._limits)
         declared = link.declared.estimate.parameters or ["ratio.scale"]
         self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in declared}
         self._named_absent = False
@@ -253,7 +253,7 @@ class LinkEngine:
             self._look_ahead()
 
     def _look_ahead(self) -> None:
-        self.ahead.take(self.estimator.estimates(), self._latest_frame)
+        self.ahead.take(self._latest_frame)
         if self.ahead.problem:
             self.remarks.add(self.ahead.problem)
             self.ahead.problem = ""

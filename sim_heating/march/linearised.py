@@ -7,7 +7,7 @@ Equations: docs/theory/equations_march.md, equations 4 to 15.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -308,6 +308,21 @@ class LinearMarch:
         if self.perturbed is not None:
             for k, perturbed in enumerate(self._lanes):
                 self.perturbed.set_model(k, perturbed.model(self.tracks[perturbed.track], models[perturbed.track]))
+
+    def set_values(self, i: int, values: Callable[[str, float], tuple[FloatArray, FloatArray]]) -> None:
+        """Give a point new parameter values in all its lanes, without a model made for each; its tables stay.
+
+        i      : number of the track
+        values : of the stack and the heating, as of `Ensemble.set_values`, where the parameter of a name has a value by
+                 so much larger; that of no name is the point itself
+
+        Source: docs/theory/equations_march.md, equations 9 and 10.
+        """
+        self.nominal.set_values(i, *values("", 0.0))
+        if self.perturbed is not None:
+            for k, perturbed in enumerate(self._lanes):
+                if perturbed.track == i:
+                    self.perturbed.set_values(k, *values(perturbed.name, perturbed.by))
 
     def move(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
         """Go over to other steps, conditions, samples and starts.

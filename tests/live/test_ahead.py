@@ -240,7 +240,7 @@ def test_without_a_scenario_the_present_conditions_held_are_the_only_future(sour
 
 def predicted(apart_K: float, loading_K: np.ndarray) -> Predicted:
     time_s = np.arange(float(loading_K.shape[1]))
-    return Predicted(time_s, np.full(loading_K.shape[:2], 1000.0 - apart_K), loading_K)
+    return Predicted.of(time_s, np.full(loading_K.shape[:2], 1000.0 - apart_K), loading_K)
 
 
 def test_instants_that_move_together_pass_a_limit_together() -> None:

@@ -231,7 +231,7 @@ class OnlineFilter(FilterMarch):
         self._state_now = self._state(own, n, m)
         self._information = self._prior_information()
         self._heated_at = HeatedAt(np.zeros(len(own)), np.zeros((len(own), m)))
-        self._packed = [_PackedModel.of(p.model, p.names) for p in own]
+        self._packed = [PackedModel.of(p.model, p.names) for p in own]
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
 
@@ -468,16 +468,16 @@ class OnlineFilter(FilterMarch):
         lane, e = self._lane_of[i], self.perturbed
         at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
         packed = self._packed[i]
-        self.nominal.write_values(self.nominal.state, i, *packed.values(at, "", 0.0, d))
+        self.nominal.write_values(self.nominal.state, i, *packed.values(at, d, "", 0.0))
         for k, perturbed in enumerate(self._lanes):
             if e is not None and perturbed.track == i:
-                values = packed.values(at, perturbed.name, perturbed.by, d)
+                values = packed.values(at, d, perturbed.name, perturbed.by)
                 for state in self._X:
                     e.write_values(state, k, *values)
 
 
 @dataclass(frozen=True, eq=False)
-class _PackedModel:
+class PackedModel:
     """Values of a point as its lanes take them, at any values of its named parameters.
 
     stack, heating : of the model itself;  places : entries of both that each parameter is, by its name, one array
@@ -491,7 +491,7 @@ class _PackedModel:
     places: Mapping[str, tuple[IntArray, IntArray] | None]
 
     @staticmethod
-    def of(model: PointModel, names: tuple[str, ...]) -> _PackedModel:
+    def of(model: PointModel, names: tuple[str, ...]) -> PackedModel:
         """Find the entries that parameters are, the ratio itself among them, as entries that follow two values."""
         places: dict[str, tuple[IntArray, IntArray] | None] = {}
         for name in dict.fromkeys((*names, RATIO_ITSELF)):
@@ -503,9 +503,9 @@ class _PackedModel:
                 is_entry = all(np.all(x[changed] == v) for x, v in zip(vectors, tried, strict=True))
                 own.append(changed if is_entry else None)
             places[name] = None if own[0] is None or own[1] is None else (own[0], own[1])
-        return _PackedModel(model, names, stack_values(model), heating_vector(model), places)
+        return PackedModel(model, names, stack_values(model), heating_vector(model), places)
 
-    def values(self, at: Sequence[float], name: str, by: float, d: float) -> tuple[FloatArray, FloatArray]:
+    def values(self, at: Sequence[float], d: float, name: str, by: float) -> tuple[FloatArray, FloatArray]:
         """Values of stack and heating at parameters, one of them perturbed, with a disturbance of the ratio [-]."""
         given = dict(zip(self.names, at, strict=False))
         if name:
