@@ -5,9 +5,10 @@ the future (march/linearised.py):
 
     T(t) = m(t) + X(t) z,   z ~ N(0, 1),     X = [dT/dp C, dT/dT_0 L],   C C^T = cov p,   L L^T = cov(T, d | p)
 
-dT/dp begins with the sensitivities that the filter carries. A ratio that wanders is taken to stay where it is, with the
-variance that it has in the long run where that is larger. The probability that a limit is passed is that of the normal
-z for which m + X z passes it at any step; the effects that a model lacks are not in it.
+dT/dp begins with the sensitivities that the filter carries. A ratio that wanders is taken to stay where it is, from now
+on with the variance that it has in the long run: sigma is then rather too large than too small. The probability that a
+limit is passed is that of the normal z for which m + X z passes it at any step; the effects that a model lacks are not
+in it.
 
     ahead = LookAhead(estimator.source, limits, Futures.of_scenario(scenario, estimator.source.columns))
     ahead.predict(estimator.estimates(), frame)["V09T9527"].knock_off_by_s
@@ -95,6 +96,7 @@ class LookAhead:
     futures   : the flights of a scenario; None for the present conditions held alone
     horizon_s : how far ahead [s]
     keep      : probability with which stopping a manoeuvre keeps the limits
+    ratio_sigma : standard deviation in the long run of a ratio that wanders [-]
     raises    : InputError for a horizon or probability out of range
     """
 
@@ -105,13 +107,14 @@ class LookAhead:
         futures: Futures | None = None,
         horizon_s: float = 60.0,
         keep: float = 0.95,
+        ratio_sigma: float = 0.0,
     ) -> None:
         if not 1.0 <= horizon_s <= 3600.0:
             raise InputError(f"look-ahead: horizon_s {horizon_s:g}; give 1 to 3600 s")
         if not 0.5 < keep < 1.0:
             raise InputError(f"look-ahead: keep {keep:g}; give a probability above 0.5 and below 1")
         self.source, self.futures = source, futures
-        self.horizon_s, self.keep = horizon_s, keep
+        self.horizon_s, self.keep, self.ratio_sigma = horizon_s, keep, ratio_sigma
         names = ("surface_K", "bondline_K")
         self.limits = [
             np.array([limits.get(p.name, {}).get(n, math.inf) for n in names], dtype=float) for p in source.points
@@ -150,7 +153,9 @@ class LookAhead:
         points = self.source.points
         if not self._together or not all(lanes.fit(now[k * LANES :]) for k, lanes in enumerate(self._together)):
             self._together = [
-                _Lanes(points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k])
+                _Lanes(
+                    points[k : k + LANES], now[k : k + LANES], list(range(LANES))[: len(points) - k], self.ratio_sigma
+                )
                 for k in range(0, len(points), LANES)
             ]
         return self._together
@@ -251,7 +256,9 @@ class LookAhead:
         courses = [self.futures.stopped(planned, frame, float(s)) for s in stops_s]
         courses += [courses[-1]] * (LANES - len(courses))
         if i not in self._alone or not self._alone[i].fit([now]):
-            self._alone[i] = _Lanes([self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)))
+            self._alone[i] = _Lanes(
+                [self.source.points[i]] * LANES, [now] * LANES, list(range(LANES)), self.ratio_sigma
+            )
         lanes, time_s = self._alone[i], self._steps(frame.time_s, courses)
         histories = np.stack([self.source.histories(c.at(time_s))[i] for c in courses])
         lanes.begin([now] * LANES)
@@ -283,7 +290,9 @@ class AheadOfLink:
                     futures = Futures.of_scenario(link.scenario, estimator.source.columns)
         except (InputError, RunError) as error:
             self.problem = f"{str(error).splitlines()[0]}; the look-ahead has the present conditions alone"
-        self._ahead = LookAhead(estimator.source, limits, futures, own.horizon_s, own.keep)
+        self._ahead = LookAhead(
+            estimator.source, limits, futures, own.horizon_s, own.keep, link.declared.estimate.wander
+        )
         self._ahead.warm_up([e for f in estimator.filters for e in f.estimates()])
 
     def due(self, time_s: float | None) -> bool:
@@ -312,7 +321,10 @@ class AheadOfLink:
 class _Lanes:
     """Up to LANES points, or futures of one point, that are marched together with their sensitivities."""
 
-    def __init__(self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int]) -> None:
+    def __init__(
+        self, points: Sequence[LivePoint], now: Sequence[PointEstimate], flights: Sequence[int], ratio_sigma: float
+    ) -> None:
+        self._ratio_sigma = ratio_sigma
         self._own = [[n for n in e.names if not n.startswith(SENSOR_PREFIX)] for e in now]
         self._wanders = [_wanders(e) for e in now]
         tracks = [
@@ -382,7 +394,8 @@ class _Lanes:
             return np.concatenate([of_p @ C, of_T], axis=-1)
         of_p = of_p + ratio[..., np.newaxis] * estimate.sensitivity[-1]
         of_T = of_T + ratio[..., np.newaxis] * L[-1]
-        return np.concatenate([of_p @ C, of_T], axis=-1)
+        unknown = math.sqrt(max(self._ratio_sigma**2 - estimate.disturbance_sigma**2, 0.0))
+        return np.concatenate([of_p @ C, of_T, unknown * ratio[..., np.newaxis]], axis=-1)
 
 
 def _wanders(estimate: PointEstimate) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,15 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.live.ahead import RESOLUTION_S, LookAhead, Predicted, passing_probability
+from sim_heating.live.engine import LinkEngine
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions, Prior
 from sim_heating.live.futures import Course, FlownPath, Futures
 from sim_heating.live.points import VehiclePoints
-from sim_heating.live.types import Frame, Reading
+from sim_heating.live.types import Frame, Message, Reading
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel
 from sim_heating.trajectory.flight import Window
+from tests.live.links import FRAME, json_lines, link
 
 POINT = "V09T9527"
 NAMES = ("ratio.scale", "ratio.d_alpha", "stack.rsi.conductivity_factor")
@@ -150,6 +153,25 @@ def test_sigma_is_that_of_sampled_parameters(source, futures, now) -> None:
         ends.append(march(model, source, start, time_s, history)[:, -1])
     # of 300 draws a standard deviation is known to 4 %
     assert np.std(ends, axis=0) == pytest.approx([own.surface_sigma_K[-1], own.bondline_sigma_K[-1]], rel=0.12)
+
+
+def test_a_ratio_that_wanders_is_carried_on_and_as_uncertain_as_in_the_long_run(source, futures) -> None:
+    options = LiveOptions(start="declared", linearise_s=np.inf, ratio_noise=(0.02, 30.0))
+    estimator = LiveEstimator(source, NAMES, PRIORS, options)
+    flown = futures.nominal.at(np.arange(0.0, NOW_S + 0.125, 0.25))
+    estimator.add(*(frame_of(flown, k) for k in range(len(flown["time_s"]))))
+    estimator.advance()
+    frame = frame_of(flown, -1)
+    held = LookAhead(source, {}, None, 60.0, ratio_sigma=0.02).predict(estimator.estimates(), frame)[POINT]
+    for k in range(1, 121):
+        estimator.add(Frame(NOW_S + 0.5 * k, frame.values))
+    estimator.advance()
+    later = estimator.estimates()[POINT]
+    sigma = held.futures["held"].surface_sigma_K
+    assert sigma[0] < sigma[-1]
+    # the surface follows the ratio within seconds: a ratio that stays and one that wanders leave it as uncertain
+    assert sigma[-1] == pytest.approx(later.surface_sigma_K, rel=0.1)
+    assert sigma[-1] >= later.surface_sigma_K
 
 
 def test_a_known_estimate_has_no_sigma_and_passes_a_limit_for_certain_or_not_at_all(source, futures) -> None:
@@ -290,3 +312,37 @@ def test_a_flight_without_a_column_of_the_frames_is_refused() -> None:
     flown = path(pull_up)
     with pytest.raises(InputError, match="the flight has no `h_ref_kg_m2_s`"):
         Futures(["velocity_m_s", "h_ref_kg_m2_s"], flown, flown, [])
+
+
+# A link ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_link_with_a_scenario_publishes_its_three_futures_every_second_of_flight() -> None:
+    made = link(ahead={"scenario": "../popu_mach20.toml", "horizon_s": 60.0})
+    engine = LinkEngine(made)
+    assert engine.ahead.problem == ""
+    for k in range(40):
+        row = {**FRAME, "time_s": 0.25 * k, "velocity_m_s": 6150.0 - 0.75 * k}
+        engine.take(Message(0.0, json_lines([row]), row))
+        engine.advance()
+    engine.end()
+    own = engine.state().points[POINT]
+    assert set(own.ahead) == {"nominal", "held", "planned"}
+    assert own.ahead["held"].time_s[0] == 9.75
+    assert own.knock_off == "never needed"
+    # at 6096 m/s, in 8 s, the manoeuvre begins: colder than the nominal flight in its pushover, hotter in its pull-up
+    planned, nominal = own.ahead["planned"], own.ahead["nominal"]
+    hotter = np.array(planned.surface_K) - np.interp(planned.time_s, nominal.time_s, nominal.surface_K)
+    assert np.argmin(hotter) < np.argmax(hotter)
+    assert np.min(hotter) < -1.0
+    assert np.max(hotter) > 1.0
+
+
+def test_a_scenario_that_cannot_be_flown_leaves_the_conditions_held_and_is_told() -> None:
+    made = link(ahead={"scenario": "../popu_mach20.toml"})
+    assert made.scenario is not None
+    spec = made.scenario.declared.trajectory
+    late = spec.model_copy(update={"stop": spec.stop.model_copy(update={"time_s": 0.01})})
+    declared = made.scenario.declared.model_copy(update={"trajectory": late})
+    engine = LinkEngine(replace(made, scenario=replace(made.scenario, declared=declared)))
+    assert "the look-ahead has the present conditions alone" in engine.ahead.problem
