@@ -42,7 +42,9 @@ from sim_heating.live.types import Frame
 from sim_heating.march.linearised import RATIO_ITSELF, LinearMarch, Track
 
 LONGEST_STEP_S, GROWTH, FIRST_STEP_S = 5.0, 0.06, 1.0
-"""Steps of the march [s]: 1 s at first, then 6 % of the time from now, at most 5 s; 1 s throughout a manoeuvre."""
+"""Steps of the march [s]: 1 s at first, then 6 % of the time from now, at most 5 s; 1 s throughout a manoeuvre.
+Against steps of 0.25 s on the POPU at Mach 20, 16 points: 0.4 K in 60 s; in 600 s 0.7 K of a peak, 3 K where boundary
+layers turn turbulent within a step."""
 SHOWN = 60
 """Times of a future that a state has, at most, apart from the peak."""
 LEAST_SIGMA_K, DIRECTIONS = 0.02, 8
