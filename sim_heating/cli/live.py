@@ -15,13 +15,20 @@ from sim_heating.cli.console import (
     ROOT,
     optional_directory,
     print_outputs,
+    print_table,
     print_warning,
+    progress_line,
 )
 
 if TYPE_CHECKING:
     from sim_heating.live.engine import LinkEngine
     from sim_heating.live.outputs.published import Output
     from sim_heating.live.spec import Link
+    from sim_heating.live.state import State
+
+
+MOST_REMARKS = 20
+"""Remarks on a link that are printed at its end; live.json has all."""
 
 
 @click.command()
@@ -125,6 +132,7 @@ def _follow(
     from sim_heating.live.journal import NAME, Journal, remove_ended
     from sim_heating.live.results import RESULT, write_results
     from sim_heating.live.run import run
+    from sim_heating.live.to_record import RECORDS
 
     if is_repeatable:
         remove_ended(directory / NAME)
@@ -134,16 +142,61 @@ def _follow(
     try:
         engine = LinkEngine(link, journal)
         outputs = _outputs(engine, headless, options, opens_browser=demo)
-        state = run(engine, outputs, resume=journal.is_resumed, open_sources=open_sources)
+        state = run(
+            engine, outputs, resume=journal.is_resumed, open_sources=open_sources,
+            waiting=lambda: progress_line(link.title),
+        )  # fmt: skip
         ended = True
     finally:
         journal.close(is_end=ended)
     if journal.problem:
         print_warning(journal.problem)
+    _print_summary(engine, state)  # first: it is told though the disk is full
     names, notes = write_results(engine, state, directory)
-    for line in (*engine.remarks.lines(), *notes):
+    for line in notes:
         print_warning(line)
     print_outputs(directory, [NAME, *names], RESULT)
+    if RECORDS in names:
+        CONSOLE.print(f"Records for `sim-heating estimate`: {directory / RECORDS}, one of each control point")
+
+
+def _print_summary(engine: LinkEngine, state: State) -> None:
+    """Print the estimates at the end of a link, what came, what was taken out, and whether an effect is missing."""
+    from sim_heating.base.report.table import Column, Table
+
+    names = list(dict.fromkeys(name for point in state.points.values() for name in point.parameters))
+    heads = ["surface [K]", "bondline [K]", *names, "margin [K]"]
+    rows = [
+        (
+            point,
+            _bound(own.surface_K, own.surface_sigma_K, ".1f", ".1f"),
+            _bound(own.bondline_K, own.bondline_sigma_K, ".1f", ".1f"),
+            *(_bound(own.parameters[n].value, own.parameters[n].sigma) if n in own.parameters else None for n in names),
+            own.margin_K,
+        )
+        for point, own in state.points.items()
+    ]
+    if rows:
+        when = "" if state.time_s is None else f" at {state.time_s:.1f} s of flight"
+        columns = [Column("control point"), *(Column(h, format=".0f") for h in heads)]
+        print_table(Table(f"{engine.link.title}{when}, estimates +- sigma", columns, rows))
+    counts, health = engine.counts, state.link
+    CONSOLE.print(
+        f"Came: {counts['messages']} messages, {counts['frames']} frames and {counts['readings']} readings, of which "
+        f"{health.lost} lost, {health.late} late, {health.too_late} too late, {health.doubled} doubled; "
+        f"{health.damaged} damaged, {health.jumps} clock jumps"
+    )
+    removed = [one.text for one in state.removed]
+    remarks = [line for line in engine.remarks.lines() if line not in removed]
+    for line in (*removed, *remarks[:MOST_REMARKS]):
+        print_warning(line)
+    if len(remarks) > MOST_REMARKS:
+        print_warning(f"{len(remarks) - MOST_REMARKS} more remarks are in live.json")
+    CONSOLE.print(f"Missing effect: {state.missing.text}", style="red" if state.missing.alarm else None)
+
+
+def _bound(value: float, sigma: float, spec: str = ".4g", sigma_spec: str = ".2g") -> str:
+    return f"{value:{spec}} +- {sigma:{sigma_spec}}"
 
 
 def _outputs(engine: LinkEngine, headless: bool, options: dict[str, Any], *, opens_browser: bool) -> list[Output]:

@@ -40,7 +40,7 @@ from sim_heating.live.state import (
     State,
 )
 from sim_heating.live.types import Frame, Message, Reading, Sample
-from sim_heating.live.watch.checks import SensorChecks
+from sim_heating.live.watch.checks import Failure, SensorChecks
 from sim_heating.live.watch.missing import Weighing
 from sim_heating.live.watch.sequential import SequentialTest, score_of_word
 from sim_heating.thermal.stack import Sensor
@@ -265,7 +265,7 @@ class LinkEngine:
             if failure is not None:
                 self.estimator.leave_out(failure.point, failure.sensor, failure.from_s)
                 self.test.leave_out(failure.point, failure.sensor)
-                self.remarks.add(f"{failure.sensor} at {failure.point} is taken out: {failure.why}")
+                self.remarks.add(_removed(failure).text)
             elif not self.checks.has_failed(read.point, read.sensor):
                 score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
                 self.test.take_all([(read.time_s, read.point, read.sensor, score)])
@@ -275,6 +275,14 @@ class LinkEngine:
         self.advance()
         self._look_ahead()  # from the last estimate, which depends on the samples alone
         self._phase = "ended"
+
+    def weigh(self) -> bool:
+        """Have the candidates of an alarm weighed in another process, once; whether that is at work."""
+        alarm = self.test.alarm
+        if alarm is not None and self.journal is not None and not self.weighing.begun:
+            left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
+            self.weighing.start(self.journal.path, alarm.point, left_out)
+        return self.weighing.busy
 
     def stop(self) -> None:
         """End the process that weighs candidates, where there is one."""
@@ -391,22 +399,21 @@ class LinkEngine:
         return next((f.why for f in self.checks.failures if (f.point, f.sensor) == (point, sensor.name)), "")
 
     def _removed(self) -> Sequence[RemovedSensor]:
-        return [RemovedSensor(f.point, f.sensor, f.from_s, f.why) for f in self.checks.failures]
+        return [_removed(failure) for failure in self.checks.failures]
 
     def _missing(self) -> MissingState:
         alarm, found = self.test.alarm, self.weighing.poll() or self.weighing.last
         text = "no sign of a missing effect"
         if alarm is not None:
             text = alarm.text
-            if self.journal is not None and found is None and self._phase != "ended":
-                left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
-                self.weighing.start(self.journal.path, alarm.point, left_out)
+            if self._phase != "ended":
+                self.weigh()
             if found is not None:
                 text = f"{text}; {found.text}"
-            elif self._phase == "ended":
-                text = f"{text}; no candidate was weighed before the end: `close-loop` weighs them on the record"
             elif self.weighing.busy:
                 text = f"{text}; candidates are being weighed"
+            elif self._phase == "ended":
+                text = f"{text}; no candidate was weighed before the end: `close-loop` weighs them on the record"
         return MissingState(
             alarm=alarm is not None,
             statistic=self.test.statistic,
@@ -424,6 +431,10 @@ def _limits(link: Link, point: str) -> dict[str, float]:
     own = link.vehicle.control_point(point).limits
     given = {"surface_K": own.surface_K, "bondline_K": own.bondline_K}
     return {name: limit for name, limit in given.items() if limit is not None}
+
+
+def _removed(failure: Failure) -> RemovedSensor:
+    return RemovedSensor(failure.point, failure.sensor, failure.from_s, failure.why)
 
 
 def _unit(point: LivePoint, name: str) -> str:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.progress import SAME_REQUEST_S, Progress
 from sim_heating.live.engine import IN_A_ROW, LinkEngine
 from sim_heating.live.journal import read_journal
 from sim_heating.live.sources import Remark, SourceStream, open_source
@@ -32,6 +33,10 @@ WAITING = 1024
 
 Sources = Callable[[Link, int, Remark], SourceStream]
 """Opens a source of a link by its number."""
+
+
+Waiting = Callable[[], contextlib.AbstractContextManager[Progress]]
+"""Makes the progress of a wait, as a context."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,7 @@ async def run_link(
     stop: asyncio.Event | None = None,
     resume: bool = False,
     open_sources: Sources = open_source,
+    waiting: Waiting | None = None,
 ) -> State:
     """Run a link until its sources end.
 
@@ -58,6 +64,7 @@ async def run_link(
     on_state : called with each state
     stop     : ends the link when it is set
     resume   : whether the engine's journal was cut off, and its messages are taken again first
+    waiting  : progress of the wait for the candidates of an alarm, which `stop` ends, too; None for no such wait
     returns  : the last state
     raises   : InputError where a source or an output cannot be opened
     """
@@ -86,6 +93,8 @@ async def run_link(
             task.cancel()
         await _meanwhile(loop.run_in_executor(worker, _give, engine, _waiting(queue)), publish, loop.time())
         await loop.run_in_executor(worker, engine.end)
+        if waiting is not None:
+            await _weighed(engine, waiting, stop, publish)
         last = engine.state()
         _publish(last, started, on_state)
         return last
@@ -97,6 +106,26 @@ async def run_link(
             await output.stop()
         worker.shutdown()
         engine.stop()
+
+
+async def _weighed(engine: LinkEngine, waiting: Waiting, stop: asyncio.Event, publish: Callable[[bool], None]) -> None:
+    """Wait until the candidates of an alarm are weighed; a further request to end ends the wait."""
+    if not engine.weigh():
+        return
+    loop = asyncio.get_running_loop()
+    new_from_s = loop.time() + SAME_REQUEST_S
+    assert engine.test.alarm is not None
+    with waiting() as progress:
+        while engine.weigh():
+            progress(0.0, f"weighing what could be missing at {engine.test.alarm.point}; Ctrl-C ends without it")
+            publish(False)
+            if loop.time() < new_from_s:
+                stop.clear()  # the request that ended the link
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), 1.0 / engine.link.declared.output.rate_Hz)
+                if loop.time() >= new_from_s:
+                    engine.stop()
+                    return
 
 
 def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:

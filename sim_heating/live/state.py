@@ -135,6 +135,11 @@ class RemovedSensor:
     since_s: float
     why: str
 
+    @property
+    def text(self) -> str:
+        """In one line."""
+        return f"{self.sensor} at {self.point} is taken out from {self.since_s:.1f} s on: {self.why}"
+
 
 @dataclass(frozen=True)
 class Candidate:

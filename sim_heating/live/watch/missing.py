@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim_heating.base.errors import InputError, RunError, one_line
+from sim_heating.base.progress import signals_deferred
 from sim_heating.live.state import Candidate
 
 NICE = 10
@@ -49,6 +50,11 @@ class Weighing:
         self.last: Weighed | None = None
 
     @property
+    def begun(self) -> bool:
+        """Whether a record was or is being weighed."""
+        return self._running is not None or self.last is not None
+
+    @property
     def busy(self) -> bool:
         """Whether a record is being weighed."""
         return self._running is not None and not self._running.done()
@@ -68,7 +74,8 @@ class Weighing:
             # spawned: a fork of a process with threads may hold their locks
             self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_step_back)
         place = None if root is None else os.fspath(root)
-        self._running = self._pool.submit(weigh, os.fspath(journal), point, tuple(left_out), place)
+        with signals_deferred():  # a Ctrl-C ends the link and leaves the process to it
+            self._running = self._pool.submit(weigh, os.fspath(journal), point, tuple(left_out), place)
         return True
 
     def poll(self) -> Weighed | None:
@@ -81,6 +88,8 @@ class Weighing:
         except BrokenProcessPool:
             self._pool = None
             self.last = Weighed("", float("nan"), "", (), "the process that weighs candidates ended; it begins anew")
+        except Exception as error:  # the link goes on, whatever a record does to the search
+            self.last = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
         return self.last
 
     def stop(self) -> None:

@@ -1,0 +1,187 @@
+"""The command `sim-heating live`: a link from the command line to its results, and what it refuses in one line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import sim_heating as sh
+from sim_heating.base.conditions import Conditions
+from sim_heating.base.files import read_json
+from sim_heating.cli import main
+from sim_heating.inputs.record import Segments, load_record, write_record
+from tests.live.links import FRAME, json_lines
+from tests.support.json_output import run_json
+from tests.support.paths import PRACTICE
+
+LINK = """format = "link/1"
+vehicle = "orbiter"
+control_points = ["V09T9527"]
+
+[[source]]
+kind = "json-lines"
+transport = "file"
+file = "flight.jsonl"
+"""
+"""A link that reads the lines of a file."""
+POINT = "V09T9527"
+SCALE = 0.1
+"""What the heating ratio is truly above its table [-]."""
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of a practice record."""
+    whole = load_record(PRACTICE / "p06")
+
+    def within(columns: dict) -> dict:
+        t = columns["time_s"]
+        return {name: values[(t >= 600.0) & (t <= 660.0)] for name, values in columns.items()}
+
+    part = replace(
+        whole,
+        declared=whole.declared.model_copy(update={"segments": Segments()}),
+        conditions=Conditions(within(dict(whole.conditions.columns))),
+        thermocouples=within(dict(whole.thermocouples)),
+    )
+    place = tmp_path_factory.mktemp("records") / "cut"
+    write_record(part, place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def replayed(cut: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of its replay."""
+    out = tmp_path_factory.mktemp("live") / "out"
+    assert main(["live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(out), "--quiet"]) == 0
+    return out
+
+
+def of_vehicle(folder: Path, link: str = LINK, frames: int = 30) -> Path:
+    """A link of a vehicle in a folder, and the file of its lines: constant conditions from a cold start."""
+    (folder / "link.toml").write_text(link)
+    truth = sh.HeatingPlugin(sh.load_vehicle("orbiter"), [POINT], parameters={"ratio.scale": SCALE})
+    columns = {sensor: f"{sensor}_K" for sensor in truth.sensors_K}
+    rows: list[dict[str, float]] = []
+    for k in range(frames):
+        frame = FRAME | {"time_s": float(k)}
+        truth.step(frame) if k else truth.reset(frame)
+        rows.append(frame | {columns[name]: value for name, value in truth.sensors_K.items()})
+    (folder / "flight.jsonl").write_bytes(json_lines(rows))
+    return folder / "link.toml"
+
+
+def the_error(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2) -> str:
+    """The one line by which a command fails."""
+    capsys.readouterr()
+    assert main(list(arguments)) == status
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+def test_the_end_of_a_link_tells_its_estimates_counts_and_records(cut: Path, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(out)]) == 0
+    told, found = " ".join(capsys.readouterr().out.split()), read_json(out / "live.json")
+    record, (point,) = load_record(cut), found["state"]["points"].values()
+    fitted = point["parameters"]["ratio.scale"]
+    assert f"{fitted['value']:.4g} +- {fitted['sigma']:.2g}" in told
+    assert f"{point['surface_K']:.1f} +- {point['surface_sigma_K']:.1f}" in told
+    assert f"{found['counts']['frames']} frames and {found['counts']['readings']} readings" in told
+    assert found["counts"]["readings"] == len(record.sensors) * len(record.time_s)
+    assert f"Missing effect: {found['state']['missing']['text']}" in told
+    assert f"{out / 'records'}, one of each control point" in told
+
+
+def test_json_is_one_object_with_the_last_state(cut: Path, tmp_path, capsys):
+    found = run_json(capsys, "live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(tmp_path / "o"))
+    assert found["results"] == read_json(tmp_path / "o" / "live.json")
+    assert found["results"]["state"]["link"]["state"] == "ended"
+
+
+def test_the_record_of_a_replayed_record_is_estimated(replayed: Path, cut: Path, tmp_path, capsys):
+    (point,) = read_json(replayed / "live.json")["control_points"]
+    record = replayed / "records" / point
+    main(["live", "--to-record", str(replayed), "--out", str(tmp_path / "again"), "--quiet"])
+    assert (tmp_path / "again" / "thermocouples.csv").read_bytes() == (record / "thermocouples.csv").read_bytes()
+    fit = ["estimate", "--parameters", "ratio.scale", "--start", "circuit:620"]
+    of_link = run_json(capsys, *fit, str(tmp_path / "again"), "--out", str(tmp_path / "a"))["results"]
+    of_sent = run_json(capsys, *fit, str(cut), "--out", str(tmp_path / "b"))["results"]
+    assert of_link["parameters"] == of_sent["parameters"]
+
+
+def test_the_record_of_a_vehicle_s_link_is_estimated(tmp_path, capsys):
+    link = of_vehicle(tmp_path)
+    run_json(capsys, "live", str(link), "--headless", "--out", str(tmp_path / "o"))
+    fit = ["estimate", str(tmp_path / "o" / "records" / POINT), "--parameters", "ratio.scale"]
+    found = run_json(capsys, *fit, "--out", str(tmp_path / "f"))["results"]["parameters"]["ratio.scale"]
+    assert found["value"] == pytest.approx(SCALE, abs=2.0 * found["sigma"])
+
+
+def test_a_port_in_use_is_one_line(tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        told = the_error(capsys, "live", str(of_vehicle(tmp_path)), "--port", port, "--out", str(tmp_path / "o"))
+    assert f"page: port {port} of 127.0.0.1 is in use" in told
+
+
+def test_a_mapping_of_an_unknown_condition_is_one_line(tmp_path, capsys):
+    link = of_vehicle(tmp_path, LINK + '\n[conditions]\nalpa_deg = { field = "a" }\n')
+    told = the_error(capsys, "live", str(link), "--headless", "--out", str(tmp_path / "o"))
+    assert "did you mean `alpha_deg`" in told
+
+
+def test_a_field_that_is_never_sent_is_named(tmp_path, capsys):
+    link = of_vehicle(tmp_path, LINK + '\n[conditions]\nalpha_deg = { field = "alpha_dg" }\n', frames=60)
+    assert main(["live", str(link), "--headless", "--out", str(tmp_path / "o")]) == 0
+    assert (
+        "field `alpha_dg` (alpha_deg) is not sent; did you mean `alpha_deg`?"
+        in read_json(tmp_path / "o" / "live.json")["remarks"]
+    )
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="for the administrator no folder is read-only")
+def test_a_read_only_place_is_one_line(tmp_path, capsys):
+    place = tmp_path / "locked"
+    place.mkdir(mode=0o500)
+    assert str(place) in the_error(capsys, "live", str(of_vehicle(tmp_path)), "--headless", "--out", str(place / "o"))
+
+
+def test_a_file_in_the_place_of_results_is_one_line(tmp_path, capsys):
+    (tmp_path / "o").write_text("mine")
+    told = the_error(capsys, "live", str(of_vehicle(tmp_path)), "--headless", "--out", str(tmp_path / "o"))
+    assert "is a file; name a directory for the results" in told
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
+def test_on_a_full_disk_the_estimates_are_told_and_the_command_fails_in_one_line(tmp_path, capsys):
+    import resource
+
+    link = of_vehicle(tmp_path)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1500, hard))
+    try:
+        status = main(["live", str(link), "--headless", "--out", str(tmp_path / "o")])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    told = capsys.readouterr()
+    assert status == 1
+    assert len(told.err.strip().splitlines()) == 1
+    assert "messages wait in memory" in " ".join(told.out.split())
+    assert "Came: 30 messages, 30 frames" in told.out
+
+
+def test_options_that_contradict_are_usage_errors(tmp_path, capsys):
+    assert "--speed is that of --replay or --demo" in the_error(capsys, "live", "link.toml", "--speed", "2")
+    assert "--demo flies by itself" in the_error(capsys, "live", "--demo", "--replay", "record")
+    assert "Missing argument 'LINK'" in the_error(capsys, "live")
+    assert "--to-record needs --out" in the_error(capsys, "live", "--to-record", str(tmp_path))
