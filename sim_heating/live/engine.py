@@ -19,6 +19,7 @@ from sim_heating.base.errors import InputError, RunError, error_context, one_lin
 from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
+from sim_heating.estimation.inference.observability import heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
@@ -97,13 +98,23 @@ class Remarks:
         return [line if count == 1 else f"{line} ({count} times)" for line, count in chosen]
 
 
+def parameters_of(link: Link) -> list[str]:
+    """Names of what a link estimates: by default magnitude and derivatives of the heating ratio, as `estimate` does.
+
+    Fewer would leave an error of a table's slope to the test of what is missing.
+    """
+    if link.declared.estimate.parameters:
+        return link.declared.estimate.parameters
+    # a control point of a vehicle has a table
+    return list(heating_names(all(record.ratio_table is not None for record in link.records.values())))
+
+
 def make_estimator(link: Link) -> LiveEstimator:
     """The estimator that a link file declares.
 
     raises : InputError for a parameter or a sensor that a running estimate cannot have
     """
-    own = link.declared.estimate
-    names = own.parameters or ["ratio.scale"]
+    own, names = link.declared.estimate, parameters_of(link)
     priors = {name: Prior(mean, sigma) for name, (mean, sigma) in own.prior.items()}
     with error_context(f"{display_path(link.path)}, [estimate]"):
         if unknown := [name for name in priors if name not in names]:
@@ -147,8 +158,8 @@ class LinkEngine:
         self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
         self.ahead = AheadOfLink(link, self.estimator, self._limits)
-        declared = link.declared.estimate.parameters or ["ratio.scale"]
-        self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in declared}
+        names = parameters_of(link)
+        self._units = {(p.name, name): _unit(p, name) for p in self.estimator.points for name in names}
         self._named_absent = False
         self._journal_problem = ""
         self._phase: LinkPhase = "waiting"
@@ -273,6 +284,10 @@ class LinkEngine:
     def end(self) -> None:
         """No more messages come."""
         self.advance()
+        try:
+            self.estimator.filter_again()  # as a fit of the whole record would be linearised
+        except (InputError, RunError) as error:
+            self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
         self._look_ahead()  # from the last estimate, which depends on the samples alone
         self._phase = "ended"
 

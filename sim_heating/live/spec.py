@@ -216,7 +216,7 @@ class SensorField(Declared):
 class EstimateSettings(Declared):
     """What is estimated at every control point.
 
-    parameters      : dotted names; the magnitude of the heating ratio where absent
+    parameters      : dotted names; magnitude and derivatives of the heating ratio where absent
     wander          : standard deviation of a heating ratio that wanders about the model's; 0 where it does not
     wander_s        : its correlation time
     lateness_s      : samples up to so much behind the latest frame are put where they belong; later ones are not used

@@ -46,7 +46,11 @@ def default_names(records: Sequence[Record]) -> tuple[str, ...]:
     `ratio.scale` where every record has a ratio table, else `ratio.d0` [-]; the derivatives are those of the founding
     paper, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers", equation 2.
     """
-    with_table = all(r.ratio_table is not None for r in records)
+    return heating_names(all(r.ratio_table is not None for r in records))
+
+
+def heating_names(with_table: bool) -> tuple[str, ...]:
+    """Magnitude and five first derivatives of a heating ratio, with a table or without one (`ratio.d0`, [-])."""
     return (MAGNITUDES[0] if with_table else MAGNITUDES[1], *DERIVATIVES)
 
 
