@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import poisson
 
 from benchmarks.generator.record import make_and_write
+from benchmarks.live_exact import NULL
 from benchmarks.live_streams import PRACTICE, SIX, Progress, practice, samples_of_record
 from benchmarks.measure import Figure
 from sim_heating.base.errors import InputError
@@ -106,19 +107,22 @@ def alarms(nulls: int, progress: Progress) -> tuple[list[Figure], dict[str, obje
     fired = [f for f in flights if f.alarm is not None]
     expected = RATE * sum(f.hours for f in flights)
     late = delays()
+    sound = {name: watch(practice(name)).alarm for name in NULL}
+    wrong = [f"{name}: {alarm.text}" for name, alarm in sound.items() if alarm is not None]
     progress("practice records with an effect")
     median = float(np.median([d for _, _, d in late.values()]))
     never = [name for name, (_, _, d) in late.items() if math.isinf(d)]
     figures = [
         Figure("null flights with a false alarm", len(fired), "", float(poisson.ppf(0.99, expected)),
                note=f"of {nulls}; the stated rate allows {expected:.2f}, with a chance of 1 % so many as the bound"),
+        Figure("practice records without an effect with a false alarm", len(wrong), "", 0.0, note=f"of {len(sound)}"),
         Figure("null flights in which a sound sensor is taken out", sum(bool(f.removed) for f in flights), "",
                note=f"of {nulls}"),
         Figure("practice records with an effect: median delay of the alarm", median, "s",
                note=f"{len(late)} records, {len(never)} without an alarm"),
     ]  # fmt: skip
     rows: dict[str, object] = {
-        "false_alarms": [f"{f.name}: {f.alarm.text}" for f in fired if f.alarm is not None],
+        "false_alarms": [*(f"{f.name}: {f.alarm.text}" for f in fired if f.alarm is not None), *wrong],
         "taken_out": [f"{f.name}: {line}" for f in flights for line in f.removed],
         "delays": {
             name: {"effect": effect, "acts_from_s": t, "delay_s": None if math.isinf(d) else d}

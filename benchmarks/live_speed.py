@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +12,19 @@ import sim_heating as sh
 from benchmarks.live_streams import EIGHT, SIX, flown_frames, orbiter_of, practice, samples_of_record, word_K
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
+from sim_heating.live.ahead import LookAhead
 from sim_heating.live.estimator import LiveEstimator, LiveOptions
+from sim_heating.live.futures import FlownPath, Futures
 from sim_heating.live.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
+from sim_heating.trajectory.flight import Window
 
 POINTS, FRAMES_HZ, READINGS_HZ, BEGIN_S, SEED = 16, 60, 10, 800.0, 3
 NOT_COUNTED_S = 5.0
 """Beginning of the stream that is not counted: the estimator starts within it [s]."""
 LARGEST_MS = 20.0
+LARGEST_AHEAD_MS = {60.0: 50.0, 600.0: 500.0}
+LOOKS = 15
 FASTEST = 100.0
 
 
@@ -120,6 +126,39 @@ def record_speed(name: str = "p06") -> float:
     return (samples[-1].time_s - samples[0].time_s) / (time.process_time() - worked)
 
 
+def seconds_ahead(given: Stream, horizons_s: Sequence[float], rounds: int) -> dict[float, FloatArray]:
+    """(round,) wall time of one look-ahead of all points [s] by its horizon [s], on three futures with covariance.
+
+    The planned flight has a pull-up by 5 deg from 10 to 40 s from now; the limits are such that none is near.
+    """
+    e = estimator(given)
+    for batch in given.batches:
+        e.add(*batch)
+    e.advance()
+    now, estimates = given.frames[-1], e.estimates()
+    frames = flown_frames(now.time_s, now.time_s + max(horizons_s) + 10.0, 1)
+    time_s = np.array([f.time_s for f in frames])
+    nominal = {n: np.array([f.values[n] for f in frames]) for n in frames[0].values} | {"time_s": time_s}
+    window = Window("popu", now.time_s + 10.0, now.time_s + 40.0)
+    pull_up = np.interp(time_s, np.linspace(window.start_s, window.end_s, 4), [0.0, 5.0, 5.0, 0.0])
+    planned = nominal | {"alpha_deg": nominal["alpha_deg"] + pull_up}
+    futures = Futures(given.source.columns, FlownPath(nominal), FlownPath(planned), [window], {"alpha_deg": 1.0})
+    limits = {p.name: {"surface_K": 2500.0, "bondline_K": 700.0} for p in given.source.points}
+    found = {}
+    for horizon_s in horizons_s:
+        ahead = LookAhead(given.source, limits, futures, horizon_s)
+        ahead.predict(estimates, now)  # packed
+        taken = []
+        for _ in range(rounds):
+            begun = time.perf_counter()
+            told = ahead.predict(estimates, now)
+            taken.append(time.perf_counter() - begun)
+            if len(next(iter(told.values())).futures) != 3:
+                raise RuntimeError("a future is missing")
+        found[horizon_s] = np.array(taken)
+    return found
+
+
 def speed(flight_s: float) -> list[Figure]:
     """Rows of the table; flight_s : of the stream that is timed [s]."""
     short = stream(2.0 * NOT_COUNTED_S)
@@ -129,6 +168,7 @@ def speed(flight_s: float) -> list[Figure]:
     plain_s = float(np.mean(given.plain_s[1:]))
     read = np.array([len(b) > 1 for b in given.batches])[round(NOT_COUNTED_S * FRAMES_HZ) :]
     queued = waiting_too(wall)
+    ahead = seconds_ahead(short, (60.0, 600.0), LOOKS)
     size = f"{POINTS} points x 5 sensors x {len(EIGHT)} parameters"
     p50, p99 = (1e3 * np.percentile(busy, q) for q in (50, 99))
     return [
@@ -143,6 +183,12 @@ def speed(flight_s: float) -> list[Figure]:
         Figure(f"{size}: wall time over that of the plug-in's steps of the same points", float(np.mean(wall)) / plain_s,
                "", note=f"the plug-in: {1e6 * plain_s:.0f} us a frame"),
         Figure(f"{size}: replay over real time, on one core", replay_speed(given), "x", FASTEST, True),
+        *(
+            Figure(f"{POINTS} points: look-ahead of {h:.0f} s on three futures with covariance, median",
+                   1e3 * float(np.median(taken)), "ms", LARGEST_AHEAD_MS[h],
+                   note=f"shortest of {LOOKS}: {1e3 * np.min(taken):.0f} ms")
+            for h, taken in ahead.items()
+        ),
         Figure("one point of a practice record, six parameters: replay over real time", record_speed(), "x", FASTEST,
                True, note="p06 at its own rate, 1 Hz"),
     ]  # fmt: skip
