@@ -164,14 +164,12 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
     """Print the estimates at the end of a link, what came, what was taken out, and whether an effect is missing."""
     from sim_heating.base.report.table import Column, Table
 
-    names = list(dict.fromkeys(name for point in state.points.values() for name in point.parameters))
-    heads = ["surface [K]", "bondline [K]", *names, "margin [K]"]
+    heads = ["surface [K]", "bondline [K]", "margin [K]"]
     rows = [
         (
             point,
             _bound(own.surface_K, own.surface_sigma_K, ".1f", ".1f"),
             _bound(own.bondline_K, own.bondline_sigma_K, ".1f", ".1f"),
-            *(_bound(own.parameters[n].value, own.parameters[n].sigma) if n in own.parameters else None for n in names),
             own.margin_K,
         )
         for point, own in state.points.items()
@@ -180,6 +178,14 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
         when = "" if state.time_s is None else f" at {state.time_s:.1f} s of flight"
         columns = [Column("control point"), *(Column(h, format=".0f") for h in heads)]
         print_table(Table(f"{engine.link.title}{when}, estimates +- sigma", columns, rows))
+        # a row each: side by side six of them are wider than a terminal
+        fitted = [
+            (point, name, _bound(found.value, found.sigma), found.unit)
+            for point, own in state.points.items()
+            for name, found in own.parameters.items()
+        ]
+        heads = ["control point", "parameter", "estimate +- sigma", "unit"]
+        print_table(Table("Parameters", [Column(h) for h in heads], fitted))
     counts, health = engine.counts, state.link
     CONSOLE.print(
         f"Came: {counts['messages']} messages, {counts['frames']} frames and {counts['readings']} readings, of which "

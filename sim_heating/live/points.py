@@ -13,6 +13,7 @@ from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SH
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import LIMITS, limit_message
+from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record, point_of_vehicle
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.vehicle import Vehicle
@@ -61,6 +62,11 @@ class ConditionsOfFrame(Protocol):
         """(point, time, condition) conditions along a flight, given by its columns, `time_s` among them."""
 
 
+def _middle(table: RatioTable) -> tuple[float, ...]:
+    """Middle of each axis of a ratio table [deg], [deg], [-], [deg], [deg]."""
+    return tuple(0.5 * float(axis[0] + axis[-1]) for axis in table.axes)
+
+
 class VehiclePoints:
     """Control points of a vehicle in flight; a frame has the columns of `base.conditions.FRAME`.
 
@@ -68,6 +74,8 @@ class VehiclePoints:
     nodes      : nodes of each mesh; chosen for accuracy where None
     parameters : dotted model parameters, the same for all points
     raises     : InputError for an unknown control point or parameter
+
+    Derivatives refer to the middle of the ratio table, so that an unknown slope is no unknown magnitude.
     """
 
     def __init__(
@@ -75,7 +83,7 @@ class VehiclePoints:
         parameters: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         points = [vehicle.control_point(n) for n in (vehicle.control_points if names is None else names)]
-        models = [point_of_vehicle(vehicle, p, parameters) for p in points]
+        models = [replace(point_of_vehicle(vehicle, p, parameters), reference=_middle(p.ratio)) for p in points]
         meshed = _meshed(models, nodes)
         self.points = tuple(
             LivePoint(p.name, m, mesh, tuple(p.sensors)) for p, (m, mesh) in zip(points, meshed, strict=True)

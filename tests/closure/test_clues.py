@@ -126,7 +126,7 @@ def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
 
 def test_a_step_of_a_simulated_flight_too_small_for_a_transition_is_no_evidence_of_one():
     """Columns without an accelerometer's noise make any kink of a simulation certain."""
-    found = axial_steps(with_axial(0.003, 1100.3))
+    found = axial_steps(with_axial(0.006, 1100.3))
     assert found is not None
     assert found[0].p_value < 1e-3
     assert not found[0].as_of_transition
