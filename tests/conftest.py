@@ -42,6 +42,13 @@ BEGUN_FIRST = (
 kernels: those of exported libraries, and those of the package itself."""
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """A process that crashes ends the run: with whole files to each process, a replacement would wait for ever."""
+    if hasattr(config.option, "maxworkerrestart"):
+        config.option.maxworkerrestart = "0"
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first; the others, and the tests of each file, in their order."""
     place = {config.rootpath / "tests" / name: k for k, name in enumerate(BEGUN_FIRST)}

@@ -128,6 +128,23 @@ def property_bin(temperature: float) -> int:
 
 
 @njit
+def piece_of(table: FloatArray, offset: int, width: int, temperature: float) -> int:
+    """Offset in the tables of the piece of a material's properties that contains a temperature [K].
+
+    offset : where the table of the material begins;  width : numbers in one piece
+
+    Source: docs/theory/equations_thermal_step.md, section 2.
+    """
+    # The last piece ends at FAR: an infinite temperature would leave the table. It is reported as a failure.
+    t = temperature if temperature < FAR else 0.0
+    row = offset + BINS + int(table[offset + property_bin(t)]) * width
+    # From the piece at the foot of the bin to that of the temperature: most bins lie in one piece.
+    while t >= table[row + 1]:
+        row += width
+    return row
+
+
+@njit
 def _gather_polynomials(
     B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: int, offset: int, into: int
 ) -> int:
@@ -138,11 +155,7 @@ def _gather_polynomials(
     slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
     if table[offset - 1] != NO_BENT_TABLE and (slope_k != 0.0 or decade != 0.0 or slope_c != 0.0):
         return _gather_bent(B, J, table, a, lane, offset + int(table[offset - 1]), into)
-    t, width = B[a + T * LANES + lane], PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane]
-    row = offset + BINS + int(table[offset + property_bin(t)]) * width
-    # From the piece at the foot of the bin to that of the temperature: most bins lie in one piece. The last has no end.
-    while t >= table[row + 1]:
-        row += width
+    row = piece_of(table, offset, PIECE_HEAD + 3 + 3 * J[N_PRESSURES + lane], B[a + T * LANES + lane])
     column = row + PIECE_HEAD + 3 + 3 * int(B[COLUMN * LANES + lane])
     B[a + into * LANES + lane] = table[row + 2]
     for k in range(3):
@@ -167,11 +180,8 @@ def _gather_bent(B: FloatArray, J: IntArray, table: FloatArray, a: int, lane: in
 
     c = (1 + s_c (T - 700 K)) c_declared,    k = (1 + s_k (T - 700 K)) (1 + d (log10 p - 3)) k_declared
     """
-    t, weighted = B[a + T * LANES + lane], 3 + 3 * J[N_PRESSURES + lane]
-    width = PIECE_HEAD + 2 * weighted
-    row = offset + BINS + int(table[offset + property_bin(t)]) * width
-    while t >= table[row + 1]:
-        row += width
+    weighted = 3 + 3 * J[N_PRESSURES + lane]
+    row = piece_of(table, offset, PIECE_HEAD + 2 * weighted, B[a + T * LANES + lane])
     slope_k, decade, slope_c = B[BEND_K * LANES + lane], B[BEND_P * LANES + lane], B[BEND_C * LANES + lane]
     at = int(B[COLUMN * LANES + lane])
     first, column = row + PIECE_HEAD, row + PIECE_HEAD + 3 + 3 * at

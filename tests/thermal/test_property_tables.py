@@ -20,7 +20,7 @@ from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
-from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD
+from sim_heating.thermal.assembly import BIN_K, BINS, PIECE_HEAD, piece_of
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.stack import Material
@@ -45,6 +45,17 @@ def tabulated(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, 
         row[beyond] += width
     t, k = T - table[row + 2], row + PIECE_HEAD + 4 + 3 * column
     return table[row + PIECE_HEAD + 1] + t * table[row + PIECE_HEAD + 2], table[k] + t * table[k + 1]
+
+
+@pytest.mark.parametrize("temperature_K", [np.inf, 1e300, 1e299, 1e6, -np.inf, np.nan])
+def test_no_temperature_leads_out_of_the_table_of_a_material(temperature_K):
+    m = practice_model("p06").construction.materials["li900"]
+    store = TableStore()
+    point = store.add_point([m], m, CP_J_KGK)
+    width, first, end = PIECE_HEAD + 3 + 3 * point.columns, point.materials[0], point.materials[1] - 1
+    # Interpreted, so that a number read beyond the array is an error; compiled, it would be whatever lies there.
+    row = piece_of.py_func(store.values[:end], first, width, temperature_K)
+    assert first + BINS <= row <= end - width
 
 
 def declared(m: Material, T: np.ndarray, column: int = 0) -> tuple[np.ndarray, np.ndarray]:
