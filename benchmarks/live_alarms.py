@@ -58,7 +58,7 @@ def watch(record: Record, rate: float = RATE) -> Watched:
                 test.leave_out(failure.point, failure.sensor)
             elif not checks.has_failed(read.point, read.sensor):
                 score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
-                test.take_all([(read.time_s, read.point, read.sensor, score)])
+                test.take(read.time_s, read.point, read.sensor, score)
         if test.alarm is not None:
             break
     hours = (samples[-1].time_s - samples[0].time_s) / HOUR_S

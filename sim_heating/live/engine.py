@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
@@ -86,7 +86,7 @@ class Remarks:
     def add(self, line: str) -> None:
         """Add a line; one like the last is counted."""
         line = one_line(line)
-        for known in list(self._lines)[-REMARKS:]:
+        for known in islice(reversed(self._lines), REMARKS):
             if known[0] == line:
                 known[1] += 1
                 return
@@ -252,16 +252,20 @@ class LinkEngine:
 
     def advance(self) -> None:
         """Take all steps that the samples so far complete."""
-        try:
-            self.estimator.advance()
-        except (InputError, RunError) as error:
-            self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
+        self._estimate(self.estimator.advance)
         for line in self.estimator.messages:
             self.remarks.add(line)
         self.estimator.messages.clear()
         self._test_innovations()
         if self.ahead.due(self.estimator.time_s):
             self._look_ahead()
+
+    def _estimate(self, work: Callable[[], None]) -> None:
+        """Let the estimator work; an error is a remark, and the link goes on."""
+        try:
+            work()
+        except (InputError, RunError) as error:
+            self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
 
     def _look_ahead(self) -> None:
         self.ahead.take(self._latest_frame)
@@ -279,15 +283,12 @@ class LinkEngine:
                 self.remarks.add(_removed(failure).text)
             elif not self.checks.has_failed(read.point, read.sensor):
                 score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
-                self.test.take_all([(read.time_s, read.point, read.sensor, score)])
+                self.test.take(read.time_s, read.point, read.sensor, score)
 
     def end(self) -> None:
         """No more messages come."""
         self.advance()
-        try:
-            self.estimator.filter_again()  # as a fit of the whole record would be linearised
-        except (InputError, RunError) as error:
-            self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
+        self._estimate(self.estimator.filter_again)  # as a fit of the whole record would be linearised
         self._look_ahead()  # from the last estimate, which depends on the samples alone
         self._phase = "ended"
 

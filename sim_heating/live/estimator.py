@@ -36,7 +36,7 @@ from sim_heating.estimation.filter.online import (
     Prior,
     no_readings,
 )
-from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms
+from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms, middle_K
 from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K, shifted_to_readings, smooth_directions
@@ -522,7 +522,7 @@ class LiveEstimator:
             read = np.isfinite(found.innovation_K)
             columns = (
                 given.time_s, numbers, found.innovation_K, found.innovation_variance_K2, found.predicted_K,
-                found.variance_K2, _middle_K(given),
+                found.variance_K2, middle_K(given.lower_K, given.upper_K),
             )  # fmt: skip
             log += zip(*(column[read].tolist() for column in columns), strict=True)
         if linearise:
@@ -778,12 +778,6 @@ class LiveEstimator:
     def diverged(self) -> list[str]:
         """Names of the points whose filter diverged."""
         return [self.names[k * LANES + i] for k, f in enumerate(self.filters) for i in f.diverged]
-
-
-def _middle_K(readings: PointReadings) -> FloatArray:
-    """(reading,) middle of the interval of each reading [K], the finite end of an open one."""
-    low, high = readings.lower_K, readings.upper_K
-    return np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
 
 
 class _SensorTable:

@@ -6,9 +6,12 @@ import asyncio
 import json
 import socket
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sim_heating.base.conditions import Conditions
+from sim_heating.inputs.record import Segments, load_record, write_record
 from sim_heating.live.sources import open_source
 from sim_heating.live.spec import Link, make_link
 from sim_heating.live.types import Message
@@ -21,6 +24,24 @@ FRAME = {
     "elevon_deg": 1.0, "bodyflap_deg": 15.0, "rho_kg_m3": 4.6e-5,
 }  # fmt: skip
 """A message with flight conditions by the names and units of a record."""
+
+
+def part_of_record(record: Path, begin_s: float, end_s: float, place: Path) -> Path:
+    """Write the part of a record between two times [s], all of it to be fitted; the directory."""
+    whole = load_record(record)
+
+    def within(columns: Mapping[str, Any]) -> dict[str, Any]:
+        t = columns["time_s"]
+        return {name: values[(t >= begin_s) & (t <= end_s)] for name, values in columns.items()}
+
+    part = replace(
+        whole,
+        declared=whole.declared.model_copy(update={"segments": Segments()}),
+        conditions=Conditions(within(dict(whole.conditions.columns))),
+        thermocouples=within(dict(whole.thermocouples)),
+    )
+    write_record(part, place)
+    return place
 
 
 def link(source: Mapping[str, Any] | None = None, root: Path | None = None, **keys: Any) -> Link:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_heating.inputs.record import Record, Segments, load_record, write_record
+from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.journal import NAME, Journal
 from sim_heating.live.run import run, run_link
@@ -20,7 +20,7 @@ from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State, plain, state_json
 from sim_heating.live.to_record import link_of, to_record
 from sim_heating.live.types import Message
-from tests.live.links import FRAME, free_port, json_lines, link
+from tests.live.links import FRAME, free_port, json_lines, link, part_of_record
 from tests.support.paths import ROOT
 
 RECORD = ROOT / "scenarios" / "records" / "practice" / "p06"
@@ -29,25 +29,7 @@ RECORD = ROOT / "scenarios" / "records" / "practice" / "p06"
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """200 s of a practice record, from the middle of the flight."""
-    from dataclasses import replace
-
-    from sim_heating.base.conditions import Conditions
-
-    whole = load_record(RECORD)
-
-    def within(columns: dict) -> dict:
-        t = columns["time_s"]
-        return {name: values[(t >= 500.0) & (t <= 700.0)] for name, values in columns.items()}
-
-    cut = replace(
-        whole,
-        declared=whole.declared.model_copy(update={"segments": Segments()}),
-        conditions=Conditions(within(dict(whole.conditions.columns))),
-        thermocouples=within(dict(whole.thermocouples)),
-    )
-    place = tmp_path_factory.mktemp("records") / "short"
-    write_record(cut, place)
-    return place
+    return part_of_record(RECORD, 500.0, 700.0, tmp_path_factory.mktemp("records") / "short")
 
 
 def replaying(record: Path, **keys) -> Link:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import socket
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import sim_heating as sh
-from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
-from sim_heating.inputs.record import Segments, load_record, write_record
-from tests.live.links import FRAME, json_lines
+from sim_heating.inputs.record import load_record
+from tests.live.links import FRAME, json_lines, part_of_record
 from tests.support.json_output import run_json
 from tests.support.paths import PRACTICE
 
@@ -37,21 +35,7 @@ SCALE = 0.1
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute of a practice record."""
-    whole = load_record(PRACTICE / "p06")
-
-    def within(columns: dict) -> dict:
-        t = columns["time_s"]
-        return {name: values[(t >= 600.0) & (t <= 660.0)] for name, values in columns.items()}
-
-    part = replace(
-        whole,
-        declared=whole.declared.model_copy(update={"segments": Segments()}),
-        conditions=Conditions(within(dict(whole.conditions.columns))),
-        thermocouples=within(dict(whole.thermocouples)),
-    )
-    place = tmp_path_factory.mktemp("records") / "cut"
-    write_record(part, place)
-    return place
+    return part_of_record(PRACTICE / "p06", 600.0, 660.0, tmp_path_factory.mktemp("records") / "cut")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ def first_alarm_s(scores: np.ndarray, every_s: float, rate: float) -> float:
     """Time [s] of the first alarm of one sensor; infinite for none."""
     test = SequentialTest(rate)
     for i, z in enumerate(scores):
-        test.take(every_s * i, "NOSE", "surface", float(z), 1.0)
+        test.take(every_s * i, "NOSE", "surface", float(z))
         if test.alarm is not None:
             return test.alarm.time_s
     return math.inf
@@ -50,7 +50,7 @@ def test_what_is_missing_is_found_within_a_minute(wrong, kind: str) -> None:
     z[300:] = wrong(z[300:])
     test = SequentialTest(rate)
     for i, value in enumerate(z):
-        test.take(float(i), "NOSE", "surface", float(value), 1.0)
+        test.take(float(i), "NOSE", "surface", float(value))
     assert test.alarm is not None
     assert 300.0 <= test.alarm.time_s < 360.0
     assert test.alarm.kind == kind
@@ -70,9 +70,9 @@ def test_a_small_common_shift_is_found_sooner_with_more_sensors() -> None:
     for i in range(900):
         for k in range(5):
             z = float(rng.normal() + 0.35)
-            together.take(float(i), "NOSE", f"tc{k}", z, 1.0)
+            together.take(float(i), "NOSE", f"tc{k}", z)
             if k == 0:
-                alone.take(float(i), "NOSE", "tc0", z, 1.0)
+                alone.take(float(i), "NOSE", "tc0", z)
     assert together.alarm is not None
     assert alone.alarm is not None
     assert together.alarm.time_s < 0.6 * alone.alarm.time_s
@@ -98,18 +98,18 @@ def test_coarse_words_raise_fewer_false_alarms_than_exact_readings() -> None:
             low = 4.0 * math.floor((mean + rng.normal()) / 4.0)
             nu, against, _ = innovation(low, low + 4.0, mean, 1.0)
             if math.isfinite(against):
-                test.take_all([(float(i), "NOSE", "surface", score_of_word(nu, against, 1.0))])
+                test.take(float(i), "NOSE", "surface", score_of_word(nu, against, 1.0))
         times.append(300.0 if test.alarm is None else test.alarm.time_s)
     assert np.mean(times) > 180.0
 
 
 def test_a_gap_is_no_time_of_test_and_a_sensor_taken_out_is_forgotten() -> None:
     test = SequentialTest(0.01)
-    test.take(0.0, "NOSE", "surface", 0.0, 1.0)
-    test.take(1.0, "NOSE", "surface", 0.0, 1.0)
+    test.take(0.0, "NOSE", "surface", 0.0)
+    test.take(1.0, "NOSE", "surface", 0.0)
     before = test.statistic
     assert before is not None
-    test.take(36_000.0, "NOSE", "surface", 0.0, 1.0)
+    test.take(36_000.0, "NOSE", "surface", 0.0)
     after = test.statistic
     assert after is not None
     assert math.exp(after) < 120.0 / 3600.0

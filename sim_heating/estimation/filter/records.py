@@ -59,6 +59,13 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
     return slope(T), curve(T) - slope(T) * T
 
 
+def middle_K(lower_K: FloatArray, upper_K: FloatArray) -> FloatArray:
+    """(reading,) middle of the interval of each reading [K], the finite end of an open one."""
+    return np.where(
+        np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K
+    )  # fmt: skip
+
+
 def filter_samples(
     found: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
@@ -87,7 +94,7 @@ def filter_samples(
     for channel in found:
         low, high = channel.intervals.lower_K, channel.intervals.upper_K
         # the tangent is taken at the middle of a word, at the finite end of an open one
-        middle = np.where(np.isfinite(low), np.where(np.isfinite(high), 0.5 * (low + high), low), high)
+        middle = middle_K(low, high)
         slope, constant = calibration_line(channel.sensor, middle)
         wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
         constant = constant + slope * (wrong.gain * own + wrong.bias_K + wrong.drift_K_s * channel.since_s)

@@ -18,7 +18,6 @@ which exp(l) is smaller still on average (Jensen's inequality, as exp(l) is conv
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,33 +34,36 @@ LONGEST_WAIT_S = 60.0
 """Most that a pause between two readings adds to a statistic [s]: during a gap there is nothing to test."""
 HOUR_S = 3600.0
 
-_shifts = np.array([sign * m for m in MEANS for sign in (1.0, -1.0)])
-_follows, _variances = np.array(FOLLOWS), np.array(VARIANCES)
-_kinds = np.array(["mean"] * len(_shifts) + ["order"] * len(_follows) + ["variance"] * len(_variances))
+_SHIFTS = np.array([sign * m for m in MEANS for sign in (1.0, -1.0)])
+_FOLLOWS, _VARIANCES = np.array(FOLLOWS), np.array(VARIANCES)
+_KINDS = np.array(["mean"] * len(_SHIFTS) + ["order"] * len(_FOLLOWS) + ["variance"] * len(_VARIANCES))
 
 
 @dataclass
 class _Series:
     """Statistics of the innovations of one sensor, or of all sensors of a control point.
 
-    log_R : (alternative,) logarithm of R over an hour;  last_s, last : time [s] and score of the last innovation
+    log_R : (alternative,) logarithm of R over an hour;  largest : of them
+    last_s, last : time [s] and score of the last innovation
     """
 
     log_R: FloatArray
+    largest: float = -math.inf
     last_s: float = math.nan
     last: float = math.nan
 
     def take(self, time_s: float, score: float) -> None:
         waited_s = min(max(time_s - self.last_s, 0.0), LONGEST_WAIT_S) if self.last_s == self.last_s else 0.0
-        ratios = np.empty(len(_kinds))
-        n, m = len(_shifts), len(_shifts) + len(_follows)
-        ratios[:n] = _shifts * score - 0.5 * _shifts**2
-        before = _follows * (0.0 if self.last != self.last else self.last)
+        ratios = np.empty(len(_KINDS))
+        n, m = len(_SHIFTS), len(_SHIFTS) + len(_FOLLOWS)
+        ratios[:n] = _SHIFTS * score - 0.5 * _SHIFTS**2
+        before = _FOLLOWS * (0.0 if self.last != self.last else self.last)
         ratios[n:m] = before * score - 0.5 * before**2
-        ratios[m:] = -0.5 * np.log(_variances) + 0.5 * score**2 * (1.0 - 1.0 / _variances)
+        ratios[m:] = -0.5 * np.log(_VARIANCES) + 0.5 * score**2 * (1.0 - 1.0 / _VARIANCES)
         if waited_s > 0.0:
             self.log_R = np.logaddexp(self.log_R, math.log(waited_s / HOUR_S))
         self.log_R = self.log_R + ratios
+        self.largest = float(np.max(self.log_R))
         self.last_s, self.last = time_s, score
 
 
@@ -105,7 +107,7 @@ class SequentialTest:
     >>> test = SequentialTest(false_alarms_per_hour=0.01)
     >>> noise = np.random.default_rng(1).normal(size=600)
     >>> for i, z in enumerate(noise + np.where(np.arange(600) < 300, 0.0, 1.5)):
-    ...     test.take(0.5 * i, "NOSE", "surface", z, 1.0)
+    ...     test.take(0.5 * i, "NOSE", "surface", z)
     >>> 150.0 < test.alarm.time_s < 165.0
     True
     """
@@ -130,34 +132,25 @@ class SequentialTest:
             return None
         return largest + math.log(float(np.mean(np.exp(rows - largest))))
 
-    def take(self, time_s: float, point: str, sensor: str, innovation: float, variance: float) -> None:
+    def take(self, time_s: float, point: str, sensor: str, score: float) -> None:
         """Take one innovation.
 
-        time_s     : of the reading [s]; not before that of the last one
-        innovation : reading less prediction, over any unit;  variance : that it ought to have, in that unit squared
-
-        For a recorder word, the innovation and variance that `score_of_word` gives.
+        time_s : of the reading [s]; not before that of the last one
+        score  : innovation over its standard deviation [-]; of a recorder word that of `score_of_word`
         """
-        self._take(time_s, point, sensor, innovation / math.sqrt(variance))
-
-    def take_all(self, innovations: Iterable[tuple[float, str, str, float]]) -> None:
-        """Take innovations as (time [s], point, sensor, score), in order of time."""
-        for time_s, point, sensor, score in innovations:
-            self._take(time_s, point, sensor, score)
-
-    def _take(self, time_s: float, point: str, sensor: str, score: float) -> None:
         for key in ((point, sensor), (point, "")):
             if key not in self._series:
-                self._series[key] = _Series(np.full(len(_kinds), -np.inf))
+                self._series[key] = _Series(np.full(len(_KINDS), -np.inf))
             self._series[key].take(time_s, score)
-        if self.alarm is None:
+        # the mean of all R is no larger than the largest, which is known without going through them
+        if self.alarm is None and any(series.largest >= self.threshold for series in self._series.values()):
             statistic = self.statistic
             if statistic is not None and statistic >= self.threshold:
                 self.alarm = self._largest(time_s)
 
     def _largest(self, time_s: float) -> Alarm:
-        (point, sensor), series = max(self._series.items(), key=lambda item: float(np.max(item[1].log_R)))
-        return Alarm(time_s, point, sensor, str(_kinds[int(np.argmax(series.log_R))]))
+        (point, sensor), series = max(self._series.items(), key=lambda item: item[1].largest)
+        return Alarm(time_s, point, sensor, str(_KINDS[int(np.argmax(series.log_R))]))
 
     def leave_out(self, point: str, sensor: str) -> None:
         """Forget a sensor that was taken out, and with it what it told of its point."""
