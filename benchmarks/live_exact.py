@@ -14,7 +14,6 @@ from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, sample
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import reading_intervals
-from sim_heating.estimation.inference.newton import maximise
 from sim_heating.estimation.record_fit import least_sigma_K
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.live.estimator import LiveEstimator, LiveOptions, default_prior
@@ -54,7 +53,7 @@ def apart_from_batch(flight: Flight, names: tuple[str, ...] = SIX) -> float:
 
     Both are linearised at the priors' means all along, and begin with the same temperatures.
     """
-    options = LiveOptions(linearise_s=math.inf, again_s=math.inf, wait_s=0.0, start="circuit")
+    options = LiveOptions(linearise_s=math.inf, again_s=math.inf, wait_s=0.0, start="readings", corrects_mesh=False)
     e = fed(LiveEstimator(flight.source, names, options=options), flight.samples)
     prior = prior_of(e, names)
     time_s = np.array([s.time_s for s in flight.samples if isinstance(s, Frame)])
@@ -107,7 +106,6 @@ class Compared:
     end_s: float
     parameter: str
     apart: float
-    same_mesh: float
     sigma_ratio: float
     informed: float
 
@@ -129,15 +127,11 @@ def against_estimate(name: str, end_s: float, names: tuple[str, ...] = SIX) -> l
     reference = dict(zip(keys, e.points[0].model.reference, strict=True))
     fit = estimate(record, names, reference=reference, priors={n: (p.mean, p.sigma) for n, p in prior.items()})
     white = dict(zip(fit.labels, np.sqrt(np.diag(fit.bounds.white)).tolist(), strict=True))
-    values = fit.fit.values
-    for part in fit.problem.record_fits:
-        part.correction_K = 0.0
-    uncorrected = maximise(fit.problem.evaluate, fit.problem.parameters, values).values
     rows = []
-    for label, corrected, plain in zip(fit.labels, values.tolist(), uncorrected.tolist(), strict=True):
+    for label, fitted in zip(fit.labels, fit.fit.values.tolist(), strict=True):
         value, sigma = found.parameters[label]
-        apart = (value - corrected) / white[label], (value - plain) / white[label]
-        rows.append(Compared(name, end_s, label, *apart, sigma / white[label], sigma / prior[label].sigma))
+        apart = (value - fitted) / white[label]
+        rows.append(Compared(name, end_s, label, apart, sigma / white[label], sigma / prior[label].sigma))
     return rows
 
 
@@ -154,7 +148,6 @@ def exactness(orders: int) -> tuple[list[Figure], list[Compared]]:
     rows = [row for name in NULL for end_s in manoeuvre_ends(name) for row in against_estimate(name, end_s)]
     told = [row for row in rows if row.informed < ENOUGH_INFORMED]
     worst = max(told, key=lambda row: abs(row.apart))
-    alike = max(told, key=lambda row: abs(row.same_mesh))
     widest = max(told, key=lambda row: abs(row.sigma_ratio - 1.0))
     return [
         Figure("in order: values and covariance less the batch filter's, over sigma, largest", apart_from_batch(flight),
@@ -164,8 +157,6 @@ def exactness(orders: int) -> tuple[list[Figure], list[Compared]]:
         Figure("end of a manoeuvre, running estimate less `estimate` over sigma, largest", abs(worst.apart), "",
                LARGEST_APART, note=f"{worst.parameter} of {worst.record} at {worst.end_s:.0f} s; {len(told)} of "
                f"{len(rows)} values, those that the readings inform"),
-        Figure("end of a manoeuvre, the same without the correction of the mesh that `estimate` makes",
-               abs(alike.same_mesh), "", note=f"{alike.parameter} of {alike.record} at {alike.end_s:.0f} s"),
         Figure("end of a manoeuvre, sigma over that of `estimate`, |ratio - 1|, largest", abs(widest.sigma_ratio - 1.0),
                "", LARGEST_SIGMA_APART, note=f"{widest.parameter} of {widest.record} at {widest.end_s:.0f} s"),
     ], rows  # fmt: skip

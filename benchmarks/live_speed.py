@@ -74,7 +74,7 @@ def stream(flight_s: float, points: int = POINTS) -> Stream:
 
 def estimator(given: Stream) -> LiveEstimator:
     """The estimator of a stream, begun from its first readings."""
-    return LiveEstimator(given.source, EIGHT, options=LiveOptions(start="circuit"))
+    return LiveEstimator(given.source, EIGHT, options=LiveOptions(start="readings"))
 
 
 def latencies(given: Stream) -> tuple[FloatArray, FloatArray]:

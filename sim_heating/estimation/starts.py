@@ -160,15 +160,22 @@ def conducted_profile(record: Record, model: PointModel, mesh: Mesh, time_s: flo
         H_r_J_kg=IMPOSING_CP * surface,
         q_add_W_m2=np.zeros(len(steps)),
     )
-    # with a ratio of 1 and no radiation the film alone sets the surface to T_tc = H_r / cp
+    ensemble = Ensemble([with_imposed_surface(model)], [mesh])
+    ensemble.march(steps, condition_history(imposed)[np.newaxis], keep=np.zeros(0, dtype=np.int64))
+    return ensemble.node_temperatures(0)
+
+
+def with_imposed_surface(model: PointModel) -> PointModel:
+    """The wall of a model without radiation and effects, and with a heating ratio of 1: the film alone heats it.
+
+    A film coefficient of IMPOSING_FILM [kg/(m2 s)] sets its surface to T = H_r / IMPOSING_CP [K], for a recovery
+    enthalpy H_r [J/kg]. Source: docs/theory/clocks_and_starts.md, profile start.
+    """
     thermal = {name: value for name, value in model.parameters.items() if not name.startswith("ratio.")}
-    wall = replace(
+    return replace(
         model, ratio=None, wall_enthalpy=IMPOSING_CP, effects=(),
         parameters={**thermal, "ratio.d0": 1.0, "stack.emissivity_factor": 0.0, "stack.gap.fraction": 0.0},
     )  # fmt: skip
-    ensemble = Ensemble([wall], [mesh])
-    ensemble.march(steps, condition_history(imposed)[np.newaxis], keep=np.zeros(0, dtype=np.int64))
-    return ensemble.node_temperatures(0)
 
 
 def smooth_directions(s: FloatArray) -> FloatArray:

@@ -55,6 +55,11 @@ CERTAIN, DRAWS, INSTANTS = 1e-4, 2048, 32
 sequence, always the same) at so many instants; elsewhere it is that at the worst instant."""
 SPENT = 0.25
 """Largest part of the time of a link that its look-ahead takes [-]; predictions are rarer where one takes long."""
+INFORMED = 0.2
+"""Standard deviation of a heating ratio, over itself, from which on it is not known well enough to say whether a
+manoeuvre has to be stopped [-]: before the first readings the prior alone would say so."""
+OLD_S = 10.0
+"""Flight time after which a prediction is not shown any more [s], beside three times that between predictions."""
 RESOLUTION_S = 0.25
 """How well the latest time to stop a manoeuvre is found [s]."""
 
@@ -81,7 +86,8 @@ class PointAhead:
     """What is ahead of a control point.
 
     futures        : by name, those of live.state.FUTURES that are known
-    knock_off      : whether the planned manoeuvre has to be stopped; `unknown` without a manoeuvre or without limits
+    knock_off      : whether the planned manoeuvre has to be stopped; `unknown` without a manoeuvre or limits, and while
+                     the heating ratio is not known to 20 %
     knock_off_by_s : latest flight time [s] at which stopping it keeps the limits; None unless `knock_off` is "by"
     """
 
@@ -228,6 +234,8 @@ class LookAhead:
             return "unknown", None
         if passes <= 1.0 - self.keep:
             return "never needed", None
+        if not now.ratio_sigma <= INFORMED * abs(now.ratio):
+            return "unknown", None
         at_once = states["nominal"].probability if "nominal" in states else None
         if at_once is None or at_once > 1.0 - self.keep:
             return "too late", None
@@ -316,7 +324,10 @@ class AheadOfLink:
         self._not_before_s = now + (1.0 / SPENT - 1.0) * (now - begin)
 
     def of(self, point: str) -> PointAhead:
-        """What is ahead of a control point; no future before the first prediction."""
+        """What is ahead of a control point; no future before the first prediction, nor where the last one is old."""
+        now_s, oldest_s = self.estimator.time_s, OLD_S + 3.0 * self.link.declared.ahead.every_s
+        if now_s is None or abs(now_s - self._at_s) > oldest_s:
+            return PointAhead({})
         return self.latest.get(point, PointAhead({}))
 
 

@@ -378,7 +378,7 @@ class LinkEngine:
                     surface_sigma_K=estimate.surface_sigma_K,
                     bondline_sigma_K=estimate.bondline_sigma_K,
                     ratio=state.ratio,
-                    ratio_table=state.ratio_table,
+                    ratio_declared=state.ratio_declared,
                     ratio_sigma=state.ratio_sigma,
                     sensors=self._sensor_states(name, estimate),
                     parameters={

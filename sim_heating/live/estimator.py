@@ -37,14 +37,14 @@ from sim_heating.estimation.filter.online import (
     no_readings,
 )
 from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms, middle_K
+from sim_heating.estimation.heated_starts import start_of_heated
 from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
-from sim_heating.estimation.starts import START_SIGMA_K, shifted_to_readings, smooth_directions
+from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
 from sim_heating.live.types import Frame, Sample
 from sim_heating.march.point import PointModel, initial_temperatures
-from sim_heating.thermal.mesh import diffusion_depths
 
 WIDE = 0.5
 """Prior standard deviation of `ratio.scale`, and of what a derivative adds to a ratio over a usual range, over the
@@ -77,13 +77,14 @@ class LiveOptions:
     linearise_s    : time after which a point is linearised about its estimate again, where that has moved [s]; infinite
                      for never
     snapshot_s     : time between snapshots [s]
-    start          : temperatures at the first frame: as the stack declares (`declared`), by the circuit analogy from
-                     the first readings (`circuit`), or the latter where these contradict the former (`auto`)
+    start          : temperatures at the first frame: as the stack declares (`declared`), by conduction from the first
+                     readings (`readings`), or the latter where these contradict the former (`auto`)
     again_s        : time since the start [s] at which the flight so far is filtered again about its estimate, and again
                      whenever that time has doubled; infinite for never
     start_s        : time of the first readings that a start is made from [s]
     node_noise_K_sqrt_s : white noise of every node [K s^-1/2]
     ratio_noise    : standard deviation [-] and correlation time [s] of a ratio that wanders; None for none
+    corrects_mesh  : whether the error of the meshes is found beside the filter and corrected
     """
 
     lateness_s: float = 2.0
@@ -93,10 +94,11 @@ class LiveOptions:
     linearise_s: float = 1.0
     again_s: float = 60.0
     snapshot_s: float = 0.25
-    start: Literal["auto", "declared", "circuit"] = "auto"
+    start: Literal["auto", "declared", "readings"] = "auto"
     start_s: float = 2.0
     node_noise_K_sqrt_s: float = 0.0
     ratio_noise: tuple[float, float] | None = None
+    corrects_mesh: bool = True
 
 
 @dataclass(frozen=True)
@@ -242,7 +244,7 @@ class LiveEstimator:
         # the others take the flight so far again
         self.filters, self._spare = (
             [
-                OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES])
+                OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES], self.options.corrects_mesh)
                 for k in range(0, len(self.points), LANES)
             ]
             for _ in range(2)
@@ -674,7 +676,6 @@ class LiveEstimator:
             return False
         words = self.timeline.words_between(-math.inf, begin.time_s + options.start_s)
         read = self._sensors.first_readings(words)
-        self._starts = profiles = [self._profile(i, p, read) for i, p in enumerate(self.points)]
         try:
             vectors = self.source.conditions(begin)
         except InputError as error:
@@ -682,6 +683,7 @@ class LiveEstimator:
             self._tell(f"{error}; the link begins later")
             self.timeline.forget(math.nextafter(begin.time_s, math.inf))
             return False
+        self._starts = profiles = [self._profile(i, p, read, vectors[i]) for i, p in enumerate(self.points)]
         for k, f in enumerate(self.filters):
             own = profiles[k * LANES : (k + 1) * LANES]
             f.begin(begin.time_s, vectors[k * LANES : (k + 1) * LANES], [p for p, _ in own], [c for _, c in own])
@@ -698,25 +700,24 @@ class LiveEstimator:
             raise InputError("the link has not begun: no start yet")
         return self._starts[self._of_point[point]]
 
-    def _profile(self, i: int, point: LivePoint, read: Mapping[int, float]) -> tuple[FloatArray, FloatArray]:
+    def _profile(
+        self, i: int, point: LivePoint, read: Mapping[int, float], conditions: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """(node,) temperatures at the start [K] and their covariance [K2]."""
         declared = initial_temperatures(point.model.construction, point.mesh)
-        s = diffusion_depths(point.model.construction, point.mesh)
         of_point = {n: k for k, n in enumerate(self._sensors.of_point[i])}
-        found = sorted((point.mesh.sensors[k], read[n]) for n, k in of_point.items() if n in read)
-        apart = max((abs(T - declared[node]) for node, T in found), default=0.0)
+        found = {point.mesh.sensors[k]: read[n] for n, k in of_point.items() if n in read}
+        apart = max((abs(T - declared[node]) for node, T in found.items()), default=0.0)
         known = [self._sensors.sigma_K[n] for n in of_point if n in read]
+        exactly = declared, np.zeros((len(declared), len(declared)))
         if self.options.start == "declared" or (
             self.options.start == "auto" and apart <= START_AGREES * max([*known, START_SIGMA_K / START_AGREES])
         ):
-            return declared, np.zeros((len(s), len(s)))
+            return exactly
         if not found:
             self._tell(f"{point.name}: no reading to start from; the declared temperatures are taken")
-            return declared, np.zeros((len(s), len(s)))
-        nodes, now = (np.array(column) for column in zip(*found, strict=True))
-        profile = shifted_to_readings(declared, s, nodes, now)
-        root = max(START_SIGMA_K, 0.5 * apart) * smooth_directions(s)
-        return profile, root @ root.T
+            return exactly
+        return start_of_heated(point.model, point.mesh, found, conditions)
 
     # Estimates -------------------------------------------------------------------------------------------------------
 
@@ -859,17 +860,16 @@ class _SensorTable:
         direct[q, : len(terms)] = terms
 
     def first_readings(self, words: Sequence[Word]) -> dict[int, float]:
-        """Mean of the first readings of each used sensor as temperatures [K], by its number."""
-        found: dict[int, list[float]] = {}
+        """First reading of each used sensor as a temperature [K], by its number. Later ones may be much hotter."""
+        found: dict[int, float] = {}
         for _, n, value in words:
-            if self.used[n]:
-                found.setdefault(n, []).append(value)
-        means = {n: float(np.mean(values[:3])) for n, values in found.items()}
-        for n in means:
+            if self.used[n] and n not in found:
+                found[n] = value
+        for n, value in found.items():
             if n in self.curved:
-                slope, constant = calibration_line(self.sensors[n], np.array([means[n]]))
-                means[n] = float((means[n] - constant[0]) / slope[0])
-        return means
+                slope, constant = calibration_line(self.sensors[n], np.array([value]))
+                found[n] = float((value - constant[0]) / slope[0])
+        return found
 
     def predicted(self, i: int, point: LivePoint, state: PointEstimate) -> dict[str, SensorEstimate]:
         """What each sensor of a point ought to show, with its standard deviation."""

@@ -85,6 +85,7 @@ async def run_link(
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
         readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, taken))) for s in streams]
         publish = _publisher(engine, started, on_state)
+        publish(False)  # a reader that comes before the first sample finds a link that waits
         if taken and engine.journal is not None:
             again = loop.run_in_executor(worker, engine.resume, engine.journal.path, sum(taken.values()))
             await _meanwhile(again, publish, loop.time())

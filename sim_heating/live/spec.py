@@ -221,7 +221,7 @@ class EstimateSettings(Declared):
     wander_s        : its correlation time
     lateness_s      : samples up to so much behind the latest frame are put where they belong; later ones are not used
     jump_s          : frames so much ahead of the latest one are a gap, or a jump of the clock
-    start           : "circuit": initial temperatures from the first readings, by the circuit analogy; "declared": those
+    start           : "readings": initial temperatures by conduction, from the first readings; "declared": those
                       of the stack; "auto": the former where the readings contradict the latter
     linearise_s     : flight time after which a point is linearised about its estimate again
     """
@@ -241,7 +241,7 @@ class EstimateSettings(Declared):
     wander_s: float = Field(default=30.0, gt=0.0, le=1e6)
     lateness_s: float = Field(default=2.0, ge=0.0, le=60.0)
     jump_s: float = Field(default=2.5, gt=0.0, le=1e4)
-    start: Literal["auto", "circuit", "declared"] = "auto"
+    start: Literal["auto", "readings", "declared"] = "auto"
     linearise_s: float = Field(default=1.0, gt=0.0, le=100.0)
 
     @field_validator("prior")

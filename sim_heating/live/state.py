@@ -77,7 +77,7 @@ class AheadState:
 class PointState:
     """A control point: temperatures [K], heating ratio, sensors, parameters, limits, futures.
 
-    ratio, ratio_table : estimated heating ratio and that of the declared table; None where not known
+    ratio, ratio_declared : estimated heating ratio and that of the declared model; None where not known
     margin_K           : least present distance to a limit [K]; None without limits
     knock_off_by_s     : latest flight time [s] at which stopping the manoeuvre still keeps the limits; None unless
                          `knock_off` is "by"
@@ -88,7 +88,7 @@ class PointState:
     bondline_K: float
     bondline_sigma_K: float
     ratio: float | None = None
-    ratio_table: float | None = None
+    ratio_declared: float | None = None
     ratio_sigma: float | None = None
     sensors: Mapping[str, SensorState] = field(default_factory=dict)
     parameters: Mapping[str, ParameterState] = field(default_factory=dict)

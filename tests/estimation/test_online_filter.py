@@ -11,6 +11,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.estimation.filter.march import Disturbance, Filtered, FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.online import OnlineFilter, PointReadings, Prior
+from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.march.ensemble import condition_history
@@ -222,8 +223,12 @@ def test_the_ratio_is_the_linear_one_of_the_table(flown):
             o.linearise_again(i, moved=0.0)
         estimate, alpha = o.estimates()[i], histories[i, -1, CONDITION_COLUMNS.index("alpha_deg")]
         scale, d_alpha = estimate.values[:2]
-        expected = estimate.ratio_table * (1.0 + scale) + d_alpha * (alpha - tracks[i].model.reference[0])
+        model = tracks[i].model
+        (table,), away = table_ratios_at(model.ratio, histories[i, -1:, :5]), alpha - model.reference[0]
+        expected = table * (1.0 + scale) + d_alpha * away
         assert estimate.ratio == pytest.approx(expected + estimate.disturbance, rel=1e-9)
+        declared = table * (1.0 + model.value("ratio.scale")) + model.value("ratio.d_alpha") * away
+        assert estimate.ratio_declared == pytest.approx(declared, rel=1e-9)
         assert 0.0 < estimate.ratio_sigma < estimate.ratio
 
 

@@ -74,7 +74,7 @@ def read_until(source: VehiclePoints, futures: Futures, last_reading_s: float, u
     """An estimator that came up at 20 s, with a start from its readings of a ratio that is 5 % higher."""
     priors = {**PRIORS, "ratio.scale": Prior(0.05, 0.03)}
     estimator, truth = (
-        LiveEstimator(source, NAMES, PRIORS, LiveOptions(start="circuit")),
+        LiveEstimator(source, NAMES, PRIORS, LiveOptions(start="readings")),
         followed(source, futures, 20.0, priors),
     )
     for t in np.arange(20.25, until_s + 0.125, 0.25):

@@ -71,7 +71,7 @@ def test_a_replayed_record_gives_an_estimate_with_its_bounds(followed: State, sh
     assert surface.measured_s == record.time_s[-1]
     assert abs(surface.measured_K - surface.predicted_K) < 5.0 * surface.sigma_K
     assert 0.0 < point.parameters["ratio.scale"].sigma < 0.1
-    assert point.ratio == pytest.approx(point.ratio_table * (1.0 + point.parameters["ratio.scale"].value), rel=0.05)
+    assert point.ratio == pytest.approx(point.ratio_declared * (1.0 + point.parameters["ratio.scale"].value), rel=0.05)
     assert json.loads(state_json(followed))["points"]["LS"]["surface_K"] == point.surface_K
 
 

@@ -131,7 +131,7 @@ def test_at_the_end_of_a_record_without_an_effect_the_estimate_is_that_of_a_fit(
     r = load_record(PRACTICE / name)
     names = ("ratio.scale", "ratio.d_alpha", "ratio.d_beta", "ratio.d_logre", "ratio.d_elevon", "ratio.d_bodyflap")
     fit = estimate([r], list(names)).parameters
-    e = LiveEstimator(RecordPoints([r], 80), names)
+    e = LiveEstimator(RecordPoints([r]), names)
     c, fitted = r.conditions, r.fit_mask(r.time_s)
     e.add(*(Frame(float(t), {n: float(c[n][k]) for n in c.names if n != "time_s"}) for k, t in enumerate(c.time_s[:5])))
     for k, t in enumerate(c.time_s[5:], start=5):
@@ -171,7 +171,8 @@ def test_doubled_samples_change_nothing_and_are_counted(in_order):
 
 
 def test_in_order_the_estimate_is_that_of_the_batch_filter(in_order):
-    e = feed(estimator(linearise_s=math.inf, again_s=math.inf, wait_s=0.0, start="circuit"), samples())
+    options = {"linearise_s": math.inf, "again_s": math.inf, "wait_s": 0.0, "start": "readings", "corrects_mesh": False}
+    e = feed(estimator(**options), samples())
     point, r = e.points[0], record()
     t = np.array([s.time_s for s in samples() if isinstance(s, Frame)])
     words = [s for s in samples() if isinstance(s, Reading)]

@@ -260,7 +260,7 @@ def test_the_past_is_bounded_and_its_latest_part_whole(state):
 
 def test_the_drawn_table_meets_the_declared_ratio_at_present(flown, state):
     table = flown.display.points["OE"].table
-    declared = state.points["OE"].ratio_table
+    declared = state.points["OE"].ratio_declared
     curve = table_curve(table, state.conditions, declared)
     at = np.interp(state.conditions["alpha_deg"], curve["alpha_deg"], curve["ratio"])
     assert at == pytest.approx(declared, rel=1e-3)  # between drawn angles

@@ -28,7 +28,6 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     C_STAGES,
-    CELL_WORK,
     D0,
     END,
     FILM,
@@ -60,9 +59,10 @@ from sim_heating.estimation.filter.kernel import (
     filter_steps,
 )
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
+from sim_heating.estimation.filter.mesh_error import MeshError
 from sim_heating.march.frames import Flights
 from sim_heating.march.linearised import RATIO_ITSELF
-from sim_heating.march.point import PointModel, heating_vector, stack_values
+from sim_heating.march.point import PointModel, heating_vector, initial_temperatures, stack_values
 from sim_heating.thermal.sensitivity import (
     ACTS_NOWHERE,
     OWN_PERTURBATION,
@@ -145,7 +145,7 @@ class Outlook(NamedTuple):
 
     z, variance    : (lane, node + 1) temperatures [K] and ratio disturbance [-], and their variances
     p, covariance  : (lane, parameter) values, (lane, parameter, parameter), each in its unit
-    ratio          : (lane, 3) heating ratio [-], its standard deviation, that of the declared table
+    ratio          : (lane, 3) heating ratio [-], its standard deviation, that of the declared model
     """
 
     z: FloatArray
@@ -170,7 +170,8 @@ class PointEstimate:
     time_s        : [s]
     temperature_K, sigma_K : (node,) estimates and their standard deviations [K], outermost node first
     disturbance, disturbance_sigma : of the heating ratio [-]
-    ratio, ratio_sigma, ratio_table : heating ratio of the point with its standard deviation, that of its table [-]
+    ratio, ratio_sigma, ratio_declared : heating ratio of the point with its standard deviation, that of the model as
+        it was declared [-]
     names, values, covariance : (parameter,), (parameter,), (parameter, parameter), each in its unit
     state_covariance : (node + 1, node + 1) of temperatures and disturbance given the parameters [K2], [K], [-]
     sensitivity   : (node + 1, parameter) of temperatures and disturbance [K over the unit of each parameter]
@@ -186,7 +187,7 @@ class PointEstimate:
     disturbance_sigma: float
     ratio: float
     ratio_sigma: float
-    ratio_table: float
+    ratio_declared: float
     names: tuple[str, ...]
     values: FloatArray
     covariance: FloatArray
@@ -209,12 +210,16 @@ class OnlineFilter(FilterMarch):
     points : as for FilterMarch; their samples are not used, each has its own conditions. Parameters of clock and
              sensors are columns of `initial_columns` that are 0
     priors : of the parameters of each point by name, those of clock and sensors behind the others
+    corrects_mesh : whether readings and estimates are those of the limit of fine meshes; its error is found beside the
+             filter, at the parameters of the beginning (mesh_error.py)
     raises : InputError for a prior that is missing, or whose sigma is not above 0 and finite
 
     `begin` first, then `step`; `estimates` at any time. Derived in docs/theory/filter.md, equations 17 to 21.
     """
 
-    def __init__(self, points: Sequence[FilterTrack], priors: Sequence[Mapping[str, Prior]]) -> None:
+    def __init__(
+        self, points: Sequence[FilterTrack], priors: Sequence[Mapping[str, Prior]], corrects_mesh: bool = False
+    ) -> None:
         own = [replace(p, samples=_no_samples(), flight=i) for i, p in enumerate(points)]
         super().__init__(own, np.zeros(1), np.zeros((len(own), 1, N_CONDITIONS)))
         self.names = [_parameter_names(p, known) for p, known in zip(own, priors, strict=True)]
@@ -231,9 +236,13 @@ class OnlineFilter(FilterMarch):
         self._state_now = self._state(own, n, m)
         self._information = self._prior_information()
         self._heated_at = HeatedAt(np.zeros(len(own)), np.zeros((len(own), m)))
+        self._declared = np.zeros((len(own), m))
+        for i, point in enumerate(own):
+            self._declared[self._lane_of[i], : len(point.names)] = [point.model.value(n) for n in point.names]
         self._packed = [PackedModel.of(p.model, p.names) for p in own]
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
+        self._mesh_error = MeshError([p.model for p in own], [p.mesh for p in own]) if corrects_mesh else None
 
     def begin(
         self,
@@ -269,10 +278,16 @@ class OnlineFilter(FilterMarch):
             other[:] = self._X.start
         self._stepped, self.now_s = False, float(time_s)
         begin_march(self._group, self._flights_of(np.array([self.now_s]), conditions[:, np.newaxis]))
+        if self._mesh_error is not None:
+            models = [
+                p.model.with_parameters(dict(zip(p.names, self.parameters(i).values(), strict=False)))
+                for i, p in enumerate(points)
+            ]
+            declared = [initial_temperatures(p.model.construction, p.mesh) for p in points]
+            profiles = [T if p.initial_K is None else p.initial_K for p, T in zip(points, declared, strict=True)]
+            self._mesh_error.begin(models, profiles, conditions)
 
-    def gap(
-        self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings, error: float
-    ) -> Innovations:
+    def gap(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings, error: float) -> Innovations:
         """Filter all points through steps whose conditions are not known well: an unknown error of the ratio in them.
 
         time_s, conditions, readings : as for `step`
@@ -321,6 +336,7 @@ class OnlineFilter(FilterMarch):
         return self._run(time_s, conditions, readings)
 
     def _run(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> Innovations:
+        readings = self._with_mesh_error(time_s, conditions, readings)
         times = np.append(self.now_s, time_s)
         histories = np.concatenate([conditions[:, :1], conditions], axis=1)
         lane_of = self._lane_of[readings.point]
@@ -340,6 +356,20 @@ class OnlineFilter(FilterMarch):
         self._stepped, self.now_s = True, float(times[-1])
         mine = found[lane_of, place]
         return Innovations(mine[:, 0], mine[:, 1], mine[:, 2], mine[:, 3])
+
+    def _with_mesh_error(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> PointReadings:
+        """Readings of some steps as the mesh of their points shows them: their biases have its error at those times."""
+        if self._mesh_error is None:
+            return readings
+        step, bias, now_s = np.searchsorted(time_s, readings.time_s), readings.bias_K.copy(), self.now_s
+        for k, end_s in enumerate(time_s.tolist()):
+            self._mesh_error.advance(conditions[:, k], end_s - now_s)
+            now_s = end_s
+            for i in range(len(self.points)):
+                mine = (step == k) & (readings.point == i)
+                if np.any(mine):
+                    bias[mine] += readings.gain[mine] * self._mesh_error.of_nodes(i)[readings.node[mine]]
+        return readings._replace(bias_K=bias)
 
     def linearise_again(self, i: int, moved: float = MOVED) -> bool:
         """Linearise a point about its present estimate, where that has moved; whether it has.
@@ -369,17 +399,21 @@ class OnlineFilter(FilterMarch):
             np.zeros((lanes, m, m)), np.full((lanes, 3), np.nan),
         )  # fmt: skip
         read_estimates(
-            self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._stepped, found
-        )
+            self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._declared,
+            self._stepped, found,
+        )  # fmt: skip
         return [self._estimate(i, found) for i in range(lanes)]
 
     def _estimate(self, i: int, found: Outlook) -> PointEstimate:
         lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
         sigma = np.sqrt(np.maximum(found.variance[lane, : n + 1], 0.0))
-        ratio, ratio_sigma, ratio_table = found.ratio[lane].tolist()
+        ratio, ratio_sigma, ratio_declared = found.ratio[lane].tolist()
+        temperature = found.z[lane, :n]
+        if self._mesh_error is not None:
+            temperature = temperature + self._mesh_error.of_nodes(i)
         return PointEstimate(
-            self.now_s, found.z[lane, :n], sigma[:n], float(found.z[lane, n]), float(sigma[n]),
-            ratio, ratio_sigma, ratio_table, self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
+            self.now_s, temperature, sigma[:n], float(found.z[lane, n]), float(sigma[n]),
+            ratio, ratio_sigma, ratio_declared, self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
             self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
         )  # fmt: skip
 
@@ -406,7 +440,9 @@ class OnlineFilter(FilterMarch):
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
         info = self._information
-        return (self._group.B, *self._X, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at)
+        mesh = () if self._mesh_error is None else (self._mesh_error.state,)
+        filtered = self._group.B, *self._X, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
+        return (*filtered, *mesh)
 
     # Packing ---------------------------------------------------------------------------------------------------------
 
@@ -728,13 +764,13 @@ def shift_linearisation(
 @njit
 def read_estimates(
     B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
-    heated_at: HeatedAt, stepped: bool, found: Outlook,
+    heated_at: HeatedAt, declared: FloatArray, stepped: bool, found: Outlook,
 ) -> None:  # fmt: skip
     """State [K] and parameters of all lanes from what the readings say of both; `found` is filled.
 
     B, X    : block of the lanes, and blocks of the perturbed lanes at the end of the last step
     offsets : where the perturbed lanes of each lane are, the column of the ratio disturbance first
-    heated_at : where the heating was evaluated
+    heated_at : where the heating was evaluated;  declared : (lane, parameter) values of the model, each in its unit
     stepped : whether a step was taken; without one there is no heating ratio yet
 
     Derived in docs/theory/filter.md, equations 18 and 19.
@@ -754,8 +790,7 @@ def read_estimates(
                 variance += x[k] * x[k]
             found.z[lane, i], found.variance[lane, i] = mean, variance
         if stepped:
-            n, moved = offsets.nodes[lane], information.at[lane] - heated_at.p[lane]
-            _read_ratio(B, X, offsets, state, lane, state.d[lane] - heated_at.d[lane], moved, x, found.ratio)
+            _read_ratio(B, X, offsets, state, information, heated_at, declared, lane, x, found.ratio)
             whiten(L, scale, x)
             variance = found.ratio[lane, 1]
             for k in range(m):
@@ -776,22 +811,23 @@ def read_estimates(
 
 @njit
 def _read_ratio(
-    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, lane: int, d: float, p: FloatArray,
-    x: FloatArray, ratio: FloatArray,
+    B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
+    heated_at: HeatedAt, declared: FloatArray, lane: int, x: FloatArray, ratio: FloatArray,
 ) -> None:  # fmt: skip
-    """Heating ratio of a lane at the end of the last step given the parameters, its variance, and its table's ratio.
+    """Heating ratio of a lane at the end of the last step given the parameters, its variance, and the declared ratio.
 
-    d, p : change of disturbance [-] and parameters since the heating was evaluated
-    x    : (m,) receives the derivative of the ratio against the parameters
+    x : (m,) receives the derivative of the ratio against the parameters
     """
     n, film = offsets.nodes[lane], (FILM + END - HEAD_ROWS) * LANES
     h_ref = B[C_STAGES * LANES + (END * LANES + lane) * N_CONDITIONS + H_REF]
-    ratio[lane, 2] = B[CELL_WORK * LANES + lane]
     per_d = _ratio_slope(X, offsets, lane, 0, film) / h_ref
-    ratio[lane, 0] = X[offsets.at[lane] + film] / h_ref + per_d * d
+    heated = X[offsets.at[lane] + film] / h_ref
+    ratio[lane, 0] = heated + per_d * (state.d[lane] - heated_at.d[lane])
+    ratio[lane, 2] = heated - per_d * heated_at.d[lane]
     for k in range(len(x)):
         slope = _ratio_slope(X, offsets, lane, 1 + k, film) / h_ref
-        ratio[lane, 0] += slope * p[k]
+        ratio[lane, 0] += slope * (information.at[lane, k] - heated_at.p[lane, k])
+        ratio[lane, 2] += slope * (declared[lane, k] - heated_at.p[lane, k])
         x[k] = slope + per_d * state.S[lane, n, k]
     ratio[lane, 1] = per_d * per_d * state.P[lane, n, n]
 

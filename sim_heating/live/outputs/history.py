@@ -15,7 +15,7 @@ RECENT = 1200
 """Latest samples, kept as they came: two minutes at 10 Hz."""
 OLDER = 1200
 """Most samples kept of the time before."""
-SCALARS = ("surface_K", "surface_sigma_K", "bondline_K", "bondline_sigma_K", "ratio", "ratio_sigma", "ratio_table")
+SCALARS = ("surface_K", "surface_sigma_K", "bondline_K", "bondline_sigma_K", "ratio", "ratio_sigma", "ratio_declared")
 SENSOR = ("measured_K", "measured_s", "predicted_K", "sigma_K")
 CONDITIONS = ("alpha_deg", "mach")
 DECIMALS = 5

@@ -18,7 +18,7 @@ POINT = {
     "bondline_sigma_kelvin": ("bondline_sigma_K", "its standard deviation"),
     "heating_ratio": ("ratio", "estimated heating ratio"),
     "heating_ratio_sigma": ("ratio_sigma", "its standard deviation"),
-    "heating_ratio_table": ("ratio_table", "heating ratio of the declared table"),
+    "heating_ratio_declared": ("ratio_declared", "heating ratio of the declared model"),
     "margin_kelvin": ("margin_K", "least present distance to a limit"),
     "knock_off_by_seconds": ("knock_off_by_s", "flight time until which stopping the manoeuvre keeps the limits"),
 }

@@ -268,7 +268,7 @@ class PageServer:
         if point is None or point.table is None or self._latest is None:
             return _json_response({"alpha_deg": [], "ratio": []})
         state = self._latest.state
-        declared = state.points[name].ratio_table if name in state.points else None
+        declared = state.points[name].ratio_declared if name in state.points else None
         return _json_response(table_curve(point.table, state.conditions, declared))
 
     async def _state(self, request: Request) -> Response:

@@ -237,7 +237,7 @@
   };
   const paintRatio = () => {
     const alpha = column("alpha_deg"), ratio = column("ratio"), sigma = column("ratio_sigma");
-    const declared = column("ratio_table"), bins = new Map();  // the latest estimate at each angle
+    const declared = column("ratio_declared"), bins = new Map();  // the latest estimate at each angle
     alpha.forEach((a, i) => { if (known(a) && known(ratio[i])) bins.set(Math.round(a / BIN_DEG), i); });
     const order = [...bins.values()].sort((i, j) => alpha[i] - alpha[j]);
     const [t, y, s, flown] = [alpha, ratio, sigma, declared].map((all) => order.map((i) => all[i]));
@@ -256,7 +256,7 @@
   };
   const paintRatioText = () => {
     const own = state.points[shown], now = state.conditions.alpha_deg;
-    const off = known(own.ratio) && own.ratio_table ? `, ${(100 * (own.ratio / own.ratio_table - 1)).toFixed(1)} % off the declared one` : "";
+    const off = known(own.ratio) && own.ratio_declared ? `, ${(100 * (own.ratio / own.ratio_declared - 1)).toFixed(1)} % off the declared one` : "";
     write($("ratio-text"), known(own.ratio) ? `${interval(own.ratio, own.ratio_sigma, 4)}${off}, at ${number(now, 2)}\u00b0; bars are 2 sigma.` : "Not estimated yet.");
   };
 
@@ -346,7 +346,7 @@
       own.swatch.style.setProperty("--color", color);
       const selected = String(name === shown);
       if (own.tr.getAttribute("aria-selected") !== selected) own.tr.setAttribute("aria-selected", selected);
-      const over = known(point.ratio) && point.ratio_table ? (point.ratio / point.ratio_table).toFixed(3) : "\u2013";
+      const over = known(point.ratio) && point.ratio_declared ? (point.ratio / point.ratio_declared).toFixed(3) : "\u2013";
       [interval(point.surface_K, point.surface_sigma_K, 0), interval(point.bondline_K, point.bondline_sigma_K, 1), number(point.margin_K, 0), number(margin, 0), percent(chance), over]
         .forEach((text, k) => write(own.texts[k], text));
       for (const spot of spots.get(name) || []) {

@@ -22,7 +22,7 @@ WINDOW = 60
 """Readings of a sensor that are looked at."""
 STUCK_READINGS, STUCK_SIGMAS = 12, 8.0
 """Equal readings in a row from which on a sensor may be stuck; it is where the expected reading moves by a step of the
-recorder and this many standard deviations of its noise meanwhile [-]."""
+recorder and this many of its standard deviations, noise included, meanwhile [-]."""
 FLICKER_OF, FLICKERS, FLICKER_SIGMAS = 20, 4, 6.0
 """Readings, how many of them may be this many standard deviations off [-], with others that agree in between."""
 AGREES_SIGMAS = 3.0
@@ -50,14 +50,14 @@ class Failure:
 
 @dataclass
 class _Recent:
-    """The last readings of a sensor: time [s], reading, expected reading [K], score [-]."""
+    """Last readings of a sensor: time [s], reading, expected reading [K], score [-], sigma of the expected one [K]."""
 
-    rows: deque[tuple[float, float, float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    rows: deque[tuple[float, float, float, float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
     equal: int = 0
     least_K: float = math.inf
     most_K: float = -math.inf
 
-    def take(self, row: tuple[float, float, float, float]) -> None:
+    def take(self, row: tuple[float, float, float, float, float]) -> None:
         self.equal = self.equal + 1 if self.rows and self.rows[-1][1] == row[1] else 1
         self.rows.append(row)
         self.least_K, self.most_K = min(self.least_K, row[1]), max(self.most_K, row[1])
@@ -92,7 +92,8 @@ class SensorChecks:
             return None
         recent = self._recent.setdefault(key, _Recent())
         score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
-        recent.take((read.time_s, read.read_K, read.predicted_K, score))
+        sigma_K = math.sqrt(read.predicted_variance_K2)
+        recent.take((read.time_s, read.read_K, read.predicted_K, score, sigma_K))
         why = self._stuck(key, recent) or self._flickers(recent) or self._drifts(key, recent)
         if not why:
             return None
@@ -109,8 +110,9 @@ class SensorChecks:
             return ""
         sensor, run = self.sensors[key], list(recent.rows)[-recent.equal :]
         expected = [row[2] for row in run]
-        noise_K = max(sensor.noise_sigma_K or 0.0, FLOOR_SIGMA_K)
-        if max(expected) - min(expected) <= sensor.lsb_K + STUCK_SIGMAS * noise_K:
+        # while the estimate settles the expected reading moves by as much as it is uncertain
+        sigma_K = max(FLOOR_SIGMA_K, *(row[4] for row in run))
+        if max(expected) - min(expected) <= sensor.lsb_K + STUCK_SIGMAS * sigma_K:
             return ""
         (since_s, level, *_), away = run[0], expected[-1] - run[-1][1]
         at_end = (level >= recent.most_K and away > 0.0) or (level <= recent.least_K and away < 0.0)
@@ -143,5 +145,5 @@ class SensorChecks:
         if len(agree) < NEIGHBOURS or len(agree) < len(others):
             return ""
         rows = list(recent.rows)[-DRIFT_OF:]
-        by_K = float(np.mean([y - expected for _, y, expected, _ in rows]))
+        by_K = float(np.mean([y - expected for _, y, expected, *_ in rows]))
         return f"{by_K:+.1f} K away from what it and its neighbours gave before, and they are not"
