@@ -15,7 +15,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.kernels.block import EFFECT_WIDTH, N_CONDITIONS
+from sim_heating.heating.effects.compiled import values_along
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.faces import SIGMA
@@ -69,14 +69,7 @@ def _factor_of_effects(model: PointModel, flown: Conditions, surface_K: FloatArr
     factor, uses = np.ones(len(flown)), [used for used in model.effects if used.effect.mode == "emittance"]
     if not uses:
         return factor
-    # a kernel takes flight conditions and its parameters from one array
-    block = np.zeros(N_CONDITIONS + EFFECT_WIDTH)
+    rows = condition_history(flown)
     for used in uses:
-        kernel = used.effect.kernel
-        if kernel is None:
-            continue
-        block[N_CONDITIONS : N_CONDITIONS + len(used.values)] = used.values
-        for k, row in enumerate(condition_history(flown)):
-            block[:N_CONDITIONS] = row
-            factor[k] *= kernel(block, 0, N_CONDITIONS, surface_K[k])
+        factor *= values_along(used, rows, surface_K)
     return factor

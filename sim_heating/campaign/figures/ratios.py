@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from sim_heating.campaign.figures.flown import (
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.ratio_plot import LABELS, along_variable
 from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.compiled import values_along
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio, declared_sigma, estimated_ratio
@@ -301,9 +302,7 @@ def _added(used: EffectUse, values: dict[str, float], record: Record, x: FloatAr
     """(sample,) what an effect adds to the ratio, by its kernel, at the values of a fit."""
     given = zip(used.effect.parameters, used.values, strict=True)
     own = [values.get(f"effect.{used.effect.name}.{p.name}", v) for p, v in given]
-    kernel = used.effect.kernel
-    assert kernel is not None
     state = condition_history(record.conditions.at(record.conditions.time_s[:1]))[0]
-    rows = np.tile(np.concatenate([state, own]), (len(x), 1))
+    rows = np.tile(state, (len(x), 1))
     rows[:, : x.shape[1]] = x
-    return np.array([kernel(row, 0, len(state), 0.0) for row in rows])
+    return values_along(replace(used, values=tuple(own)), rows, np.zeros(len(x)))

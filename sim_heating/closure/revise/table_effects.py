@@ -15,6 +15,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.heating.effects import EffectUse, ModelParameter, flight
+from sim_heating.heating.effects.compiled import values_along
 from sim_heating.heating.ratio.uncertainty import basis
 
 PLACES = (flight.alpha_deg, flight.beta_deg, flight.log10_re, flight.elevon_deg, flight.bodyflap_deg)
@@ -75,9 +76,6 @@ def label(used: EffectUse, name: str) -> str:
 
 
 def _kernel_values(used: EffectUse, x: FloatArray, other: float) -> FloatArray:
-    rows = np.full((len(x), N_CONDITIONS + len(used.values)), other)
+    rows = np.full((len(x), N_CONDITIONS), other)
     rows[:, PLACES] = x
-    rows[:, N_CONDITIONS:] = used.values
-    kernel = used.effect.kernel
-    assert kernel is not None  # checked by is_of_table
-    return np.array([kernel(row, 0, N_CONDITIONS, 1000.0 * other) for row in rows])
+    return values_along(used, rows, np.full(len(x), 1000.0 * other))

@@ -23,7 +23,7 @@ from numba import types
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, suggestion
-from sim_heating.base.kernels.jit import address_of, c_function
+from sim_heating.base.kernels.jit import address_of, c_function, call_dispatcher, njit, pointer
 from sim_heating.base.kernels.numba_private import call_effect_at, can_raise
 from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import Effect, EffectUse
@@ -107,6 +107,32 @@ def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
 @cache
 def _compiled_call() -> Any:
     return c_function(SIGNATURE, _call)
+
+
+def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatArray:
+    """Values of an effect along a flight, at the values of its parameters.
+
+    use     : an effect with a kernel
+    rows    : (row, condition) flight conditions in the order and the units of `flight`;  wall_K : (row,) walls [K]
+    returns : (row,) what the effect adds to the heating ratio, or its factor [-]
+    raises  : InputError where the kernel cannot be compiled
+    """
+    made = effect_dispatcher((use.effect,))
+    block, values = np.append(np.zeros(rows.shape[1]), use.values), np.empty(len(rows))
+    rows, wall_K = (np.ascontiguousarray(a, dtype=float) for a in (rows, wall_K))
+    _fill_values(made.address, made.codes[0], rows, block, wall_K, values)
+    return values
+
+
+@njit
+def _fill_values(
+    dispatcher: Any, code: int, rows: FloatArray, block: FloatArray, wall_K: FloatArray, values: FloatArray
+) -> None:
+    """Values [-] of the effect of a code: block has room for one of the rows, and its parameters behind it."""
+    conditions = rows.shape[1]
+    for k in range(len(rows)):
+        block[:conditions] = rows[k]
+        values[k] = call_dispatcher(dispatcher, code, pointer(block), 0, conditions, wall_K[k])
 
 
 def kernel_file(effect: Effect) -> Path:

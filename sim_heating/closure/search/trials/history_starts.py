@@ -26,7 +26,8 @@ from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
-from sim_heating.heating.effects import Effect
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.compiled import values_along
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.march.ensemble import condition_history
 
@@ -58,12 +59,9 @@ class HeatingHistory:
     wall_K: FloatArray
     parameters: tuple[Parameter, ...]
 
-    def values_of(self, effect: Effect, values: Sequence[float] | FloatArray) -> FloatArray:
-        """(knot,) value of an effect's kernel along the history."""
-        width = self.rows.shape[1]
-        B = np.column_stack([self.rows, np.tile(np.asarray(values, dtype=float), (len(self.rows), 1))])
-        assert effect.kernel is not None
-        return np.array([effect.kernel(row, 0, width, wall) for row, wall in zip(B, self.wall_K, strict=True)])
+    def values_of(self, used: EffectUse, values: FloatArray) -> FloatArray:
+        """(knot,) value of an effect along the history, at other values of its parameters."""
+        return values_along(replace(used, values=tuple(values)), self.rows, self.wall_K)
 
 
 def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
@@ -149,15 +147,16 @@ def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[
 def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     """Weighted sum of squares that the effect leaves at its start, with its magnitudes and the base's parameters free;
     where magnitudes and derivatives multiply each other, to first order."""
-    effect, values = c.uses[0].effect, np.array(c.uses[0].values)
+    used, values = c.uses[0], np.array(c.uses[0].values)
+    effect = used.effect
     names = [p.name for p in effect.parameters]
-    at_none = history.values_of(effect, values)
+    at_none = history.values_of(used, values)
     columns = [history.columns]
     for name in c.active:
         k = names.index(name.rpartition(".")[2])
         moved = values.copy()
         moved[k] += effect.parameters[k].sigma or 1.0
-        change = history.values_of(effect, moved) - at_none
+        change = history.values_of(used, moved) - at_none
         columns.append((change * (history.tabulated if effect.mode == "multiply" else 1.0))[:, np.newaxis])
     J = np.column_stack(columns) / history.sigma[:, np.newaxis]
     left = (history.y - history.tabulated) / history.sigma
@@ -183,7 +182,7 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
         values = np.array(used.values)
         values[places] = (z * unit)[count:]
         r = history.tabulated + base_columns @ (z * unit)[:count]
-        acting = history.values_of(used.effect, values)
+        acting = history.values_of(used, values)
         modelled = r * acting if used.effect.mode == "multiply" else r + acting
         return np.append((modelled - history.y) / history.sigma, known * z[:count])
 
