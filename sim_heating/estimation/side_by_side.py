@@ -37,9 +37,11 @@ class JointMarch:
     def __init__(self, problems: Sequence[FitProblem]) -> None:
         self.problems = tuple(problems)
         place = {record_fit: (i, k) for i, p in enumerate(problems) for k, record_fit in enumerate(p.record_fits)}
+        # a group marches as many sensitivities in all lanes as its widest record has; the longest marches begin first
+        ordered = sorted(place, key=lambda record_fit: -record_fit.march_columns)
         self._groups = [
             _LaneGroup(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
-            for group in lane_groups(place)
+            for group in lane_groups(ordered)
         ]
 
     def march(self, vectors: Sequence[FloatArray]) -> list[bool]:

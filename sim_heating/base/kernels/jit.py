@@ -59,10 +59,11 @@ def kernel_sources(package: Path = PACKAGE) -> list[Path]:
     returns : paths in their order
 
     Imports are found by their absolute names in the text, since parsing all modules would cost a start a second
-    (tests/base/test_kernel_cache.py compares with a parser). A relative import would not be found.
+    (tests/base/test_kernel_cache.py compares with a parser). A relative import would not be found. The public face of
+    the package names everything, the compiler included, and defines no kernel: it is none of them.
     """
     modules = _modules(package)
-    imports = {path: _imported(path, modules) for path in modules.values()}
+    imports = {path: _imported(path, modules) for name, path in modules.items() if name}
     waiting = [path for path, found in imports.items() if modules["base.kernels.jit"] in found]
     sources: set[Path] = set()
     while waiting:
