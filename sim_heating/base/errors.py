@@ -21,6 +21,8 @@ def printable(text: str) -> str:
     A terminal would obey some of them, a browser drops some, and overrides of the direction of writing make a name read
     as another.
     """
+    if text.isprintable():  # Python's own test is stricter, and fast: pictures in a page are long
+        return text
     return "".join(c if c in "\n\t" or not _is_control(c) else repr(c)[1:-1] for c in text)
 
 

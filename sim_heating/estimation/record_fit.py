@@ -45,7 +45,7 @@ from sim_heating.march.ensemble import condition_history
 from sim_heating.march.linearised import Linearised, LinearMarch, Track
 from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.march.schedule import divided_times
-from sim_heating.thermal.frame import STEP_TOLERANCE_K
+from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh, halve_elements, interpolate_profile
 from sim_heating.thermal.stack import Sensor
 
@@ -166,6 +166,8 @@ class RecordFit:
 
         Source: docs/theory/equations_thermal_step.md, section 9.
         """
+        if tolerance_K >= NOT_CONTROLLED_K:
+            return self.time_s
         # not `track`: the times at which it reads may depend on the steps
         track = Track(self.model, self.mesh, (), np.zeros(0), initial_K=self.initial_K(None))
         return divided_times(track, self.time_s, self.history(self.time_s), tolerance_K)
@@ -412,9 +414,11 @@ def lane_groups(record_fits: Iterable[RecordFit]) -> list[list[RecordFit]]:
 
 def group_march(group: Sequence[RecordFit]) -> LinearMarch:
     """Linearised march of a group of records on common times, one lane each."""
-    tracks = [replace(record_fit.track(), flight=i) for i, record_fit in enumerate(group)]
-    time = group[0].time_s
-    histories = np.stack([condition_history(record_fit.conditions.at(time)) for record_fit in group])
+    # candidates for one record have its conditions in common
+    flights = {id(record_fit.conditions): record_fit.conditions for record_fit in group}
+    places, time = list(flights), group[0].time_s
+    tracks = [replace(record_fit.track(), flight=places.index(id(record_fit.conditions))) for record_fit in group]
+    histories = np.stack([condition_history(conditions.at(time)) for conditions in flights.values()])
     return LinearMarch(tracks, time, histories)
 
 

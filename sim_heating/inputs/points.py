@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from sim_heating.thermal.tables import WallEnthalpy
 
 HEATING_TOLERANCE = 0.01
 """Mean relative difference from which two reference heatings count as different."""
+RECORDS_KEPT = 8
+"""Records whose declared model and heated conditions are kept: a search makes hundreds of problems over one record."""
 
 
 def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
@@ -76,8 +79,9 @@ def reference_of_record(record: Record) -> tuple[float, ...]:
     fitted = record.fit_mask(record.conditions.time_s)
     declared = record.declared.reference_condition
     chosen = fitted if np.any(fitted) else np.ones(len(record.conditions), dtype=bool)
+    durations_s = record.conditions.duration_s[chosen]
     return tuple(
-        float(np.average(record.conditions[v][chosen], weights=record.conditions.duration_s[chosen]))
+        float(np.average(record.conditions[v][chosen], weights=durations_s))
         if declared is None or getattr(declared, v) is None
         else float(getattr(declared, v))
         for v in RATIO_VARIABLES
@@ -88,6 +92,15 @@ def point_of_record(
     record: Record, parameters: Mapping[str, float] | None = None, effects: Sequence[EffectUse] = ()
 ) -> PointModel:
     """The declared model of a record."""
+    declared = _declared_point(record)
+    if not parameters and not effects:
+        return declared
+    used = combined_uses(record.declared.heating.effects, effects)
+    return replace(declared, parameters=dict(parameters or {}), effects=used)
+
+
+@lru_cache(RECORDS_KEPT)
+def _declared_point(record: Record) -> PointModel:
     return PointModel(
         name=record.declared.control_point,
         construction=record.construction,
@@ -96,9 +109,8 @@ def point_of_record(
         ratio=record.ratio_table,
         wall_enthalpy=wall_enthalpy_of(record.declared.heating.wall_enthalpy),
         nodes=record.declared.stack.nodes,
-        parameters=dict(parameters or {}),
         reference=reference_of_record(record),
-        effects=combined_uses(record.declared.heating.effects, effects),
+        effects=combined_uses(record.declared.heating.effects, ()),
     )
 
 
@@ -107,6 +119,13 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
 
     flow : what effects ask of the flow at the point's edge; by default those that the record declares
     """
+    heated = _heated_conditions(record)
+    of_edge = edge_flow_columns(flow or flow_of_record(record), record.conditions)
+    return heated.with_columns(**of_edge) if of_edge else heated
+
+
+@lru_cache(RECORDS_KEPT)
+def _heated_conditions(record: Record) -> Conditions:
     heating = record.declared.heating
     columns = reference_heating(
         heating.reference,
@@ -116,9 +135,7 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
         recovery=heating.recovery_of_point,
         sweep_deg=heating.sweep_deg or 0.0,
     )
-    return record.conditions.with_columns(
-        **columns._asdict(), **edge_flow_columns(flow or flow_of_record(record), record.conditions)
-    )
+    return record.conditions.with_columns(**columns._asdict())
 
 
 def flow_of_record(record: Record, effects: Sequence[EffectUse] = ()) -> EdgeFlow:

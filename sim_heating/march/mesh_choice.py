@@ -79,10 +79,11 @@ def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tup
     the heating: a flight that heats more, or at once, may have a larger error (`meshes_on_flights`). Results are cached
     for each stack, sensors, node count and step. Derived in docs/theory/equations_march.md, equations 16 and 17.
     """
-    new = {key: m for key, m in ((_key(m, step_s), m) for m in models) if key not in _CHOSEN}
+    keys = [_key(m, step_s) for m in models]
+    new = {key: m for key, m in zip(keys, models, strict=True) if key not in _CHOSEN}
     _CHOSEN.update({key: (mesh_of_nodes(m, m.nodes, step_s), None) for key, m in new.items() if m.nodes is not None})
     _CHOSEN.update(_refine_on_trials({key: m for key, m in new.items() if m.nodes is None}, step_s))
-    return [_CHOSEN[_key(m, step_s)] for m in models]
+    return [_CHOSEN[key] for key in keys]
 
 
 def meshes_on_flights(

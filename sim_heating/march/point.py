@@ -231,6 +231,13 @@ class PointModel:
             )
         return self.places[name]
 
+    def _existing_place(self, name: str) -> int:
+        """As `_place`; raises InputError for a coating in a wall of one layer as well."""
+        place = self._place(name)
+        if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
+            raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
+        return place
+
     def _declared_back(self, name: str) -> float:
         back = self.construction.stack.back
         declared = getattr(back, name.removeprefix("back.")) if isinstance(back, BackFace) else None
@@ -251,9 +258,7 @@ class PointModel:
             stands_for = usual.stands_for if isinstance(usual, ModelParameter) else ""
             scatter = self._declared_scatter(stands_for) if own.sigma == usual.sigma else None
             return own if scatter is None else replace(own, sigma=scatter)
-        place = self._place(name)
-        if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
-            raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
+        place = self._existing_place(name)
         p = _PARAMETERS[place] if place < len(MODEL) else LAYER[(place - len(MODEL)) % OWN_WIDTH]
         sigma = self._declared_scatter(name) or p.sigma
         return replace(p, name=name, sigma=sigma, lower=max(p.lower, self._least_thickness(name)))
@@ -350,7 +355,7 @@ class PointModel:
                 use, k = self._effect_parameter(name)
                 effects[use][k] = value
             else:
-                self.definition(name)
+                self._existing_place(name)
                 for other in [n for n in parameters if self.same_parameter(name, n)]:
                     del parameters[other]
                 parameters[name] = value
