@@ -113,14 +113,19 @@ def maximise_together(
             marched = tuple(requests)
             together = JointMarch([problems[k] for k in marched])
         found = together.evaluate([requests[k] for k in marched])
-        for k, evaluation in zip(marched, found, strict=True):
-            following = _next_request(searches[k], evaluation, problems[k])
-            if isinstance(following, Fit):
-                fits[k] = following
+        following = _next_requests([(searches[k], e, problems[k]) for k, e in zip(marched, found, strict=True)])
+        for k, request in zip(marched, following, strict=True):
+            if isinstance(request, Fit):
+                fits[k] = request
                 del requests[k]
             else:
-                requests[k] = following
+                requests[k] = request
     return [fits[k] for k in range(len(problems))]
+
+
+def _next_requests(evaluated: Sequence[tuple[Iteration, Evaluation, FitProblem]]) -> list[FloatArray | Fit]:
+    """`_next_request` of each iteration, in threads: fractions of a step are marches by themselves."""
+    return in_threads(lambda i: _next_request(*evaluated[i]), len(evaluated))
 
 
 def _next_request(search: Iteration, evaluation: Evaluation, problem: FitProblem) -> FloatArray | Fit:
