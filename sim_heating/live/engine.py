@@ -297,7 +297,7 @@ class LinkEngine:
         alarm = self.test.alarm
         if alarm is not None and self.journal is not None and not self.weighing.begun:
             left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
-            self.weighing.start(self.journal.path, alarm.point, left_out)
+            self.weighing.start(self.journal.path, alarm.point, left_out, root=self.link.root)
         return self.weighing.busy
 
     def stop(self) -> None:

@@ -406,7 +406,7 @@ class Link:
     points   : control points with their sensors, in order
     columns  : columns of flight conditions that a frame needs
     scenario : of the nominal flight, or None
-    roots    : folders in which it may name files
+    roots    : folders in which it may name files;  root : the one that the user named, or None
     """
 
     path: Path
@@ -417,6 +417,7 @@ class Link:
     columns: tuple[str, ...]
     scenario: Scenario | None
     roots: Roots
+    root: Path | None = None
 
     def __repr__(self) -> str:
         return f"<Link {self.title!r}: {len(self.points)} control points, {len(self.declared.source)} sources>"
@@ -487,7 +488,8 @@ def make_link(
     if declared.ahead.scenario is not None:
         scenario = load_scenario(roots.named(declared.ahead.scenario, "[ahead]: `scenario`"), root=root)
     columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
-    link = Link(place, declared, vehicle, records, points, columns, scenario, roots)
+    own_root = None if root is None else Path(root)
+    link = Link(place, declared, vehicle, records, points, columns, scenario, roots, own_root)
     raise_problems(_scenario_problems(link))
     return link
 
