@@ -37,10 +37,10 @@ from sim_heating.estimation.filter.online import (
     no_readings,
 )
 from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms, middle_K
-from sim_heating.estimation.heated_starts import start_of_heated
 from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
+from sim_heating.live.heated_start import start_of_heated
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
 from sim_heating.live.types import Frame, Sample

@@ -39,6 +39,8 @@ class MeshError:
 
         models     : (point,) with the parameters at which the error is found
         initial_K  : (node,) temperatures of each point [K];  conditions : (point, condition) at the start
+
+        Source: docs/theory/filter.md, section "Mesh".
         """
         count = len(self._meshes)
         self._both.clear()
@@ -49,13 +51,15 @@ class MeshError:
         self._both.begin(np.concatenate([conditions, conditions]))
 
     def advance(self, conditions: FloatArray, dt: float) -> None:
-        """March by dt [s] to conditions (point, condition) that are linear in between."""
+        """March by dt [s] to conditions (point, condition) that are linear in between (docs/theory/filter.md)."""
         self._both.advance(np.concatenate([conditions, conditions]), dt)
 
     def of_nodes(self, i: int) -> FloatArray:
         """(node,) limit of fine meshes less the temperatures of a point's mesh [K]; 0 where a march failed.
 
         i : number of the point
+
+        Source: docs/theory/estimation_statistics.md, equation 31.
         """
         state = self._both.state
         found = 4.0 / 3.0 * (state[self._fine_at[i]] - state[self._coarse_at[i]])
@@ -63,7 +67,7 @@ class MeshError:
 
     @property
     def state(self) -> FloatArray:
-        """(number,) all that changes; to be copied and written back."""
+        """(number,) temperatures [K] and all else that changes in equation 31; to be copied and written back."""
         return self._both.state
 
 

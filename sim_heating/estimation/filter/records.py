@@ -60,7 +60,10 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 
 
 def middle_K(lower_K: FloatArray, upper_K: FloatArray) -> FloatArray:
-    """(reading,) middle of the interval of each reading [K], the finite end of an open one."""
+    """(reading,) middle of the interval of each reading [K], the finite end of an open one.
+
+    Source: docs/theory/estimation_statistics.md, equation 12.
+    """
     return np.where(
         np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K
     )  # fmt: skip

@@ -347,7 +347,7 @@
       const selected = String(name === shown);
       if (own.tr.getAttribute("aria-selected") !== selected) own.tr.setAttribute("aria-selected", selected);
       const over = known(point.ratio) && point.ratio_declared ? (point.ratio / point.ratio_declared).toFixed(3) : "\u2013";
-      [interval(point.surface_K, point.surface_sigma_K, 0), interval(point.bondline_K, point.bondline_sigma_K, 1), number(point.margin_K, 0), number(margin, 0), percent(chance), over]
+      [interval(point.surface_K, point.surface_sigma_K, 1), interval(point.bondline_K, point.bondline_sigma_K, 1), number(point.margin_K, 0), number(margin, 0), percent(chance), over]
         .forEach((text, k) => write(own.texts[k], text));
       for (const spot of spots.get(name) || []) {
         spot.circle.setAttribute("fill", color);
