@@ -210,7 +210,6 @@ def test_a_file_of_other_origin_is_never_overwritten(workdir: Path, capsys: pyte
 @pytest.mark.parametrize(
     "command",
     [
-        ["run", "short.toml"],
         ["run", "popu.toml"],
         ["synthesize", "short.toml"],
         ["predict", str(TILE)],

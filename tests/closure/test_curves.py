@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim_heating.base.files import read_csv_columns
-from sim_heating.closure.close import close_loop
 from sim_heating.closure.curves import curve_of, curve_trials, curve_words, write_curve
-from sim_heating.closure.report import write_closure
 from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, fitted_effects
 from sim_heating.heating.effects import use
-from sim_heating.heating.effects.curve import TIME, VALUES, curve_band
+from sim_heating.heating.effects.curve import TIME, VALUES
 from sim_heating.inputs.record import load_record
 from tests.closure.test_close_loop import simulated_record
 from tests.support.paths import PRACTICE
@@ -43,19 +39,6 @@ def test_a_rise_above_an_angle_of_attack_is_a_curve_in_it_with_its_shape(tmp_pat
     written = read_csv_columns(tmp_path / "curve.csv", ("alpha_deg", "relative_change", "sigma"))
     np.testing.assert_allclose(written["relative_change"], band.value, rtol=1e-12)
     assert "the heating departs with angle of attack: " in curve_words(band)
-
-
-def test_a_report_states_a_curve_and_its_file_and_has_neither_where_there_is_none(tmp_path: Path) -> None:
-    plain = close_loop(load_record(PRACTICE / "p06")).report
-    band = curve_band(BENT.values, 1e-4 * np.eye(len(VALUES)), np.linspace(38.0, 44.0, 13))
-    for name, found in (("plain", plain), ("curved", replace(plain, curve=band))):
-        (tmp_path / name).mkdir()
-        write_closure(found, tmp_path / name)
-        written = json.loads((tmp_path / name / "closure.json").read_text())["curve"]
-        assert written == (None if found.curve is None else {"file": "curve.csv", "variable": "alpha_deg"})
-        assert (tmp_path / name / "curve.csv").exists() is (found.curve is not None)
-        stated = "departs with angle of attack" in (tmp_path / name / "report.html").read_text()
-        assert stated is (found.curve is not None)
 
 
 def test_time_is_the_last_variable_where_nothing_departs() -> None:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sim_heating.base.files import read_json
+from sim_heating.closure.close import ClosedLoop, close_loop
+from sim_heating.closure.report import write_closure
 from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy, assess, p_value
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import Hypothesis, conclude
-from sim_heating.closure.search.search import SearchResult, search_effects
+from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.heating.effects import use
+from sim_heating.heating.effects.curve import VALUES, curve_band
 from sim_heating.inputs.record import load_record
+from tests.support.few_candidates import searched_among
 from tests.support.missing import record_with
 from tests.support.paths import PRACTICE
 
@@ -24,9 +30,15 @@ ONSET = use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})
 
 
 @cache
-def searched(name: str = "p08") -> SearchResult:
-    """The search on a practice record; that of p08 has one undeclared effect."""
-    return search_effects(load_record(PRACTICE / name))
+def closed(name: str) -> ClosedLoop:
+    """The loop closed on a practice record."""
+    return close_loop(load_record(PRACTICE / name))
+
+
+@cache
+def searched() -> SearchResult:
+    """The search of a record with one undeclared effect."""
+    return searched_among(record_with([ONSET], 5)[0], ("impingement-onset", "alpha-curvature"))
 
 
 def adequacy_of(record, effects=()) -> Adequacy:
@@ -35,20 +47,35 @@ def adequacy_of(record, effects=()) -> Adequacy:
     return assess(fitted.samples())
 
 
-@pytest.mark.parametrize(("name", "effect"), [("p08", "impingement-onset"), ("p05", "time-skew"), ("p06", "none")])
+@pytest.mark.parametrize(("name", "effect"), [("p05", "time-skew"), ("p06", "none")])
 def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None:
-    found = searched(name)
+    """That of p08 is in test_close_loop.py."""
+    found = closed(name).search
     assert found.names == (effect,)
     assert found.conclusion.finding == ("none" if effect == "none" else "found")
     assert found.conclusion.best.adequate
 
 
 def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
-    found = searched("p02")  # a sine in time, which is no effect of the library
+    found = closed("p02").search  # a sine in time, which is no effect of the library
     assert found.names == ("unknown",)
     assert found.none.excess_chi2 > 10.0
     assert found.curve is not None  # what it follows best is shown and not named
     assert found.curve.name not in found.names
+
+
+def test_a_report_states_a_curve_and_its_file_and_has_neither_where_there_is_none(tmp_path: Path) -> None:
+    plain, heights = closed("p06").report, dict.fromkeys(VALUES, 0.03)
+    bent = use("curve", {"variable": 0.0, "low": 38.0, "high": 44.0} | heights)
+    band = curve_band(bent.values, 1e-4 * np.eye(len(VALUES)), np.linspace(38.0, 44.0, 13))
+    for name, found in (("plain", plain), ("curved", replace(plain, curve=band))):
+        (tmp_path / name).mkdir()
+        write_closure(found, tmp_path / name)
+        written = read_json(tmp_path / name / "closure.json")["curve"]
+        assert written == (None if found.curve is None else {"file": "curve.csv", "variable": "alpha_deg"})
+        assert (tmp_path / name / "curve.csv").exists() is (found.curve is not None)
+        stated = "departs with angle of attack" in (tmp_path / name / "report.html").read_text()
+        assert stated is (found.curve is not None)
 
 
 def test_the_true_model_is_adequate_and_a_model_without_the_effect_is_not() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,29 +12,14 @@ from click.testing import CliRunner
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
-from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
-from sim_heating.closure.search.ranking import count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
-from sim_heating.closure.search.trials.candidates import candidates
-from sim_heating.closure.search.trials.screening import predicted_gains
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    base_trial,
-    declared_fit,
-    fitted_values,
-    held_out_problem_with,
-    problem_with,
-    start_values,
-)
 from sim_heating.closure.several.common_parameters import narrower_levels, widest_level
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint import close_loops
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
-from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
-from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, write_record
+from tests.support.few_candidates import searched_among
 from tests.support.missing import record_with
 
 ONSET, SLOPE = "effect.impingement-onset.alpha_onset_deg", "effect.impingement-onset.slope"
@@ -52,27 +36,9 @@ def flown(name: str, seed: int, onset_deg: float, slope: float, point: str = "LS
 
 
 @cache
-def searched(record: Record, names: Sequence[str] = RIVALS) -> SearchResult:
-    """The search of one record among some effects alone."""
-    before = declared_fit(record)
-    base = base_trial(before)
-    on_samples = conditions_of_record(record)
-    tried = [c for c in candidates(record, on_samples) if c.name in names]
-    gains = predicted_gains(base, tried)
-    best = [max((k for k, c in enumerate(tried) if c.name == n), key=lambda k: gains[k]) for n in names]
-    problems = [problem_with(base, tried[k]) for k in best]
-    starts = [start_values(p, {**fitted_values(base), **tried[k].start}) for p, k in zip(problems, best, strict=True)]
-    trials = [
-        TrialFit(
-            tried[k].name, tried[k], p, held_out_problem_with(base, tried[k]), f, delta_bic(base, f, tried[k], 1.0)
-        )
-        for k, p, f in zip(best, problems, maximise_together(problems, starts, CONVERGE), strict=True)
-    ]
-    forms = count_forms(tried)
-    first = replace(score_round(base, trials, {}, forms), forms=forms)
-    none = hypothesis([base], {})
-    found = scored(none, [hypothesis([t], forms) for t in trials])
-    return SearchResult(record, before, (first,), none, tuple(found), conclude(none, found))
+def searched(record: Record) -> SearchResult:
+    """The search of one record among the rivals alone."""
+    return searched_among(record, RIVALS)
 
 
 def joint(*records: Record) -> tuple[JointSearch, dict[str, Evidence]]:

@@ -37,7 +37,7 @@ vehicle = "orbiter"
 note = "Forty-eight flights."
 control_points = ["V09T9527"]
 {{more}}
-{entry_3dof("mach = 2.5")}[dispersion]
+{entry_3dof("mach = 20.0")}[dispersion]
 flights = 48
 scrambles = 6
 index_flights = 8
@@ -92,8 +92,8 @@ def start(study, out, workers, **environment):
 def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
     whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
     assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
-    for kill in range(3):
-        run, wanted = start(study, out, 2), 1 + 2 * kill
+    for wanted in (1, 4):
+        run = start(study, out, 2)
         while run.poll() is None and len(finished_batches(out)) < wanted:
             time.sleep(0.005)
         time.sleep(moments.uniform(0.0, 0.3))
@@ -180,7 +180,7 @@ def test_a_folder_that_cannot_hold_finished_batches_is_reported_in_a_line(study,
 
 
 def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_study(study, tmp_path, capsys):
-    text, flown = STUDY.format(more=""), entry_3dof("mach = 2.5")
+    text, flown = STUDY.format(more=""), entry_3dof("mach = 20.0")
     base = ROOT / "scenarios" / "entry_3dof.toml"
     study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
@@ -191,8 +191,8 @@ def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_st
 def test_a_study_of_a_scenario_leaves_out_the_declared_transition_that_the_scenario_does(study, tmp_path):
     declared = [u.effect.name for u in load_study(study).points[0].point.effects]
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n[heating]\ntransition = false\n'
-    (tmp_path / "laminar.toml").write_text(head + entry_3dof("mach = 2.5"))
-    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 2.5"), 'scenario = "laminar.toml"\n'))
+    (tmp_path / "laminar.toml").write_text(head + entry_3dof("mach = 20.0"))
+    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 20.0"), 'scenario = "laminar.toml"\n'))
     left = [u.effect.name for u in load_study(study).points[0].point.effects]
     assert sorted(declared) == sorted([*left, "transition"])
 
@@ -200,8 +200,8 @@ def test_a_study_of_a_scenario_leaves_out_the_declared_transition_that_the_scena
 def test_an_unknown_effect_of_a_scenario_is_reported_with_the_file_of_the_scenario(study, tmp_path, capsys):
     base = tmp_path / "base.toml"
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'
-    base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 2.5")}')
-    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 2.5"), 'scenario = "base.toml"\n'))
+    base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 20.0")}')
+    study.write_text(STUDY.format(more="").replace(entry_3dof("mach = 20.0"), 'scenario = "base.toml"\n'))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
     assert f"error: {base}: " in capsys.readouterr().err
 

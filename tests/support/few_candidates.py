@@ -1,0 +1,48 @@
+"""The search of a record for a missing effect, among a few effects alone: what a search leads to, in a moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
+from sim_heating.closure.search.ranking import count_forms, delta_bic, score_round
+from sim_heating.closure.search.refine import CONVERGE
+from sim_heating.closure.search.search import SearchResult
+from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.screening import predicted_gains
+from sim_heating.closure.search.trials.trial_fit import (
+    TrialFit,
+    base_trial,
+    declared_fit,
+    fitted_values,
+    held_out_problem_with,
+    problem_with,
+    start_values,
+)
+from sim_heating.estimation.side_by_side import maximise_together
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record
+
+
+def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
+    """The search of one record among effects of these names, the best start of each fitted to convergence."""
+    before = declared_fit(record)
+    base = base_trial(before)
+    on_samples = conditions_of_record(record)
+    tried = [c for c in candidates(record, on_samples) if c.name in names]
+    gains = predicted_gains(base, tried)
+    best = [max((k for k, c in enumerate(tried) if c.name == n), key=lambda k: gains[k]) for n in names]
+    problems = [problem_with(base, tried[k]) for k in best]
+    starts = [start_values(p, {**fitted_values(base), **tried[k].start}) for p, k in zip(problems, best, strict=True)]
+    trials = [
+        TrialFit(
+            tried[k].name, tried[k], p, held_out_problem_with(base, tried[k]), f, delta_bic(base, f, tried[k], 1.0)
+        )
+        for k, p, f in zip(best, problems, maximise_together(problems, starts, CONVERGE), strict=True)
+    ]
+    forms = count_forms(tried)
+    first = replace(score_round(base, trials, {}, forms), forms=forms)
+    none = hypothesis([base], {})
+    found = scored(none, [hypothesis([t], forms) for t in trials])
+    return SearchResult(record, before, (first,), none, tuple(found), conclude(none, found))
