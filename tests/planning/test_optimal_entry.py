@@ -175,7 +175,7 @@ def test_a_limit_costs_cross_range(limited_flight):
 def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
     entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
     point, vehicle = entry.study.points[0].point, entry.study.vehicle
-    draws = np.random.default_rng(7).standard_normal(400)
+    draws = np.random.default_rng(7).standard_normal(150)
     model, table = point_of_vehicle(vehicle, point), point.ratio
     drawn = [replace(model, ratio=replace(table, ratio=table.ratio + z * table.sigma)) for z in draws]
     flown = conditions_at_point(vehicle, point, entry.conditions.at(np.arange(0.0, entry.motion.duration_s, 4.0)))
