@@ -252,6 +252,7 @@ class LiveEstimator:
         self._apart, self._share = line_tolerance(source.columns)
         self.timeline = Timeline(self._sensors.numbers, self.options.lateness_s, self.options.jump_s)
         self.messages: list[str] = []
+        self._told_conflict = False
         self.refused = 0
         self._out = [_Out() for _ in self._sensors.sensors]
         self._restart()
@@ -327,8 +328,20 @@ class LiveEstimator:
             placed, self._changed = self.timeline.put(sample), True
             if placed is Placed.TAKEN or placed is Placed.LATE:
                 self._mark(sample)
+            elif placed is Placed.DOUBLED:
+                self._tell_conflict()
             elif placed is Placed.JUMPED:
                 self._follow()
+
+    def _tell_conflict(self) -> None:
+        """Tell once that samples came again with other values."""
+        at_s = self.timeline.conflict_s
+        if at_s is not None and not self._told_conflict:
+            self._told_conflict = True
+            self._tell(
+                f"samples came again with other values, first at {at_s:g} s: a clock that went back by less than "
+                f"{self.options.lateness_s:g} s and a little, or two sources of one quantity; the first ones are used"
+            )
 
     def _plausible(self, frame: Frame) -> bool:
         missing = [c for c in self.source.columns if c not in frame.values]

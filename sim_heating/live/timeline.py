@@ -78,7 +78,8 @@ class Timeline:
     jump_s     : how far ahead of the newest frame one may come [s], beyond which a new clock is suspected
     frames_s, frames : times [s] and frames of the window in order;  words : readings in order
 
-    `counts` and `jump`, the last jump of the clock, tell what happened.
+    `counts` and `jump`, the last jump of the clock, tell what happened. conflict_s : time of the first sample that came
+    again with another value [s], as after a clock that went back by less than the window; None for none.
     """
 
     sensors: Mapping[tuple[str, str], int]
@@ -90,6 +91,7 @@ class Timeline:
     counts: Counts = field(default_factory=Counts)
     jump: Jump | None = None
     newest_s: float = -math.inf
+    conflict_s: float | None = None
     _suspects: list[Frame] = field(default_factory=list)
     _aside: list[Word] = field(default_factory=list)
     _last_word_s: dict[int, float] = field(default_factory=dict)
@@ -134,10 +136,15 @@ class Timeline:
             return Placed.TAKEN
         at = bisect_left(self.frames_s, t)
         if at < len(self.frames_s) and self.frames_s[at] == t:
-            return Placed.DOUBLED
+            return self._again(t, self.frames[at].values == frame.values)
         self.frames_s.insert(at, t)
         self.frames.insert(at, frame)
         return Placed.LATE
+
+    def _again(self, time_s: float, is_same: bool) -> Placed:
+        if not is_same and self.conflict_s is None:
+            self.conflict_s = time_s
+        return Placed.DOUBLED
 
     def _suspect(self, frame: Frame) -> Placed:
         """A frame on another clock: it waits, until others follow it or the clock turns out to be as before."""
@@ -204,7 +211,7 @@ class Timeline:
         else:
             at = bisect_left(words, (t, number, -math.inf))
             if at < len(words) and words[at][:2] == (t, number):
-                return Placed.DOUBLED
+                return self._again(t, words[at] == word)
             words.insert(at, word)
         if t > last:
             self._last_word_s[number] = t

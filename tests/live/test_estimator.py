@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -168,6 +169,19 @@ def test_doubled_samples_change_nothing_and_are_counted(in_order):
     doubled = feed(estimator(), [s for sample in samples() for s in (sample, sample)])
     assert doubled.counts.doubled == len(samples())
     assert_same_bits(doubled, in_order)
+    assert not doubled.messages
+
+
+def test_samples_that_come_again_with_other_values_are_told_once():
+    # a clock that went back by 3 s, with a frame a second: too few lie outside the window to make a new clock
+    each_second = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
+    e, flown = estimator(), [s for s in each_second if s.time_s < BEGIN_S + 20.0]
+    wrong = [replace(s, time_s=s.time_s - 3.0) for s in each_second if BEGIN_S + 20.0 <= s.time_s < BEGIN_S + 25.0]
+    feed(e, flown)
+    for sample in wrong:
+        e.add(sample)
+    (line,) = [m for m in e.messages if "again with other values" in m]
+    assert "a clock that went back" in line
 
 
 def test_in_order_the_estimate_is_that_of_the_batch_filter(in_order):
