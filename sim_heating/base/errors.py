@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,8 @@ CONTROLS = ("Cc", "Cs", "Cn", "Zl", "Zp")
 DIRECTIONS = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 """Classes of characters that change the direction of writing."""
 
+_NOT_PLAIN = re.compile(r"[^\n\t -~]")
+
 
 def printable(text: str) -> str:
     """A text whose control characters are shown as escapes; line breaks and tabs are kept.
@@ -21,9 +24,7 @@ def printable(text: str) -> str:
     A terminal would obey some of them, a browser drops some, and overrides of the direction of writing make a name read
     as another.
     """
-    if text.isprintable():  # Python's own test is stricter, and fast: pictures in a page are long
-        return text
-    return "".join(c if c in "\n\t" or not _is_control(c) else repr(c)[1:-1] for c in text)
+    return _NOT_PLAIN.sub(lambda found: repr(found[0])[1:-1] if _is_control(found[0]) else found[0], text)
 
 
 def _is_control(c: str) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import count
 
 HOTTEST_K = 1e5
@@ -213,6 +214,7 @@ UNITS: dict[str, Quantity] = {
 """Unit that a key ends in, longer ones first -> range of a number whose key has none of its own."""
 
 
+@cache
 def quantity(name: str) -> Quantity | None:
     """Range of a number by its key, else by the unit that the key ends in; None for a number without a unit."""
     return QUANTITIES.get(name) or next((q for unit, q in UNITS.items() if name.endswith(unit)), None)

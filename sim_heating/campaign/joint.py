@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre, numbered
 from sim_heating.estimation.report.estimate_file import correlation_matrix
@@ -81,7 +81,7 @@ def agreement(singles: Sequence[Mapping[str, Any]], joint: Mapping[str, Any]) ->
         float(d @ np.linalg.solve(_covariance(s, common), d)) for s in singles for d in [_values(s, common) - at]
     )
     degrees = (len(singles) - 1) * len(common)
-    return Agreement(total, degrees, float(chi2.sf(total, degrees)))
+    return Agreement(total, degrees, float(chdtrc(degrees, total)))
 
 
 def _values(row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:

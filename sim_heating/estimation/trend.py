@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -262,7 +262,7 @@ def _misfit(problem: FitProblem, fit: Fit) -> tuple[float, float]:
     square = float(sum(np.sum(e**2) for e in residuals))
     square += float(np.sum(fit.prior_information * (fit.values - means) ** 2))
     free = count - int(np.count_nonzero(fit.prior_information == 0.0))
-    if free < 1 or chi2.sf(square, free) > MISFIT_PROBABILITY:
+    if free < 1 or chdtrc(free, square) > MISFIT_PROBABILITY:
         return 1.0, 1.0
     misfit = float(np.sqrt(square / free))
     colour = lag1_autocorrelation(samples) / rms_normalised_residual(samples) ** 2

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
-from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.jit import interpreted, njit, njit_of
 
 # The constants are those of 1976, not today's: with them the printed tables come out to their last digit.
 G0_M_S2 = 9.80665
@@ -152,7 +152,6 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
     T_base, p_base = _layer_bases(base, gradient)
     z_mass, mass_ratio = masses["altitude_m"], masses["molar_mass_ratio"]
 
-    @njit
     def lower(altitude_m: float) -> tuple[float, float, float]:
         h = geopotential(altitude_m)
         i = 0
@@ -171,7 +170,7 @@ def _make_lower_kernel() -> Callable[[float], tuple[float, float, float]]:
 
 
 # A table inside a closure is part of the key of the compiled cache: an edited CSV recompiles. A module global is not.
-lower_atmosphere = _make_lower_kernel()
+lower_atmosphere = njit_of(_make_lower_kernel)
 """Scalar kernel below 86 km: kinetic temperature [K], pressure [Pa], density [kg/m3]; US76 eqs. 22, 23, 33, 42."""
 
 
@@ -206,7 +205,6 @@ def _hermite(s: float, step: float, y0: float, y1: float, d0: float, d1: float) 
 def _make_upper_kernel() -> Callable[[float], tuple[float, float, float]]:
     z, ln_p, slope_p, ln_rho, slope_rho = _upper_table()
 
-    @njit
     def upper(altitude_m: float) -> tuple[float, float, float]:
         i, s = cell_by_bisection(z, altitude_m)
         step = z[i + 1] - z[i]
@@ -217,7 +215,7 @@ def _make_upper_kernel() -> Callable[[float], tuple[float, float, float]]:
     return upper
 
 
-upper_atmosphere = _make_upper_kernel()
+upper_atmosphere = njit_of(_make_upper_kernel)
 """Scalar kernel from 86 to 200 km: kinetic temperature [K], and p [Pa], rho [kg/m3] cubic in the table's logarithms."""
 
 
@@ -242,7 +240,7 @@ def sutherland_kernel(T_K: float) -> float:
     T_K : temperature [K], above 0; good from 100 to about 1000 K (3 % low there), continued outside
     Source: US Standard Atmosphere 1976, eq. 51.
     """
-    return SUTHERLAND_PA_S * T_K * math.sqrt(T_K) / (T_K + SUTHERLAND_K)
+    return SUTHERLAND_PA_S * T_K * np.sqrt(T_K) / (T_K + SUTHERLAND_K)  # of arrays too, when interpreted
 
 
 @njit
@@ -292,12 +290,6 @@ def free_stream_kernel(
 def _us76_loop(altitude_m: FloatArray, T: FloatArray, p: FloatArray, rho: FloatArray) -> None:
     for i in range(len(altitude_m)):
         T[i], p[i], rho[i] = us76_kernel(altitude_m[i])
-
-
-@njit
-def _sutherland_loop(T: FloatArray, mu: FloatArray) -> None:
-    for i in range(len(T)):
-        mu[i] = sutherland_kernel(T[i])
 
 
 @njit
@@ -355,9 +347,7 @@ def sutherland_viscosity(T_K: ArrayLike) -> FloatArray:
     `heating.reference.gas.transport`. Source: US Standard Atmosphere 1976, eq. 51.
     """
     T = _checked_positive("T_K", T_K)
-    mu = np.empty(T.size)
-    _sutherland_loop(T.ravel(), mu)
-    return mu.reshape(T.shape)
+    return np.asarray(interpreted(sutherland_kernel)(T))
 
 
 def standard_speed_of_sound(altitude_m: ArrayLike) -> FloatArray:

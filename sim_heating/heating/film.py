@@ -19,8 +19,9 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels import block as k
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.elementary import LN_10, exp, log10
-from sim_heating.base.kernels.jit import call_dispatcher, inline_always, njit
+from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
+from sim_heating.base.kernels.operations import call_dispatcher
 from sim_heating.heating.atmosphere import SEA_LEVEL_PA
 from sim_heating.heating.effects.transition import intermittency, past_onset
 from sim_heating.heating.ratio.lookup import (

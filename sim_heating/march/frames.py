@@ -11,7 +11,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.kernels.block import C_STAGES, LANES, N_CONDITIONS
-from sim_heating.base.kernels.jit import call_step, force_inline, njit, pointer
+from sim_heating.base.kernels.jit import force_inline, njit
+from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.thermal.frame import EVALUATE_START, shift_conditions
 from sim_heating.thermal.step import LaneGroup
 

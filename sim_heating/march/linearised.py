@@ -17,7 +17,8 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, NODE_ROWS, T_STAGE, T_START, T
-from sim_heating.base.kernels.jit import call_step, njit, pointer
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights, set_flight_conditions

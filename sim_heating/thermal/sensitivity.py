@@ -60,7 +60,8 @@ from sim_heating.base.kernels.block import (
     TIME,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, call_step, njit, pointer
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, njit
+from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
 from sim_heating.heating.ratio.lookup import linear_ratio_derivative
 from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, heat_content, select_pressure

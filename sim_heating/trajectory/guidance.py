@@ -29,7 +29,8 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, display_path, read_toml
-from sim_heating.base.kernels.jit import njit, pointer
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.trajectory.schedules import pack, schedule_positions, schedule_slope, scheduled
 from sim_heating.trajectory.spec import Approach, Guidance, GuidanceChanges
 

@@ -18,7 +18,8 @@ import math
 from typing import NamedTuple
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.kernels.jit import njit, pointer
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.heating.atmosphere import (
     G0_M_S2,
     speed_of_sound_kernel,

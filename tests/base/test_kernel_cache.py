@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base.kernels.jit import PACKAGE, kernel_sources, source_digest
+from sim_heating.base.kernels.cache_folder import PACKAGE, kernel_sources, source_digest
 
 
 def parsed_imports(path: Path, modules: dict[str, Path]) -> set[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import math
+import pickle
 import re
 
 import llvmlite.binding as llvm
@@ -17,13 +18,8 @@ from sim_heating.base.kernels.jit import (
     STEP_SIGNATURE,
     address_of,
     c_function,
-    call_dispatcher,
-    call_step,
     force_inline,
     njit,
-    pointer,
-    power_of_two,
-    split,
 )
 from sim_heating.base.kernels.numba_private import (
     call_effect_at,
@@ -32,6 +28,7 @@ from sim_heating.base.kernels.numba_private import (
     pointer_offset,
     portable_ir,
 )
+from sim_heating.base.kernels.operations import call_dispatcher, call_step, pointer, power_of_two, split
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 
@@ -113,6 +110,17 @@ def test_a_loop_over_eight_lanes_becomes_vectors_of_doubles():
 
     outer(np.zeros(3 * LANES))
     assert re.search(r"fadd <\d+ x double>", one_llvm(outer))
+
+
+def test_python_calls_the_dispatcher_of_a_kernel_without_a_function_between():
+    kernel = njit(twice)
+    assert kernel(2.0) == 4.0
+    assert kernel.__call__ is kernel.dispatcher
+
+
+def test_a_pickled_kernel_is_the_kernel_of_the_process_that_has_it():
+    kernel = njit(twice)
+    assert pickle.loads(pickle.dumps(kernel)) is kernel
 
 
 # LLVM code within kernels --------------------------------------------------------------------------------------------

@@ -189,7 +189,7 @@ UNSHARED = ("unshare", "--user", "--map-user=54321", "--map-group=54321")
     reason="no user can be made here that has no passwd entry",
 )
 def test_a_user_without_home_and_name_has_a_cache_that_is_found_again(workdir: Path) -> None:
-    kernels = "from sim_heating.base.kernels import jit; print(jit.numba.config.CACHE_DIR)"
+    kernels = "from sim_heating.base.kernels import compiler; print(compiler.CACHE)"
     environment = [f"PYTHONPATH={ROOT}", f"TMPDIR={workdir}"]
     command = [*UNSHARED, "env", "-i", *environment, sys.executable, "-c", kernels]
     first, second = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(2))

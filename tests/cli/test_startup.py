@@ -1,4 +1,4 @@
-"""Help and version answer without loading the libraries of numbers, pictures and models."""
+"""Help and version answer without loading the libraries of numbers, pictures and models; checks, the compiler."""
 
 from __future__ import annotations
 
@@ -54,6 +54,11 @@ def packages_loaded(*arguments: str) -> set[str]:
 )
 def test_help_and_version_load_no_heavy_package(arguments: tuple[str, ...]) -> None:
     assert packages_loaded(*arguments) & HEAVY == set()
+
+
+@pytest.mark.parametrize("path", ["aircraft_data/orbiter", "scenarios/records/practice/p06"])
+def test_a_check_of_files_loads_no_compiler_and_no_pictures(path: str) -> None:
+    assert packages_loaded("validate", str(ROOT / path)) & HEAVY == {"numpy", "pydantic"}
 
 
 def test_help_of_every_command_is_covered() -> None:

@@ -226,7 +226,7 @@ def _all_numbers(cells: Sequence[str]) -> FloatArray | None:
         values = np.array(cells, dtype=np.float64)
     except ValueError:
         return None
-    return values if np.all(np.isfinite(values)) and all(map(is_plain, cells)) else None
+    return values if np.all(np.isfinite(values)) and is_plain("".join(cells)) else None
 
 
 def _number(cell: str, may_be_empty: bool) -> float | str:

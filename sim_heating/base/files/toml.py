@@ -47,7 +47,8 @@ class Declared(BaseModel):
                  `alpha_deg` over what `alpha_against` names, ("alpha_against", "alpha_deg").
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    # built when first used: a command reads a few of all formats
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
     quantities: ClassVar[Mapping[str, str | tuple[str | None, ...] | None]] = {}
 

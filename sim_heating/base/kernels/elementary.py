@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.kernels.jit import force_inline, power_of_two, split
-from sim_heating.base.kernels.numba_private import WHOLE
+from sim_heating.base.kernels.jit import force_inline
+from sim_heating.base.kernels.operations import WHOLE, power_of_two, split
 
 LN2_HIGH, LN2_LOW, LOG2_E = 6.93147180369123816490e-01, 1.90821492927058770002e-10, 1.4426950408889634
 LN_10 = 2.302585092994046

@@ -14,11 +14,10 @@ from typing import Any
 import llvmlite.ir
 import numba
 import numba.core.compiler
+import numba.core.sigutils
 import numba.extending
 
-WHOLE = 1.5 * 2.0**52
-"""Added to a number below 2^51 in size it leaves no digits behind the point; its last bits are then the integer."""
-
+from sim_heating.base.kernels.operations import WHOLE
 
 # Compilers -----------------------------------------------------------------------------------------------------------
 
@@ -39,8 +38,8 @@ class CFunctionCompiler(numba.core.compiler.Compiler):
 class KernelCompiler(CFunctionCompiler):
     """Omits the entry points of a kernel that nobody calls, an eighth of the time.
 
-    They are the one for C (jit.c_function makes its own), and the one for Python where a kernel takes pointers, which
-    Python cannot pass.
+    They are the one for C (compiler.c_function makes its own), and the one for Python where a kernel takes pointers,
+    which Python cannot pass.
     """
 
     def __init__(self, *given: Any) -> None:
@@ -140,6 +139,12 @@ _TARGET_LINE = re.compile(r"^target (?:triple|datalayout) = .*$", re.MULTILINE)
 def _module(function: Any) -> Any:
     """LLVM module of a C function with all that it calls, whether just compiled or loaded from the cache."""
     return function._library._get_module_for_linking()
+
+
+def signature_of(text: str) -> Any:
+    """Signature that a text such as `float64(int64)` states."""
+    arguments, result = numba.core.sigutils.normalize_signature(text)
+    return result(*arguments)
 
 
 def can_raise(function: Any) -> bool:

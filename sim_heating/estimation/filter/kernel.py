@@ -44,7 +44,8 @@ from sim_heating.base.kernels.block import (
     T_START,
     T,
 )
-from sim_heating.base.kernels.jit import call_step, njit, pointer
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.base.kernels.truncated_normal import LOG_ROOT_2PI, truncated_normal
 from sim_heating.estimation.filter.arrays import (
     Blocks,

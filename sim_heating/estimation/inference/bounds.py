@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lstsq
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
@@ -101,7 +101,7 @@ class CramerRaoBounds:
         Below some ten degrees of freedom the interval covers less than stated. Source:
         docs/theory/estimation_statistics.md, equation 26.
         """
-        return self.sigma * float(student.ppf(0.5 + 0.5 * level, self.dof))
+        return self.sigma * float(stdtrit(self.dof, 0.5 + 0.5 * level))
 
 
 def grid_index(time_s: FloatArray) -> IntArray:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
@@ -23,7 +23,7 @@ from sim_heating.estimation.inference.likelihood import ReadingIntervals, log_li
 
 FLOOR = 0.1
 """Least sigma over the step of a word: below it the likelihood of a sample is that of its interval alone."""
-LIKELIHOOD_DROP = 0.5 * float(chi2.ppf(0.95, 1))
+LIKELIHOOD_DROP = float(gammaincinv(0.5, 0.95))
 """Drop of the log likelihood at the 95% limits [-], 1.92."""
 NORMAL_MEDIAN, CLIPPED_FROM = 1.4826, 3.5
 """Standard deviation of a normal variable over the median of its magnitude, and number of them that are clipped."""

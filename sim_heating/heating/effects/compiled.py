@@ -16,21 +16,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-from numba import types
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, suggestion
-from sim_heating.base.kernels.jit import address_of, c_function, call_dispatcher, njit, pointer
-from sim_heating.base.kernels.numba_private import call_effect_at, can_raise
+from sim_heating.base.kernels.jit import address_of, c_function, is_interpreted, njit
+from sim_heating.base.kernels.operations import call_dispatcher, call_effect, pointer
 from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import Effect, EffectUse
 
-SIGNATURE = types.float64(types.int64, types.CPointer(types.float64), types.int64, types.int64, types.float64)
+SIGNATURE = "float64(int64, CPointer(float64), int64, int64, float64)"
 """value [-] = dispatcher(code, B, c, p, wall_K), wall_K [K]."""
-KERNEL = types.float64(types.CPointer(types.float64), types.int64, types.int64, types.float64)
+KERNEL = "float64(CPointer(float64), int64, int64, float64)"
 """value [-] = kernel(B, c, p, wall_K), wall_K [K]."""
 
 FLOWN = tuple(name for name, place in vars(flight_variables).items() if isinstance(place, int))
@@ -70,6 +68,8 @@ def _join(kernels: Sequence[Any]) -> Callable[..., float]:
     kernel = kernels[last]
     if last == 0:
         return lambda code, B, c, p, wall_K: kernel(B, c, p, wall_K)
+    import numba  # slow to import
+
     rest = numba.njit(error_model="numpy")(_join(kernels[:last]))
 
     def joined(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
@@ -94,14 +94,14 @@ def effect_dispatcher(effects: tuple[Effect, ...]) -> EffectDispatcher:
     returns : compiled function that calls an effect by its code, and the codes
     raises  : InputError naming the effect that cannot be compiled
     """
-    if numba.config.DISABLE_JIT or not effects:  # type: ignore[attr-defined]
+    if is_interpreted() or not effects:
         return indexed_dispatcher(effects)
     return EffectDispatcher(_compiled_call(), tuple(compiled_kernel(e).address for e in effects))
 
 
 def _call(code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
     """Dispatcher to kernels by their addresses."""
-    return call_effect_at(code, B, c, p, wall_K)
+    return call_effect(code, B, c, p, wall_K)
 
 
 @cache
@@ -238,5 +238,7 @@ def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> s
 @cache
 def _compiled(kernel: Any) -> tuple[Any, bool]:
     """A kernel as a C function, and whether it can raise."""
+    from sim_heating.base.kernels.numba_private import can_raise  # numba is slow to import
+
     made = c_function(KERNEL, kernel.py_func)
     return made, can_raise(made)

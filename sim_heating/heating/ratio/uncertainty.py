@@ -28,11 +28,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.sparse import csr_array
-from scipy.stats import chi2
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -41,6 +39,9 @@ from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.parameters import RATIO, SECOND_ORDER
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 CORRELATION_LENGTH = {"alpha_deg": 30.0, "beta_deg": 20.0, "log10_re": 2.0, "elevon_deg": 30.0, "bodyflap_deg": 30.0}
 """Distance l [deg], or [-] for log10_re, at which errors of two nodes are independent: docs/how_to/table_updates.md."""
@@ -71,6 +72,8 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
     returns : (sample, node) sparse weights [-], rows sum to 1, nodes in the order of a table's ravelled ratio
     Source: docs/theory/equations.md, equation 7.
     """
+    from scipy.sparse import csr_array
+
     nodes = np.zeros((len(x), 1), dtype=np.int64)
     weights = np.ones((len(x), 1))
     # Variable by variable, each doubles the corners: 32 in the end, last variable fastest as in the ravelled ratio.
@@ -137,7 +140,11 @@ class Posterior:
 
         Upper tail of the chi-square distribution with k degrees of freedom (docs/theory/equations.md, equation 17).
         """
-        return float(chi2.sf(self.chi_square, len(self.innovation)))
+        from scipy.special import chdtrc  # slow to import, as all of scipy
+
+        if len(self.innovation) == 0:
+            return math.nan
+        return float(chdtrc(len(self.innovation), self.chi_square))
 
     def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
         """(first, second) posterior covariance [-] of the ratios at two lists of nodes, K - A A'.
@@ -197,6 +204,8 @@ def posterior(
     raises   : InputError where the table has no sigma, or evidence without uncertainty repeats other such evidence
     Source: Rasmussen and Williams (2006), eqs. 2.23 and 2.24; docs/theory/equations.md, equations 15 to 17.
     """
+    from scipy.linalg import solve_triangular
+
     if table.sigma is None:
         raise InputError("ratio table: has no sigma column, which the flight's uncertainty is weighed against; add one")
     # An estimate of effects alone has no ratio parameter, and so no rows.
@@ -244,6 +253,8 @@ def on_axes(table: RatioTable, axes: Sequence[FloatArray]) -> RatioTable:
 
 
 def _cholesky_root(S: FloatArray) -> FloatArray:
+    from scipy.linalg import cholesky
+
     try:
         L: FloatArray = cholesky(S, lower=True)
     except np.linalg.LinAlgError:

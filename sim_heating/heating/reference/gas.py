@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
-from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.jit import njit, njit_of
 from sim_heating.heating.atmosphere import (
     MOLAR_GAS_CONSTANT,
     sutherland_kernel,
@@ -59,7 +60,9 @@ class Grid(NamedTuple):
     prandtl_sigma: FloatArray
 
 
-def _load_grid() -> Grid:
+@cache
+def _grid() -> Grid:
+    """The table, read when it is first asked for."""
     table = read_package_table("heating/data/equilibrium_air.csv")
     log_p, T = np.unique(table["log10_p_Pa"]), np.unique(table["T_K"])
     table["viscosity_ratio"] = np.where(
@@ -86,16 +89,11 @@ def _blend(f: FloatArray, i: int, w: float, j: int, s: float) -> float:
     return (1.0 - w) * ((1.0 - s) * f[i, j] + s * f[i, j + 1]) + w * ((1.0 - s) * f[i + 1, j] + s * f[i + 1, j + 1])
 
 
-# Read once, for the table and its inverse.
-_GRID = _load_grid()
-
-
 def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
-    log_p, T_axis, h_grid, Z_grid, D_grid = _GRID[:5]
+    log_p, T_axis, h_grid, Z_grid, D_grid = _grid()[:5]
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
 
-    @njit
     def lookup(T_K: float, p_Pa: float) -> tuple[float, float, float]:
         i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
         j, s = _uniform_cell(T_K, T_first, T_step, T_count)
@@ -107,11 +105,10 @@ def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
 
 
 def _make_cell() -> Callable[[float, float], tuple[int, float, int, float]]:
-    log_p, T_axis = _GRID.log_p, _GRID.T
+    log_p, T_axis = _grid()[:2]
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
 
-    @njit
     def cell(T_K: float, p_Pa: float) -> tuple[int, float, int, float]:
         i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
         j, s = _uniform_cell(T_K, T_first, T_step, T_count)
@@ -120,8 +117,9 @@ def _make_cell() -> Callable[[float, float], tuple[int, float, int, float]]:
     return cell
 
 
-def _make_column(grid: FloatArray) -> Callable[[int, float, int, float], float]:
-    @njit
+def _make_column(name: str) -> Callable[[int, float, int, float], float]:
+    grid = getattr(_grid(), name)
+
     def column(i: int, w: float, j: int, s: float) -> float:
         return _blend(grid, i, w, j, s)
 
@@ -129,7 +127,7 @@ def _make_column(grid: FloatArray) -> Callable[[int, float, int, float], float]:
 
 
 def _make_inverse() -> Callable[[float, float], tuple[float, int, float, int, float]]:
-    log_p, T_axis, h_grid = _GRID[:3]
+    log_p, T_axis, h_grid = _grid()[:3]
     p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
     # First temperature of the search for each bin of enthalpy: not above the answer at either pressure of the cell.
@@ -137,7 +135,6 @@ def _make_inverse() -> Callable[[float, float], tuple[float, int, float, int, fl
     below = np.array([np.maximum(np.searchsorted(row, feet, side="right") - 1, 0) for row in h_grid])
     begin = np.minimum(below[:-1], below[1:])
 
-    @njit
     def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, int, float, int, float]:
         i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
         h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
@@ -157,18 +154,18 @@ def _make_inverse() -> Callable[[float, float], tuple[float, int, float, int, fl
     return inverse
 
 
-# These closures hold arrays and numbers only: a compiled kernel in one would change the cache key at every start.
-air_kernel = _make_lookup()
+# They close over arrays and numbers only: a compiled kernel in one would change the cache key at every start.
+air_kernel = njit_of(_make_lookup)
 """air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
-_air_cell = _make_cell()
+_air_cell = njit_of(_make_cell)
 """_air_cell(T_K, p_Pa) -> i, w, j, s: cell of the table in p and fraction of it, cell in T and fraction of it."""
-_air_inverse = _make_inverse()
+_air_inverse = njit_of(_make_inverse)
 """_air_inverse(h_J_kg, p_Pa) -> T [K] and its cell: exact inverse of the table's h(T, p); 12000 K above the table."""
-_compressibility = _make_column(_GRID.Z)
-_viscosity_ratio = _make_column(_GRID.viscosity_ratio)
-_viscosity_sigma = _make_column(_GRID.viscosity_sigma)
-_prandtl = _make_column(_GRID.prandtl)
-_prandtl_sigma = _make_column(_GRID.prandtl_sigma)
+_compressibility = njit_of(partial(_make_column, "Z"))
+_viscosity_ratio = njit_of(partial(_make_column, "viscosity_ratio"))
+_viscosity_sigma = njit_of(partial(_make_column, "viscosity_sigma"))
+_prandtl = njit_of(partial(_make_column, "prandtl"))
+_prandtl_sigma = njit_of(partial(_make_column, "prandtl_sigma"))
 
 
 @njit
@@ -249,7 +246,7 @@ def _transport_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
             out[3, m, n] = _prandtl_sigma(i, w, j, s)
 
 
-def _grid(name: str, values: ArrayLike) -> FloatArray:
+def _positive_row(name: str, values: ArrayLike) -> FloatArray:
     a = np.atleast_1d(np.asarray(values, dtype=float))
     if a.ndim != 1 or a.size == 0:
         raise InputError(f"{name}: give one row of values, not an array of shape {a.shape}")
@@ -283,7 +280,7 @@ def transport(T_K: ArrayLike, p_Pa: ArrayLike) -> AirTransport:
     Source: docs/theory/equations_reference_heating.md, equation 7: CEA (NASA RP-1311) and Blottner et al.
     (SC-RR-70-754).
     """
-    T, p = _grid("T_K", T_K), _grid("p_Pa", p_Pa)
+    T, p = _positive_row("T_K", T_K), _positive_row("p_Pa", p_Pa)
     out = np.empty((4, len(T), len(p)))
     _transport_grid(T, p, out)
     return AirTransport(*out)
@@ -304,10 +301,10 @@ def wall_enthalpy_grid(
     Source: docs/theory/equations_reference_heating.md, equation 8.
     """
     cp = None if kind == "equilibrium-air" else _constant_cp(kind)
-    T, p = _grid("T_grid_K", T_grid_K), _grid("p_grid_Pa", p_grid_Pa)
+    T, p = _positive_row("T_grid_K", T_grid_K), _positive_row("p_grid_Pa", p_grid_Pa)
     if cp is not None:
         return np.repeat((cp * T)[:, None], len(p), axis=1)
-    log_p, T_axis, h = _GRID[:3]
+    log_p, T_axis, h = _grid()[:3]
     smooth = _cubic_weights(T, T_axis) @ h.T @ _cubic_weights(np.log10(p), log_p).T
     # As everywhere below the table h is proportional to T.
     return smooth * np.minimum(T / T_axis[0], 1.0)[:, None]

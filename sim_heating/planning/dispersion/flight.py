@@ -21,7 +21,8 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import H_REF, N_CONDITIONS, P_SURFACE, SURROUNDINGS, TIME
-from sim_heating.base.kernels.jit import njit, pointer
+from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.planning.dispersion.spec import DispersedInput
 from sim_heating.simulation.plugin_kernel import PointConstants, derive_conditions

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 
 from sim_heating.base.conditions import FRAME, RATIO_VARIABLES
@@ -39,6 +38,7 @@ from sim_heating.base.kernels.block import (
     node_row,
     parameters_at,
 )
+from sim_heating.base.kernels.compiler import CACHE
 from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function
 from sim_heating.base.limits import LIMITS
 from sim_heating.base.parameters import RATIO, SENSOR, STACK, STACK_PREFIX, UNITS, Parameter
@@ -226,10 +226,9 @@ def compiling_objects(targets: Sequence[Target]) -> Iterator[None]:
         "-c",
         f"from {__name__} import compile_in_second_process; compile_in_second_process({names})",
     ]
-    folder = str(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
     # Two processes of about equal duration; NUMBA_CACHE_DIR gives both one cache of kernels.
     process = subprocess.Popen(
-        command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        command, env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
         _compile_objects([THERMAL_STEP], targets)

@@ -45,8 +45,9 @@ from numba import types
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.package import data_folders
 from sim_heating.base.files.text import write_bytes_atomic
-from sim_heating.base.kernels.jit import source_digest
-from sim_heating.base.kernels.numba_private import plain_entry_ir, pointer_offset, portable_ir
+from sim_heating.base.kernels.cache_folder import source_digest
+from sim_heating.base.kernels.compiler import CACHE
+from sim_heating.base.kernels.numba_private import plain_entry_ir, pointer_offset, portable_ir, signature_of
 
 # What a model shares with the C wrapper ------------------------------------------------------------------------------
 
@@ -145,7 +146,7 @@ class CompilationUnit:
     """A function that is compiled into an object file for each processor, with all functions that it calls by name.
 
     name         : in C, without the suffix of a level
-    signature    : of numba
+    signature    : of numba, or its text
     make         : returns the function, a `jit.c_function` of pointers and numbers; not called where the library or the
                    object file is in the cache
     dependencies : text of sources that it depends on in addition to the package's own
@@ -157,14 +158,19 @@ class CompilationUnit:
     dependencies: str = ""
 
     @cached_property
+    def types(self) -> Any:
+        """numba's signature, with the types of the arguments and of the result."""
+        return signature_of(self.signature) if isinstance(self.signature, str) else self.signature
+
+    @cached_property
     def compiled(self) -> Any:
         """The function, compiled."""
         return self.make()
 
     def prototype(self, name: str) -> str:
         """Declaration in C under this name."""
-        kinds = [_C_TYPES[str(t)] for t in self.signature.args]
-        return f"{_C_TYPES[str(self.signature.return_type)]} {name}({', '.join(kinds)});"
+        kinds = [_C_TYPES[str(t)] for t in self.types.args]
+        return f"{_C_TYPES[str(self.types.return_type)]} {name}({', '.join(kinds)});"
 
     def object_paths(self, target: Target) -> list[Path]:
         """Paths of the object files for a platform in the cache, one for each level."""
@@ -178,8 +184,8 @@ _IR_TYPES = {"float64": "double", "int64": "i64", "none": "void", "float64*": "p
 
 def _module_text(unit: CompilationUnit, symbol: str) -> str:
     """IR of a unit's function under a plain C name, and of all that it calls."""
-    kinds = [_IR_TYPES[str(t)] for t in unit.signature.args]
-    result = _IR_TYPES[str(unit.signature.return_type)]
+    kinds = [_IR_TYPES[str(t)] for t in unit.types.args]
+    result = _IR_TYPES[str(unit.types.return_type)]
     return portable_ir(unit.compiled) + plain_entry_ir(unit.compiled, symbol, result, kinds)
 
 
@@ -284,7 +290,7 @@ def _cache_folder(units: Sequence[CompilationUnit], target: Target) -> Path:
         digest.update(f"{unit.name} {unit.dependencies}".encode())
     for path in (*sorted(wrapper_folder().glob("*.[ch]")), Path(inspect.getfile(object_code))):
         digest.update(path.read_bytes())
-    return Path(numba.config.CACHE_DIR) / "fmu" / digest.hexdigest()[:24]  # type: ignore[attr-defined]
+    return CACHE / "fmu" / digest.hexdigest()[:24]
 
 
 def shared_library(units: Sequence[CompilationUnit], target: Target) -> Path:

@@ -1,0 +1,117 @@
+"""Folder of the compiled kernels: one for each state of the sources that kernels are made of."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import numba
+
+PACKAGE = Path(__file__).resolve().parents[2]
+CACHE_AGE_S = 14 * 86400.0
+"""Age [s] at which unused caches of other versions of the package are removed."""
+DECORATORS = "base.kernels.jit"
+"""Module that each module with a kernel imports."""
+
+
+_IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
+
+
+def _modules(package: Path) -> dict[str, Path]:
+    """File of each module and folder of a package, by its dotted name within it."""
+    files = {path.relative_to(package).with_suffix("").parts: path for path in package.rglob("*.py")}
+    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in files.items()}
+
+
+def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
+    """Modules of the package that a module imports, by their absolute names."""
+    found = set()
+    for module, several, one in _IMPORT.findall(path.read_text(encoding="utf-8")):
+        found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", several + one))}
+    return {modules[name] for name in found if name in modules}
+
+
+def kernel_sources(package: Path = PACKAGE) -> list[Path]:
+    """All sources of the compiled kernels: modules that import the decorators, what those import, and data files.
+
+    package : folder of the package
+    returns : paths in their order
+
+    Imports are found by their absolute names in the text, since parsing all modules would cost a start a second
+    (tests/base/test_kernel_cache.py compares with a parser). A relative import would not be found. The public face of
+    the package names everything, the compiler included, and defines no kernel: it is none of them.
+    """
+    modules = _modules(package)
+    imports = {path: _imported(path, modules) for name, path in modules.items() if name}
+    waiting = [path for path, found in imports.items() if modules[DECORATORS] in found]
+    sources: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        if path not in sources:
+            sources.add(path)
+            waiting += imports[path]
+    return sorted([*sources, *package.rglob("*.csv")])
+
+
+def source_digest(package: Path = PACKAGE) -> str:
+    """Digest of all sources of the compiled kernels and of the version of numba.
+
+    package : folder of the package
+    returns : 16 hexadecimal digits, of which the name of the cache folder is made
+
+    numba keys its cache by the file of a function alone: a kernel that calls another one, or has a table as a constant,
+    would keep its old code after a change in the other file.
+    """
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in kernel_sources(package):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_folder() -> str:
+    """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
+    name = f"kernels-{source_digest()}"
+    for home in (_user_cache(), _temporary_cache()):
+        try:
+            if home is None:
+                continue
+            folder = home / name
+            folder.mkdir(parents=True, exist_ok=True)
+            # Writing is tried: permissions alone do not show a full or read-only file system.
+            with tempfile.TemporaryFile(dir=folder):
+                folder.touch()
+            for other in home.glob("kernels-*"):
+                if time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                    shutil.rmtree(other, ignore_errors=True)
+            return str(folder)
+        except OSError:
+            continue
+    return tempfile.mkdtemp(prefix="sim_heating_kernels_")
+
+
+def _user_cache() -> Path | None:
+    """The user's cache; None for a user without a home, as in a container."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sim_heating"
+    except RuntimeError:
+        return None
+
+
+def _temporary_cache() -> Path | None:
+    """A temporary folder that later processes of this user find again; None where others could write to it."""
+    if not hasattr(os, "getuid"):
+        return None
+    folder = Path(tempfile.gettempdir()) / f"sim_heating-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.lstat()
+    is_private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return folder if is_private else None

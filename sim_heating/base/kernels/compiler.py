@@ -1,0 +1,93 @@
+"""Compilation of all kernels in one way: strict IEEE arithmetic, no exceptions, cached where a cache can be written.
+
+numba and the compiled operations take half a second to import: the decorators of jit.py import this module when the
+first kernel is called.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numba
+import numba.extending
+
+from sim_heating.base.kernels.cache_folder import cache_folder
+from sim_heating.base.kernels.numba_private import (
+    CFunctionCompiler,
+    KernelCompiler,
+    array_data,
+    call_dispatcher_at,
+    call_effect_at,
+    call_step_at,
+    mantissa_and_exponent_bits,
+    power_of_two_bits,
+)
+from sim_heating.base.kernels.operations import call_dispatcher, call_effect, call_step, pointer, power_of_two, split
+
+if "NUMBA_CACHE_DIR" not in os.environ:
+    numba.config.CACHE_DIR = cache_folder()  # type: ignore[attr-defined]
+CACHE = Path(numba.config.CACHE_DIR)  # type: ignore[attr-defined]
+"""Folder of compiled kernels and of the objects of exported libraries."""
+
+# Loops over a few lanes are unrolled before the loop vectoriser sees them; this pass packs them back into vectors. It
+# reorders no arithmetic: results keep their bits.
+numba.config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
+
+
+_ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
+"""Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
+
+
+def kernel(function: Any, inline: bool) -> Any:
+    """numba's dispatcher of a kernel; `inline` as in jit.njit."""
+    made = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
+    return made(function)
+
+
+def inlined_kernel(function: Any) -> Any:
+    """numba's dispatcher of a kernel that is copied into its callers before they are compiled."""
+    return numba.njit(inline="always", **_ARITHMETIC)(function)
+
+
+def c_function(signature: Any, function: Any, cache: bool) -> Any:
+    """A kernel as a C function of numba."""
+    return numba.cfunc(signature, cache=cache, pipeline_class=CFunctionCompiler, **_ARITHMETIC)(function)
+
+
+@numba.extending.overload(pointer, inline="always")
+def _pointer_compiled(array):  # type: ignore[no-untyped-def]
+    if isinstance(array, numba.types.Array):
+        return lambda array: array_data(array)
+    return None
+
+
+@numba.extending.overload(power_of_two, inline="always")
+def _power_of_two_compiled(k):  # type: ignore[no-untyped-def]
+    return lambda k: power_of_two_bits(k)
+
+
+@numba.extending.overload(split, inline="always")
+def _split_compiled(x):  # type: ignore[no-untyped-def]
+    return lambda x: mantissa_and_exponent_bits(x)
+
+
+@numba.extending.overload(call_dispatcher, inline="always")
+def _call_dispatcher_compiled(dispatcher, code, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    if isinstance(dispatcher, numba.types.Integer):
+        return lambda dispatcher, code, B, c, p, wall_K: call_dispatcher_at(dispatcher, code, B, c, p, wall_K)
+    return None
+
+
+@numba.extending.overload(call_effect, inline="always")
+def _call_effect_compiled(kernel, B, c, p, wall_K):  # type: ignore[no-untyped-def]
+    return lambda kernel, B, c, p, wall_K: call_effect_at(kernel, B, c, p, wall_K)
+
+
+@numba.extending.overload(call_step, inline="always")
+def _call_step_compiled(step, B, J, table, dispatcher, dt):  # type: ignore[no-untyped-def]
+    if isinstance(step, numba.types.Integer):
+        return lambda step, B, J, table, dispatcher, dt: call_step_at(step, B, J, table, dispatcher, dt)
+    return None
