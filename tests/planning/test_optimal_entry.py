@@ -202,7 +202,7 @@ def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
     with pytest.raises(
         RunError, match=r"no flight was found.*NOSECAP at \d+ K at the surface, whose limit is 700 K"
     ) as error:
-        fly_optimal(study_of(cold, intervals=8, mesh_tolerance=1e-2))
+        fly_optimal(study_of(cold, intervals=5, mesh_tolerance=0.05))
     assert "\n" not in str(error.value)
 
 
