@@ -22,6 +22,7 @@ from sim_heating.estimation.problem import FitOptions, FitProblem, joint_referen
 from sim_heating.estimation.side_by_side import JointMarch
 from sim_heating.heating import flight_variables
 from sim_heating.heating.effects import Effect, EffectUse, effect, effects, use
+from sim_heating.heating.effects.compiled import values_along
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.mesh_choice import pack
@@ -94,6 +95,16 @@ def test_catalysis_may_lose_part_of_its_rise_on_a_hotter_wall(wall_K, fall, fall
     used = use("catalysis", rise | {"fall_fraction": fall, "fall_K": fall_K})
     up, down = (1.0 / (1.0 + math.exp(-(wall_K - T) / 60.0)) for T in (1100.0, fall_K))
     assert value(used, wall_K) == pytest.approx(1.0 + 0.5 * up * (1.0 - fall * down), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["transition", "impingement-onset", "catalysis", "jet-interaction", "emissivity"])
+def test_values_along_a_flight_are_those_of_each_of_its_samples_to_the_last_bit(name):
+    used, walls_K = use(name), np.linspace(300.0, 1600.0, 40)
+    rows = flight(np.arange(40.0), alpha_deg=np.linspace(25.0, 50.0, 40), log10_re=np.linspace(5.0, 8.0, 40))[0]
+    one_by_one = [
+        used.effect.kernel(np.append(r, used.values), 0, len(r), T) for r, T in zip(rows, walls_K, strict=True)
+    ]
+    assert np.array_equal(values_along(used, rows, walls_K), one_by_one)
 
 
 @pytest.mark.parametrize("jets", [0.0, 0.3, 1.0])
