@@ -15,7 +15,7 @@ from sim_heating.closure.report import write_closure
 from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy, assess, p_value
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import Hypothesis, conclude
-from sim_heating.closure.search.search import SearchResult
+from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import Status
@@ -57,7 +57,7 @@ def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None
 
 
 def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
-    found = closed("p02").search  # a sine in time, which is no effect of the library
+    found = search_effects(load_record(PRACTICE / "p02"))  # a sine in time, which is no effect of the library
     assert found.names == ("unknown",)
     assert found.none.excess_chi2 > 10.0
     assert found.curve is not None  # what it follows best is shown and not named
