@@ -23,6 +23,7 @@ from sim_heating.cli.console import (
 if TYPE_CHECKING:
     from sim_heating.live.engine import LinkEngine
     from sim_heating.live.outputs.published import Output
+    from sim_heating.live.outputs.server import PageServer
     from sim_heating.live.spec import Link
     from sim_heating.live.state import State
 
@@ -39,8 +40,10 @@ MOST_REMARKS = 20
 @click.option("--speed", type=click.FloatRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
 @click.option("--demo", is_flag=True, help="fly the Mach-20 POPU in JSBSim at 10x, stream it and open the page")
 @click.option("--headless", is_flag=True, help="serve no page")
+@click.option("--metrics", is_flag=True, help="serve Prometheus metrics and the latest state without a page, too")
 @click.option("--host", metavar="ADDRESS", help="address of the page; other machines than this one need its token")
 @click.option("--port", type=click.IntRange(0, 65535), help="port of the page; 0 for any that is free")
+@click.option("--token", help="what readers of the page have to give; with --host one is made where none is given")
 @click.option("--to-record", type=PATH, metavar="JOURNAL", help="make records of a journal, and end")
 @ROOT
 def live(
@@ -50,8 +53,10 @@ def live(
     speed: float | None,
     demo: bool,
     headless: bool,
+    metrics: bool,
     host: str | None,
     port: int | None,
+    token: str | None,
     to_record: Path | None,
     root: Path | None,
 ) -> None:
@@ -64,11 +69,11 @@ def live(
         _make_records(to_record, link, out, root)
         return
     _check_options(link, replay, demo, speed)
-    _need_extra(headless)
     loaded, stream = _link_of(link, replay, demo, speed, root)
-    options = {k: v for k, v in {"host": host, "port": port}.items() if v is not None}
+    options = {k: v for k, v in {"host": host, "port": port, "token": token}.items() if v is not None}
+    server = _server(loaded, headless, metrics, options)
     directory = out if out is not None else Path("out") / ("live-demo" if demo else loaded.path.stem)
-    _follow(loaded, directory, headless, demo, options, stream, is_repeatable=demo or replay is not None)
+    _follow(loaded, directory, server, demo, stream, is_repeatable=demo or replay is not None)
 
 
 def _check_options(link: Path | None, replay: Path | None, demo: bool, speed: float | None) -> None:
@@ -78,12 +83,6 @@ def _check_options(link: Path | None, replay: Path | None, demo: bool, speed: fl
         raise click.UsageError("Missing argument 'LINK', --replay RECORD or --demo.")
     if speed is not None and replay is None and not demo:
         raise click.UsageError("--speed is that of --replay or --demo")
-
-
-def _need_extra(headless: bool) -> None:
-    from sim_heating.live.sources.extra import need_extra
-
-    need_extra(*(() if headless else ("starlette", "uvicorn", "websockets", "prometheus_client")))
 
 
 def _make_records(journal: Path, link: Path | None, out: Path | None, root: Path | None) -> None:
@@ -121,9 +120,8 @@ def _link_of(
 def _follow(
     link: Link,
     directory: Path,
-    headless: bool,
+    server: PageServer | None,
     demo: bool,
-    options: dict[str, Any],
     open_sources: Any,
     *,
     is_repeatable: bool,
@@ -141,7 +139,7 @@ def _follow(
     ended = False
     try:
         engine = LinkEngine(link, journal)
-        outputs = _outputs(engine, headless, options, opens_browser=demo)
+        outputs = _outputs(engine, server, opens_browser=demo)
         state = run(
             engine, outputs, resume=journal.is_resumed, open_sources=open_sources,
             waiting=lambda: progress_line(link.title),
@@ -205,16 +203,18 @@ def _bound(value: float, sigma: float, spec: str = ".4g", sigma_spec: str = ".2g
     return f"{value:{spec}} +- {sigma:{sigma_spec}}"
 
 
-def _outputs(engine: LinkEngine, headless: bool, options: dict[str, Any], *, opens_browser: bool) -> list[Output]:
-    """The outputs of a link: its page, and the displays that it sends lines to."""
-    link, declared = engine.link, engine.link.declared.output
-    outputs: list[Output] = []
-    for address in declared.lines:
-        from sim_heating.live.outputs.lines import lines_to
+def _server(link: Link, headless: bool, metrics: bool, options: dict[str, Any]) -> PageServer | None:
+    """What serves the page of a link, or its metrics alone; None where neither is wanted."""
+    from sim_heating.live.sources.extra import need_extra
 
-        outputs.append(lines_to(address))
-    if headless or not declared.page:
-        return outputs
+    declared = link.declared.output
+    has_page = declared.page and not headless
+    if not (has_page or metrics or declared.metrics):
+        if options:
+            names = ", ".join(f"--{name}" for name in options)
+            raise click.UsageError(f"{names}: this link has no page; serve its metrics alone by --metrics")
+        return None
+    need_extra("starlette", "uvicorn", "websockets", "prometheus_client")
     from sim_heating.live.outputs.display import Display
     from sim_heating.live.outputs.server import PageServer
 
@@ -222,20 +222,34 @@ def _outputs(engine: LinkEngine, headless: bool, options: dict[str, Any], *, ope
         display = Display.of_vehicle(link.vehicle, link.names, link.title)
     else:
         display = Display.of_records([link.records[name] for name in link.names], link.title)
-    server = PageServer(display, **{"host": declared.host, "port": declared.port, **options})
-    return [_Announced(server, opens_browser), *outputs]
+    return PageServer(display, **{"host": declared.host, "port": declared.port, "page": has_page, **options})
+
+
+def _outputs(engine: LinkEngine, server: PageServer | None, *, opens_browser: bool) -> list[Output]:
+    """The outputs of a link: its page, the displays that it sends lines to, the JSBSim that it writes to."""
+    link, declared = engine.link, engine.link.declared.output
+    outputs: list[Output] = [] if server is None else [_Announced(server, opens_browser)]
+    for address in declared.lines:
+        from sim_heating.live.outputs.lines import lines_to
+
+        outputs.append(lines_to(address))
+    if declared.jsbsim is not None:
+        from sim_heating.live.outputs.jsbsim_properties import JSBSimProperties
+
+        outputs.append(JSBSimProperties.of_link(link, engine.remarks.add))
+    return outputs
 
 
 class _Announced:
-    """A page whose address is printed when it is served."""
+    """A page, or metrics alone, whose address is printed when it is served."""
 
-    def __init__(self, server: Any, opens_browser: bool) -> None:
+    def __init__(self, server: PageServer, opens_browser: bool) -> None:
         self._server, self._opens_browser = server, opens_browser
 
     async def start(self) -> None:
         await self._server.start()
-        ERRORS.print(f"page: {self._server.url}")
-        if self._opens_browser and CONSOLE.is_terminal:
+        ERRORS.print(f"{'page' if self._server.has_page else 'metrics'}: {self._server.url}")
+        if self._opens_browser and self._server.has_page and CONSOLE.is_terminal:
             click.launch(self._server.url)
 
     def publish(self, published: Any) -> None:

@@ -16,13 +16,14 @@ altitude_m = { field = "h", unit = "ft" }
 [estimate]                          # parameters, priors, wandering ratio, lateness, start
 [ahead]                             # futures, horizon, probability of "knock it off by"
 [missing]                           # the sequential test of the innovations
-[output]                            # page, lines of JSON, metrics
+[output]                            # page, lines of JSON, metrics, properties of a JSBSim
 [journal]                           # how often what came is forced to the disk
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -294,22 +295,40 @@ class MissingSettings(Declared):
     false_alarms_per_hour: float = Field(default=0.01, gt=0.0, le=10.0)
 
 
+class JSBSimInput(Declared):
+    """The input socket of a running JSBSim, which the estimates are written to as properties.
+
+    host   : address of the machine that JSBSim runs on
+    prefix : folder of the properties: PREFIX/POINT/surface_K and so on
+    """
+
+    quantities: ClassVar = {"port": None}
+
+    host: str = LOOPBACK
+    port: int = Field(default=5502, ge=1, le=65535, description="port of JSBSim's `<input>`, 1 to 65535")
+    prefix: str = Field(default="heating", pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*(/[A-Za-z_][A-Za-z0-9_.-]*)*/?$")
+
+
 class OutputSettings(Declared):
     """Where the state goes.
 
     page    : whether a page is served
+    metrics : whether a link without a page still serves its metrics and its latest state, at the address of the page
     host    : address of the page; any but this machine's own needs a token, which is printed at the start
     rate_Hz : states a second, at most 10
     lines   : other displays that lines of JSON are sent to: "udp://HOST:PORT" or "ws://HOST:PORT"
+    jsbsim  : the running JSBSim that the estimates are written to, of a link with a source of kind = "jsbsim"
     """
 
     quantities: ClassVar = dict.fromkeys(("port", "rate_Hz"))
 
     page: bool = True
+    metrics: bool = False
     host: str = LOOPBACK
     port: int = Field(default=8465, ge=0, le=65535, description="port of the page; 0 for any that is free")
     rate_Hz: float = Field(default=10.0, gt=0.0, le=10.0)
     lines: list[str] = Field(default=[])
+    jsbsim: JSBSimInput | None = None
 
 
 class JournalSettings(Declared):
@@ -380,6 +399,14 @@ class LinkFile(Declared):
             raise LocatedError((("control_points",), f"`{name}` is repeated; name it once"))
         return self
 
+    @model_validator(mode="after")
+    def _check_jsbsim(self) -> LinkFile:
+        if self.output.jsbsim is not None and not any(isinstance(s, JSBSimOutput) for s in self.source):
+            raise LocatedError(
+                (("output", "jsbsim"), 'goes with a [[source]] of kind = "jsbsim"; add one or remove this table')
+            )
+        return self
+
 
 def _unknown_column(name: str, known: Sequence[str]) -> str:
     return f"unknown column of flight conditions{suggestion(name, known)}"
@@ -436,9 +463,27 @@ class Link:
         """A sensor by the names of its control point and of itself; KeyError where there is none."""
         return next(s for p in self.points if p.name == point for s in p.sensors if s.name == name)
 
+    @property
+    def property_folders(self) -> dict[str, str]:
+        """Folder of each control point among the properties of a JSBSim; empty without `[output.jsbsim]`.
+
+        What a property's name cannot hold is an underscore there: heating/left_wing of `left wing`.
+        """
+        given = self.declared.output.jsbsim
+        if given is None:
+            return {}
+        prefix = given.prefix.rstrip("/")
+        return {name: f"{prefix}/{_property_name(name)}" for name in self.names}
+
     def file(self, name: str, key: str) -> Path:
         """The path of a file that a key names; InputError where it leads outside the folders of the link."""
         return self.roots.named(name, key)
+
+
+def _property_name(name: str) -> str:
+    """A name as a part of a JSBSim property: letters of English, digits, `_`, `-` and `.`, no digit in front."""
+    found = re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+    return found if re.match(r"[A-Za-z_]", found) else f"_{found}"
 
 
 def load_link(path: str | os.PathLike[str] | Link, *, root: str | os.PathLike[str] | None = None) -> Link:
@@ -490,7 +535,7 @@ def make_link(
     columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
     own_root = None if root is None else Path(root)
     link = Link(place, declared, vehicle, records, points, columns, scenario, roots, own_root)
-    raise_problems(_scenario_problems(link))
+    raise_problems([*_scenario_problems(link), *_property_problems(link)])
     return link
 
 
@@ -506,7 +551,10 @@ def replayed(
     if link is None:
         place = Path(record).absolute().with_suffix(".toml")
         return make_link({"format": "link/1", "records": [source["record"]], "source": [source]}, place, root=root)
-    declared = link.declared.model_dump(exclude_unset=True, exclude={"time", "conditions", "sensor"})
+    declared = link.declared.model_dump(
+        exclude_unset=True,
+        exclude={"time": True, "conditions": True, "sensor": True, "output": {"jsbsim"}},  # a record is no JSBSim
+    )
     return make_link(declared | {"source": [source]}, link.path, root=root)
 
 
@@ -554,4 +602,15 @@ def _scenario_problems(link: Link) -> list[str]:
     return [
         f"{display_path(link.path)}, [ahead]: `scenario`: flies {link.scenario.vehicle.name}, the link follows "
         f"{link.vehicle.name}; they must be one vehicle"
+    ]
+
+
+def _property_problems(link: Link) -> list[str]:
+    """Two control points whose properties in a JSBSim would be one."""
+    if (folder := repeated_name(list(link.property_folders.values()))) is None:
+        return []
+    both = " and ".join(name for name, own in link.property_folders.items() if own == folder)
+    return [
+        f"{display_path(link.path)}, [output.jsbsim]: control points {both} would both be {folder} in JSBSim; follow "
+        "one of them, or rename one"
     ]

@@ -13,7 +13,7 @@ import sim_heating as sh
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record
-from tests.live.links import FRAME, json_lines, part_of_record
+from tests.live.links import FRAME, free_port, json_lines, part_of_record
 from tests.support.json_output import run_json
 from tests.support.paths import PRACTICE
 
@@ -114,6 +114,25 @@ def test_a_port_in_use_is_one_line(tmp_path, capsys):
         port = str(other.getsockname()[1])
         told = the_error(capsys, "live", str(of_vehicle(tmp_path)), "--port", port, "--out", str(tmp_path / "o"))
     assert f"page: port {port} of 127.0.0.1 is in use" in told
+
+
+def test_a_headless_link_serves_its_metrics_where_that_is_asked_for(tmp_path, capsys):
+    port = str(free_port(socket.SOCK_STREAM))
+    for name, options, text in (("a", ["--metrics"], LINK), ("b", [], LINK + "\n[output]\nmetrics = true\n")):
+        (tmp_path / name).mkdir()
+        link = of_vehicle(tmp_path / name, text, frames=3)
+        out = str(tmp_path / name / "o")
+        assert main(["live", str(link), "--headless", "--port", port, "--out", out, *options]) == 0
+        assert f"metrics: http://127.0.0.1:{port}/metrics" in " ".join(capsys.readouterr().err.split())
+
+
+def test_options_of_a_page_that_is_not_served_and_a_short_token_are_one_line(tmp_path, capsys):
+    link, out = str(of_vehicle(tmp_path, frames=1)), ["--out", str(tmp_path / "o")]
+    told = the_error(capsys, "live", link, "--headless", "--token", "x" * 16, *out)
+    assert "--token: this link has no page; serve its metrics alone by --metrics" in told
+    told = the_error(capsys, "live", link, "--host", "0.0.0.0", "--token", "guess", *out)
+    assert "a token has at least 16" in told
+    assert not (tmp_path / "o").exists()
 
 
 def test_a_mapping_of_an_unknown_condition_is_one_line(tmp_path, capsys):

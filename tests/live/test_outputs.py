@@ -111,6 +111,36 @@ def test_readers_change_nothing(state):
         assert json.loads(ask(f"{server.url}state.json")[2]) == plain(state)
 
 
+def test_without_a_page_there_are_metrics_and_the_latest_state_alone(state):
+    with served(NOTHING, page=False) as (server, page):
+        page.publish(state)
+        assert server.url == f"http://127.0.0.1:{server.port}/metrics"
+        assert "sim_heating_surface_kelvin" in ask(server.url)[2]
+        here = f"http://127.0.0.1:{server.port}/"
+        assert json.loads(ask(f"{here}state.json")[2]) == plain(state)
+        for path in ("", "static.json", "history.json", "curve.json", "live.js"):
+            assert ask(here + path)[0] == 404
+        with pytest.raises(InvalidStatus):
+            asyncio.run(first_message(f"ws://127.0.0.1:{server.port}/lines"))
+
+
+def test_a_token_that_is_given_is_the_one_that_readers_need(state):
+    token = "a-token.of_mine~2026"
+    with served(NOTHING, token=token, page=False) as (server, page):  # on this machine, too
+        page.publish(state)
+        url = f"http://127.0.0.1:{server.port}/metrics"
+        assert server.url == f"{url}?token={token}"
+        assert ask(url)[0] == 401
+        assert ask(url, Authorization=f"Bearer {token}")[0] == 200
+        assert ask(server.url)[0] == 200
+
+
+@pytest.mark.parametrize("token", ["", "short", "fifteen-letters", "sixteen letters!", "käse-und-trauben-dazu"])
+def test_a_token_that_can_be_guessed_or_does_not_fit_an_address_is_refused(token):
+    with pytest.raises(InputError, match=r"^page: a token has at least 16 letters of English.*; give a longer"):
+        PageServer(NOTHING, token=token)
+
+
 # Slow readers --------------------------------------------------------------------------------------------------------
 
 

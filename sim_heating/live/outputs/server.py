@@ -7,7 +7,8 @@
 
 Everything can be read and nothing changed: the only word that a reader sends is which control point it shows. The
 server listens on this machine alone unless another address is asked for; then readers need a token. Each reader has
-room for one state: one that reads slowly misses states, and holds nobody back.
+room for one state: one that reads slowly misses states, and holds nobody back. Without a page there are `/state.json`
+and `/metrics`.
 
 | address | what |
 |---|---|
@@ -28,6 +29,7 @@ import errno
 import hmac
 import ipaddress
 import json
+import re
 import secrets
 import socket
 from collections.abc import Awaitable, Callable, Iterator
@@ -57,6 +59,8 @@ ON_ITS_WAY = 1 << 17
 LONGEST_WORD = 1024
 """Bytes that a reader may send in one message."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
+SHORTEST_TOKEN = 16
+"""Characters of a token: one that is shorter can be guessed."""
 
 PAGE = Path(__file__).parents[1] / "page"
 REPORT = Path(__file__).parents[2] / "base" / "report"
@@ -112,7 +116,8 @@ class PageServer:
     host    : address to listen at; one that other machines reach needs a token
     port    : 0 takes a free one
     token   : what readers have to give; made where `host` needs one and None is given
-    page    : whether there is a page, or states and metrics alone
+    page    : whether there is a page, or the latest state and metrics alone
+    raises  : InputError for a token that can be guessed, or that no address can hold
     """
 
     def __init__(
@@ -125,9 +130,11 @@ class PageServer:
         page: bool = True,
     ) -> None:
         self.display, self.host, self.port = display, host, port
-        self.token = token or (None if is_loopback(host) else secrets.token_urlsafe(16))
+        if token is None and not is_loopback(host):
+            token = secrets.token_urlsafe(SHORTEST_TOKEN)
+        self.token = None if token is None else _checked_token(token)
         self.metrics = Metrics()
-        self._page = page
+        self.has_page = page
         self._history = History()
         self._latest: Published | None = None
         self._readers: set[Latest] = set()
@@ -135,13 +142,14 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """Address of the page, with its token; of this machine's name where it listens at all addresses."""
+        """Address of the page or else of the metrics, with its token; of this machine's name for all addresses."""
         host = self.host
         with contextlib.suppress(ValueError):
             if ipaddress.ip_address(host).is_unspecified:
                 host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+        path = "" if self.has_page else "metrics"
+        return f"http://{host}:{self.port}/{path}" + (f"?token={self.token}" if self.token else "")
 
     async def start(self) -> None:
         """Listen; raises InputError where the port cannot be used."""
@@ -171,7 +179,8 @@ class PageServer:
         """Give a state to all readers; returns at once."""
         self._latest = published
         self.metrics.publish(published)
-        self._history.add(published.state)
+        if self.has_page:
+            self._history.add(published.state)
         for reader in self._readers:
             reader.put(published)
 
@@ -238,15 +247,14 @@ class PageServer:
         from starlette.routing import Route, WebSocketRoute
 
         answers: dict[str, Callable[[Request], Awaitable[Response]]] = {
-            "/static.json": self._static, "/history.json": self._history_of, "/curve.json": self._curve,
             "/state.json": self._state, "/metrics": self._metrics_text,
         }  # fmt: skip
-        if self._page:
+        sockets: list[WebSocketRoute] = []
+        if self.has_page:
+            answers |= {"/static.json": self._static, "/history.json": self._history_of, "/curve.json": self._curve}
             answers |= dict.fromkeys(ASSETS, self._asset)
+            sockets = [WebSocketRoute("/lines", self._lines), WebSocketRoute("/page", self._page_states)]
         routes = [Route(path, answer, methods=["GET"]) for path, answer in answers.items()]
-        sockets = [WebSocketRoute("/lines", self._lines)]
-        if self._page:
-            sockets.append(WebSocketRoute("/page", self._page_states))
         return Starlette(routes=[*routes, *sockets])
 
     async def _asset(self, request: Request) -> Response:
@@ -326,6 +334,16 @@ class PageServer:
             for task in both:
                 task.cancel()
             await asyncio.gather(*both, return_exceptions=True)
+
+
+def _checked_token(token: str) -> str:
+    """A token as it is given; InputError for one that can be guessed, or that no address can hold."""
+    if len(token) < SHORTEST_TOKEN or not re.fullmatch(r"[A-Za-z0-9._~-]*", token):
+        raise InputError(
+            f"page: a token has at least {SHORTEST_TOKEN} letters of English, digits or characters of . _ ~ -; give a "
+            "longer one of these, or none for one that is made"
+        )
+    return token
 
 
 def _query(scope: Scope, name: str) -> str:
