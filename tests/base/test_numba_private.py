@@ -67,7 +67,10 @@ def test_garbage_is_not_collected_while_a_kernel_is_compiled():
     assert gc.isenabled()
 
 
-def test_kernels_have_no_entry_for_c_and_those_on_pointers_none_for_python():
+def test_kernels_have_no_entry_for_c_and_those_on_pointers_none_for_python(tmp_path, monkeypatch):
+    # from the cache the outer one would come whole, and the inner one would not be compiled
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
     @njit
     def first_of(B):
         return B[0]
