@@ -12,8 +12,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from sim_heating.live import LinkEngine, State, load_link, run_link
-from sim_heating.live.outputs.jsbsim_properties import JSBSimProperties
+from sim_heating.live import JSBSimProperties, LinkEngine, State, load_link, run_link
 
 LIVE = Path(__file__).resolve().parents[1] / "scenarios" / "live"
 FLIGHT = """

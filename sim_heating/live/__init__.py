@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sim_heating.live.engine import LinkEngine as LinkEngine
     from sim_heating.live.estimator import LiveEstimator as LiveEstimator
+    from sim_heating.live.outputs.jsbsim_properties import JSBSimProperties as JSBSimProperties
     from sim_heating.live.points import VehiclePoints as VehiclePoints
     from sim_heating.live.run import run_link as run_link
     from sim_heating.live.spec import load_link as load_link
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Frame": "types",
+    "JSBSimProperties": "outputs.jsbsim_properties",
     "LinkEngine": "engine",
     "LiveEstimator": "estimator",
     "Reading": "types",

@@ -79,8 +79,9 @@ def source_digest(package: Path = PACKAGE) -> str:
 def cache_folder() -> str:
     """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
     name = f"kernels-{source_digest()}"
-    for home in (_user_cache(), _temporary_cache()):
+    for place in (_user_cache, _temporary_cache):
         try:
+            home = place()
             if home is None:
                 continue
             folder = home / name

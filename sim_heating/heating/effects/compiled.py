@@ -116,6 +116,8 @@ def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatA
     rows    : (row, condition) flight conditions in the order and the units of `flight`;  wall_K : (row,) walls [K]
     returns : (row,) what the effect adds to the heating ratio, or its factor [-]
     raises  : InputError where the kernel cannot be compiled
+
+    Each value is that of the effect's own equation (docs/reference/effects.md, equations 1 to 19).
     """
     made = effect_dispatcher((use.effect,))
     block, values = np.append(np.zeros(rows.shape[1]), use.values), np.empty(len(rows))
