@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
@@ -40,7 +40,7 @@ from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibratio
 from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
-from sim_heating.live.heated_start import start_of_heated
+from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
 from sim_heating.live.types import Frame, Sample
@@ -730,7 +730,22 @@ class LiveEstimator:
         if not found:
             self._tell(f"{point.name}: no reading to start from; the declared temperatures are taken")
             return exactly
-        return start_of_heated(point.model, point.mesh, found, conditions)
+        try:
+            profile, covariance = start_of_heated(point.model, point.mesh, found, conditions)
+        except RunError as error:
+            reason = str(error).splitlines()[0]
+            self._tell(
+                f"{point.name}: no heating conducts to its first readings ({reason}); the declared temperatures are "
+                "taken"
+            )
+            return exactly
+        miss_K = max(abs(T - float(profile[node])) for node, T in found.items())
+        if miss_K > START_AGREES * reading_sigma_K(apart):
+            self._tell(
+                f"{point.name}: no history of heating agrees with its first readings; the start misses them by up to "
+                f"{miss_K:.0f} K, and its bounds are as wide"
+            )
+        return profile, covariance
 
     # Estimates -------------------------------------------------------------------------------------------------------
 

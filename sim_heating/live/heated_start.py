@@ -66,7 +66,7 @@ def start_of_heated(
     read = np.array([read_K[n] for n in nodes])
     rise = float(read[0] - declared[0])
     T = _conducted(model, mesh, float(declared[0]), rise, conditions)
-    sigma = np.hypot(START_SIGMA_K, READING_SHARE * abs(rise))
+    sigma = reading_sigma_K(rise)
     chi2 = np.sum(((T[:, nodes] - read) / sigma) ** 2, axis=1)
     weight = np.exp(-0.5 * (chi2 - chi2.min()))
     weight /= np.sum(weight)
@@ -75,6 +75,12 @@ def start_of_heated(
     error_K = max(START_SIGMA_K, float(np.max(np.abs(mean[nodes] - read))))
     root = error_K * smooth_directions(diffusion_depths(model.construction, mesh))
     return mean, spread.T @ spread + root @ root.T
+
+
+def reading_sigma_K(rise_K: float) -> float:
+    """Standard deviation [K] by which these histories miss a thermocouple, after a rise of the surface [K]:
+    docs/theory/clocks_and_starts.md, equation 8."""
+    return float(np.hypot(START_SIGMA_K, READING_SHARE * abs(rise_K)))
 
 
 def _conducted(model: PointModel, mesh: Mesh, declared_K: float, rise_K: float, conditions: FloatArray) -> FloatArray:

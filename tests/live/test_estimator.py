@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -21,6 +22,7 @@ from sim_heating.live.estimator import LiveEstimator, LiveOptions, default_prior
 from sim_heating.live.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
+from sim_heating.march.point import initial_temperatures
 from tests.support.paths import PRACTICE
 
 NODES = 14
@@ -281,6 +283,27 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
     value, sigma = found.parameters["ratio.scale"]
     assert abs(value - 0.05) < 4.0 * sigma
     assert name in found.sensors
+
+
+@pytest.mark.parametrize(
+    ("readings_K", "told"),
+    [
+        ((1e200, 400.0), r"no heating conducts to its first readings \(.*\); the declared temperatures are taken"),
+        ((250.0, 3000.0), "no history of heating agrees with its first readings; the start misses them by up to 2"),
+    ],
+)
+def test_readings_that_no_heating_explains_are_told_and_the_link_begins(readings_K, told):
+    e = estimator()
+    point = e.points[0]
+    words = [Reading(BEGIN_S, point.name, s.name, T) for s, T in zip(point.sensors, readings_K, strict=True)]
+    feed(e, [*words, *(s for s in samples() if isinstance(s, Frame))])
+    (line,) = [m for m in e.messages if m.startswith(point.name)]
+    assert re.search(told, line)
+    profile, covariance = e.start_of(point.name)
+    declared = initial_temperatures(point.model.construction, point.mesh)
+    away = np.abs(profile[list(point.mesh.sensors)] - readings_K)
+    assert np.array_equal(profile, declared) or np.all(away < 2.0 * np.sqrt(np.diag(covariance))[[*point.mesh.sensors]])
+    assert e.time_s == END_S
 
 
 def test_names_that_the_link_does_not_have_are_told_with_the_nearest():
