@@ -20,6 +20,9 @@ TEXT = "document.getElementById('{}').textContent"
 SEEN_WITHIN_S = 2.0
 ESTIMATE = 0xFFB27200
 """Colour of the estimate as a pixel holds it, #0072B2."""
+AS_FLOWN = 0xFFAEA49A
+"""That of the declared ratio as it was flown, #9aa4ae."""
+KEYS = "[...document.querySelectorAll('#strips .key')]"
 
 
 def wait_until(shown, expression, wanted, within_s=15.0):
@@ -125,10 +128,25 @@ def test_a_page_that_is_opened_late_shows_what_came_before(flown):
         pixels = (
             "(c => c.getContext('2d').getImageData(0, 0, c.width, c.height))(document.querySelector('#ratio canvas'))"
         )
-        blue = f"new Uint32Array({pixels}.data.buffer).filter((p) => p === {ESTIMATE}).length"
+        dots = f"new Uint32Array({pixels}.data.buffer).filter((p) => p === {{}}).length"
         assert shown.complaints() == []
-        wait_until(shown, blue, lambda n: n > 100)  # dots of the estimate over all the angles that were flown
+        for color in (ESTIMATE, AS_FLOWN):  # over all the angles that were flown
+            wait_until(shown, dots.format(color), lambda n: n > 100)
         assert "stuck for 12 s" in shown.evaluate(TEXT.format("removed")) + shown.evaluate(TEXT.format("sensors"))
+
+
+def test_without_a_cursor_the_keys_of_the_strip_charts_show_the_latest_values(flown):
+    *_, state = flown.states(flown.popu_s, flown.popu_s + 2.0)
+    with served(flown.display) as (server, page), Browser() as browser:
+        page.publish(state)
+        shown = browser.open(server.url)
+        wait_until(shown, DRAWN, lambda n: n >= 0)
+        wait_until(shown, f"{KEYS}.at(-1).textContent", lambda text: text == f"{state.conditions['alpha_deg']:.2f}")
+        keys = dict(shown.evaluate(f"{KEYS}.map((k) => [k.children[0].textContent, k.children[1].textContent])"))
+        point = state.points["LS"]
+        assert keys["surface"] == f"{point.surface_K:.1f}"
+        assert keys["LS_surface measured"] == f"{point.sensors['LS_surface'].measured_K:.1f}"
+        assert keys["limit 1533 K"] == ""  # it says it by its name
 
 
 def test_texts_of_a_link_are_shown_as_texts(flown):

@@ -99,11 +99,17 @@
 
   // Cursor ----------------------------------------------------------------------------------------------------------
 
+  // Index of the last value of a curve; -1 where it has none.
+  const latest = (c) => {
+    let i = c.y.length - 1;
+    while (i >= 0 && c.y[i] === null) i--;
+    return i;
+  };
   const readout = (chart, time) => {
     chart.cursor = time;
     chart.clock.textContent = time === null ? "" : `${chart.data.time.split(",")[0]} ${time.toFixed(2)}${unitOf(chart.data.time)}`;
     for (const key of chart.keys) {
-      const i = time === null ? -1 : nearest(key.curve, time);
+      const i = time !== null ? nearest(key.curve, time) : chart.data.growing && !key.curve.aside ? latest(key.curve) : -1;
       key.value.textContent = i < 0 ? "" : `${key.curve.y[i].toFixed(key.curve.digits)}`;
     }
   };
@@ -381,7 +387,7 @@
   };
 
   // New samples of a chart: `panels` as [[{t, y, bands}]], and where they change `view`, `whole` and `spans`. A reader
-  // who has zoomed keeps the view.
+  // who has zoomed keeps the view. Without a cursor the keys of a chart that is `growing` show the latest values.
   const refresh = (chart, { panels, ...rest }) => {
     const { home } = chart;
     Object.assign(chart.data, rest);
@@ -390,7 +396,7 @@
       chart.plots[k].setData(joined(panel), false);
     });
     show(chart, ...(home ? chart.data.view : chart.range));
-    if (chart.cursor !== null) readout(chart, chart.cursor);
+    if (chart.cursor !== null || chart.data.growing) readout(chart, chart.cursor);
   };
   const remove = (chart) => {
     chart.resized.disconnect();

@@ -141,9 +141,9 @@
   const limitOf = (name) => (state.points[shown].limits || {})[name];
   const dashedLimit = (name) => plain(known(limitOf(name)) ? `limit ${limitOf(name).toFixed(0)} K` : "no limit", LIMIT, { dash: [7, 4], aside: true });
   const band = (t, y, sigma) => [-2, 2].map((k) => ({ t, y: y.map((v, i) => (known(v) && known(sigma[i]) ? v + k * sigma[i] : null)) }));
-  const make = (id, time, panels) => {
+  const make = (id, time, panels, growing = false) => {
     if (charts[id]) remove(charts[id]);
-    const data = { title: "", time, panels: panels.map((p) => ({ height: 1, zero: false, limits: null, ...p })), spans: [], view: [0, 1], whole: [0, 1], reset: "Follow" };
+    const data = { title: "", time, growing, panels: panels.map((p) => ({ height: 1, zero: false, limits: null, ...p })), spans: [], view: [0, 1], whole: [0, 1], reset: "Follow" };
     charts[id] = draw($(id), data);
   };
   const sensorsNear = (place) => {
@@ -166,7 +166,7 @@
       ...(within.length ? [{ label: "in depth, K", height: 0.5 * tall, curves: within }] : []),
       { label: "bondline, K", height: 0.5 * tall, curves: [banded("bondline", BONDLINE), dashedLimit("bondline_K"), ...sensorCurves("bondline")] },
       { label: "angle of attack, deg", height: 0.5, curves: [plain("angle of attack", "#000000", { digits: 2 })] },
-    ]);
+    ], true);
     charts.strips.within = within.length > 0;
     const futures = (rest) => FUTURES.map(([name, color, dash]) => banded(name, color, { dash, ...rest }));
     make("ahead", "time from now, s", [
