@@ -294,11 +294,20 @@ class LinkEngine:
 
     def weigh(self) -> bool:
         """Have the candidates of an alarm weighed in another process, once; whether that is at work."""
+        self._poll_weighing()
         alarm = self.test.alarm
         if alarm is not None and self.journal is not None and not self.weighing.begun:
-            left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point]
+            # whether a sensor drifts or the model lacks something, close-loop weighs itself
+            left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point and not f.drifts]
             self.weighing.start(self.journal.path, alarm.point, left_out, root=self.link.root)
         return self.weighing.busy
+
+    def _poll_weighing(self) -> None:
+        """Take what was found; a process that died is a remark."""
+        deaths = self.weighing.deaths
+        self.weighing.poll()
+        if self.weighing.deaths > deaths:
+            self.remarks.add("the process that weighs candidates died; the link goes on")
 
     def stop(self) -> None:
         """End the process that weighs candidates, where there is one."""
@@ -418,7 +427,8 @@ class LinkEngine:
         return [_removed(failure) for failure in self.checks.failures]
 
     def _missing(self) -> MissingState:
-        alarm, found = self.test.alarm, self.weighing.poll() or self.weighing.last
+        self._poll_weighing()
+        alarm, found = self.test.alarm, self.weighing.last
         text = "no sign of a missing effect"
         if alarm is not None:
             text = alarm.text

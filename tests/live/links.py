@@ -63,6 +63,15 @@ def json_lines(rows: Iterable[Mapping[str, Any]]) -> bytes:
     return b"".join(json.dumps(row).encode() + b"\n" for row in rows)
 
 
+def messages_of(made: Link) -> list[Message]:
+    """All messages of a link's source, which ends by itself."""
+
+    async def main() -> list[Message]:
+        return [m async for m in open_source(made, 0, print)]
+
+    return asyncio.run(main())
+
+
 def received(
     made: Link,
     count: int,

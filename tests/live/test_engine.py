@@ -15,12 +15,11 @@ from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.journal import NAME, Journal
 from sim_heating.live.run import run, run_link
-from sim_heating.live.sources import open_source
 from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State, plain, state_json
 from sim_heating.live.to_record import link_of, to_record
 from sim_heating.live.types import Message
-from tests.live.links import FRAME, free_port, json_lines, link, part_of_record
+from tests.live.links import FRAME, free_port, json_lines, link, messages_of, part_of_record
 from tests.support.paths import ROOT
 
 RECORD = ROOT / "scenarios" / "records" / "practice" / "p06"
@@ -47,13 +46,6 @@ def journal_of(made: Link, folder: Path) -> Journal:
 
 def points_of(state: State) -> str:
     return json.dumps(plain(state.points))
-
-
-def messages_of(made: Link) -> list[Message]:
-    async def main() -> list[Message]:
-        return [m async for m in open_source(made, 0, print)]
-
-    return asyncio.run(main())
 
 
 @pytest.fixture(scope="module")

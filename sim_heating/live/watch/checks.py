@@ -39,6 +39,7 @@ class Failure:
     """A sensor that failed.
 
     found_s : time of the reading that told [s];  from_s : from when on it is left out [s];  why : in one line
+    drifts  : whether it is away from its neighbours; what the model lacks can do that too
     """
 
     point: str
@@ -46,6 +47,7 @@ class Failure:
     found_s: float
     from_s: float
     why: str
+    drifts: bool = False
 
 
 @dataclass
@@ -94,11 +96,12 @@ class SensorChecks:
         score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
         sigma_K = math.sqrt(read.predicted_variance_K2)
         recent.take((read.time_s, read.read_K, read.predicted_K, score, sigma_K))
-        why = self._stuck(key, recent) or self._flickers(recent) or self._drifts(key, recent)
-        if not why:
+        why = self._stuck(key, recent) or self._flickers(recent)
+        drift = "" if why else self._drifts(key, recent)
+        if not (why or drift):
             return None
         self._failed.add(key)
-        self.failures.append(Failure(*key, read.time_s, read.time_s + self.wait_s, why))
+        self.failures.append(Failure(*key, read.time_s, read.time_s + self.wait_s, why or drift, bool(drift)))
         return self.failures[-1]
 
     def has_failed(self, point: str, sensor: str) -> bool:

@@ -1,7 +1,7 @@
 """What could be missing, once the sequential test has fired: close-loop on the record so far, in another process.
 
-The journal is closed as a record without the sensors that were taken out, and `close_loop` weighs its candidates on it.
-The link goes on meanwhile.
+The journal is closed as a record without the sensors that stick or flicker, and `close_loop` weighs its candidates on
+it, drifts of the sensors among them. The link goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from sim_heating.live.state import Candidate
 
 NICE = 10
 """By how much the other process steps back behind the link's own."""
+MOST_DEATHS = 3
+"""Processes that may die before no other one is begun."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,16 @@ class Weighed:
 
 
 class Weighing:
-    """Closes the loop on the journal of a link, in a process of its own; one record at a time."""
+    """Closes the loop on the journal of a link, in a process of its own; one record at a time.
+
+    last : what was found, None before that;  deaths : how often the process ended by itself, as for want of memory
+    """
 
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
         self._running: Future[Weighed] | None = None
         self.last: Weighed | None = None
+        self.deaths = 0
 
     @property
     def begun(self) -> bool:
@@ -79,15 +85,18 @@ class Weighing:
         return True
 
     def poll(self) -> Weighed | None:
-        """What was found, once after it was; None otherwise."""
+        """What was found, once after it was; None otherwise, and where the process died: `start` begins anew."""
         if self._running is None or not self._running.done():
             return None
         running, self._running = self._running, None
         try:
             self.last = running.result()
         except BrokenProcessPool:
-            self._pool = None
-            self.last = Weighed("", float("nan"), "", (), "the process that weighs candidates ended; it begins anew")
+            self._pool, self.deaths = None, self.deaths + 1
+            if self.deaths < MOST_DEATHS:
+                return None
+            text = f"their process died {self.deaths} times; `close-loop` weighs candidates on the record"
+            self.last = Weighed("", float("nan"), "", (), text)
         except Exception as error:  # the link goes on, whatever a record does to the search
             self.last = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
         return self.last

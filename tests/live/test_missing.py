@@ -1,0 +1,83 @@
+"""When the sequential test fires: candidates weighed in another process, while the link goes on."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from pathlib import Path
+
+import pytest
+
+from sim_heating.base.files import read_json
+from sim_heating.live.engine import LinkEngine
+from sim_heating.live.journal import NAME, Journal
+from sim_heating.live.results import RESULT, write_results
+from sim_heating.live.spec import Link, make_link
+from sim_heating.live.state import State
+from sim_heating.live.watch.missing import MOST_DEATHS
+from tests.live.links import messages_of, part_of_record
+from tests.support.paths import PRACTICE
+
+DIED = "the process that weighs candidates died; the link goes on"
+
+
+@pytest.fixture(scope="module")
+def cold(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of a flight whose wall conducts otherwise than its record declares."""
+    return part_of_record(PRACTICE / "p09", 0.0, 120.0, tmp_path_factory.mktemp("records") / "cold")
+
+
+def followed(record: Path, folder: Path) -> LinkEngine:
+    """The engine of a link that the record was streamed into as fast as it goes."""
+    data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
+    made: Link = make_link(data, record.parent / "link.toml")
+    journal = Journal(folder / NAME, made.declared.model_dump(mode="json", exclude_unset=True), made.path)
+    engine = LinkEngine(made, journal)
+    for message in messages_of(made):
+        engine.take(message)
+        engine.advance()
+    assert engine.test.alarm is not None
+    return engine
+
+
+def state_when(engine: LinkEngine, shown, within_s: float = 120.0) -> State:
+    """The first state that shows something."""
+    end = time.monotonic() + within_s
+    while not shown(state := engine.state()):
+        assert time.monotonic() < end, state.missing
+        time.sleep(0.05)
+    return state
+
+
+def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path):
+    engine = followed(cold, tmp_path)
+    try:
+        assert "candidates are being weighed" in engine.state().missing.text
+        state = state_when(engine, lambda s: s.missing.candidates)
+    finally:
+        engine.stop()
+    engine.journal.close(is_end=True)
+    write_results(engine, state, tmp_path)
+    missing = read_json(tmp_path / RESULT)["state"]["missing"]
+    (candidate,) = missing["candidates"]
+    assert "conductivity" in candidate["what"]  # the answer of the record
+    assert 0.5 < candidate["probability"] <= 1.0
+    assert f"probability {candidate['probability']:.2f}" in missing["text"]
+
+
+def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path):
+    engine = followed(cold, tmp_path)
+    try:
+        for _ in range(MOST_DEATHS):
+            assert "candidates are being weighed" in engine.state().missing.text
+            (process,) = multiprocessing.active_children()
+            process.kill()
+            process.join()
+            state_when(engine, lambda s: not engine.weighing.busy or multiprocessing.active_children())
+        last = state_when(engine, lambda s: "died 3 times" in s.missing.text)
+    finally:
+        engine.stop()
+        engine.journal.close(is_end=True)
+    assert [line for line in last.link.messages if line.startswith(DIED)] == [f"{DIED} (3 times)"]
+    assert last.points
+    assert not engine.weighing.busy
