@@ -12,6 +12,7 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.inputs.declared_effects import Catalysis, Transition
 from sim_heating.inputs.record import DECLARATION, Record
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
@@ -58,6 +59,10 @@ def _materials(construction: Construction, place: str) -> list[DeclaredInput]:
     ]
 
 
+def _stated(name: str, declared: Transition | Catalysis, place: str) -> DeclaredInput:
+    return DeclaredInput(name, declared.source, declared.confidence, place=place)
+
+
 def _table(name: str, table: RatioTable | None, file: str | None) -> list[DeclaredInput]:
     if table is None:
         return []
@@ -71,33 +76,35 @@ def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[Eff
     effects : those of the model, declared by the vehicle or added by a scenario
     """
     declared = point.declared
+    own_file, vehicle_file = IN.format(f"control_points/{point.name}.toml"), IN.format("vehicle.toml")
     own = {e.name: e.source for e in declared.effect}
-    transition = declared.transition or vehicle.declared.transition
     coating = point.construction.stack.layer[0].material
-    catalysis = declared.catalysis or vehicle.declared.catalysis.get(coating)
+    transition_place = f"{own_file if declared.transition else vehicle_file}, [transition]"
+    catalysis_place = f"{own_file}, [catalysis]" if declared.catalysis else f"{vehicle_file}, [catalysis.{coating}]"
     found = [
         DeclaredInput(
             f"vehicle {vehicle.name}",
             vehicle.declared.source,
             vehicle.declared.confidence,
-            place=IN.format("vehicle.toml"),
+            place=vehicle_file,
         ),
         DeclaredInput(
             f"control point {point.name}",
             declared.source,
             declared.confidence,
-            place=IN.format(f"control_points/{point.name}.toml"),
+            place=own_file,
         ),
         *_materials(point.construction, IN.format("materials/{name}.toml")),
         *_table(f"heating ratio of {point.name}", point.ratio, declared.ratio_table),
     ]
     for effect in (used.effect.name for used in effects):
-        if effect == TRANSITION and transition is not None:
-            found.append(DeclaredInput("transition", transition.source, transition.confidence))
-        elif effect == RECOMBINATION and catalysis is not None:
-            found.append(DeclaredInput(f"recombination on {coating}", catalysis.source, catalysis.confidence))
+        if effect == TRANSITION and point.transition is not None:
+            found.append(_stated("transition", point.transition, transition_place))
+        elif effect == RECOMBINATION and point.catalysis is not None:
+            found.append(_stated(f"recombination on {coating}", point.catalysis, catalysis_place))
         else:
-            found.append(DeclaredInput(f"effect {effect}", own.get(effect, ""), ""))
+            place = f"{own_file}, its [[effect]]" if effect in own else ""
+            found.append(DeclaredInput(f"effect {effect}", own.get(effect, ""), "", place=place))
     return found
 
 
@@ -120,9 +127,9 @@ def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[Decla
     ]
     for effect in (used.effect.name for used in effects):
         if effect == TRANSITION and heating.transition is not None:
-            found.append(DeclaredInput("transition", heating.transition.source, heating.transition.confidence))
+            found.append(_stated("transition", heating.transition, f"{IN.format(DECLARATION)}, [heating.transition]"))
         elif effect == RECOMBINATION and heating.catalysis is not None:
-            found.append(DeclaredInput("recombination", heating.catalysis.source, heating.catalysis.confidence))
+            found.append(_stated("recombination", heating.catalysis, f"{IN.format(DECLARATION)}, [heating.catalysis]"))
         else:
             found.append(DeclaredInput(f"effect {effect}", "found from the record", ""))
     return found
@@ -158,9 +165,10 @@ def _recording(path: Path) -> DeclaredInput:
             head.append(line[1:].strip())
     stated = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in head)}
     confidence = stated.get("confidence") or " ".join(head)  # many heads state one for each column, in their text
-    return DeclaredInput(f"recording {path.name}", stated.get("source", ""), confidence, measured=True)
+    place = f"`# {{key}}: ...` at the head of {path.name}"
+    return DeclaredInput(f"recording {path.name}", stated.get("source", ""), confidence, measured=True, place=place)
 
 
 def _toml_source(path: Path, name: str) -> DeclaredInput:
     data = tomllib.loads(path.read_text(encoding="utf-8"))
-    return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")))
+    return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")), place=IN.format(name))

@@ -171,10 +171,11 @@ def left_out(keys: Iterable[str]) -> frozenset[str]:
     return frozenset(KEYS[key] for key in keys)
 
 
-def transition_keys(used: EffectUse, turbulent_file: str | None) -> dict[str, Any]:
+def transition_keys(used: EffectUse, turbulent_file: str | None, declared: Transition | None) -> dict[str, Any]:
     """Keys of [heating.transition] of a record for a transition that is declared elsewhere.
 
     turbulent_file : file of the turbulent table, where the effect is by one
+    declared       : with its source and confidence; None where it was not declared but added
     """
     pairs = zip(used.definitions, used.values, strict=True)
     number = {p.name: (_rounded(value), _rounded(p.sigma)) for p, value in pairs}
@@ -192,13 +193,14 @@ def transition_keys(used: EffectUse, turbulent_file: str | None) -> dict[str, An
         keys |= {name: value, name + SIGMA: sigma}
     if any(hysteresis):
         keys |= dict(zip(("hysteresis", "hysteresis" + SIGMA), hysteresis, strict=True))
-    return keys | ({"spots": spots} if spots > 0.0 else {})
+    return keys | ({"spots": spots} if spots > 0.0 else {}) | _pedigree(declared)
 
 
-def catalysis_keys(used: EffectUse, atoms: Atoms, source: str) -> dict[str, Any]:
+def catalysis_keys(used: EffectUse, atoms: Atoms, declared: Catalysis | None) -> dict[str, Any]:
     """Keys of [heating.catalysis] of a record for recombination that is declared elsewhere.
 
-    atoms : flow whose atoms reach the wall;  source : of the coefficients
+    atoms    : flow whose atoms reach the wall
+    declared : with its source and confidence; None where it was not declared but added
     """
     value = {p.name: v for p, v in zip(used.effect.parameters, used.values, strict=True)}
     laws = {
@@ -208,7 +210,13 @@ def catalysis_keys(used: EffectUse, atoms: Atoms, source: str) -> dict[str, Any]
         }
         for atom in "ON"
     }
-    return {"atoms": atoms, **laws, "highest_K": value["highest_K"], "source": source}
+    return {"atoms": atoms, **laws, "highest_K": value["highest_K"], "source": "", **_pedigree(declared)}
+
+
+def _pedigree(declared: Transition | Catalysis | None) -> dict[str, str]:
+    """Source and confidence of a declaration, those that it states."""
+    stated = {} if declared is None else {"source": declared.source, "confidence": declared.confidence}
+    return {key: text for key, text in stated.items() if text}
 
 
 def _rounded(value: float) -> float:

@@ -40,7 +40,7 @@ from sim_heating.heating.effects import EffectUse, check_count, combined_uses, u
 from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_table
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureModel, surface_pressure
-from sim_heating.inputs.declared_effects import Catalysis, turbulent_recovery
+from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_recovery
 from sim_heating.inputs.record import declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
 from sim_heating.thermal.stack import Construction, Material, Sensor, construct
@@ -73,7 +73,8 @@ class ControlPoint:
     turbulent_factor : turbulent over laminar film coefficient [-], None where not declared
     effects          : effects of the declared model: transition, recombination, and those of its file
     flow             : what these effects ask of the flow at its edge, with its laminar and turbulent tables
-    catalysis_source : source of its recombination coefficients, empty without
+    transition       : declaration of its transition, of its own file or of the vehicle's; None without
+    catalysis        : declaration of its recombination, likewise
     declared         : contents of the file, with sources and notes
     """
 
@@ -91,7 +92,8 @@ class ControlPoint:
     turbulent_factor: float | None
     effects: tuple[EffectUse, ...]
     flow: EdgeFlow
-    catalysis_source: str
+    transition: Transition | None
+    catalysis: Catalysis | None
     declared: ControlPointFile
 
     def surface_pressure(self, conditions: Conditions) -> FloatArray:
@@ -419,9 +421,8 @@ def _read_control_points(
         if construction is not None and ratio is not None and turbulent is not None and effects is not None:
             flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
             if flow is not None:
-                catalysis = _catalysis(file, vehicle)
-                source = "" if catalysis is None else catalysis.source
-                points[file.name] = _control_point(file, construction, ratio, effects, flow, source)
+                declared = (_transition(file, vehicle), _catalysis(file, vehicle))
+                points[file.name] = _control_point(file, construction, ratio, effects, flow, *declared)
     for line in (*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)):
         problems.add(line)
     return points
@@ -501,15 +502,20 @@ def _effects(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) ->
     """The declared effects of a control point with their parameters: those of its own file take the place of others."""
     with error_context(f"{display_path(path)}, [effect]"):
         own = tuple(use(effect.name, effect.parameters) for effect in file.effect)
-    uses = combined_uses((*_transition(path, file, vehicle), *_recombination(file, vehicle)), own)
+    uses = combined_uses((*_transition_use(path, file, vehicle), *_recombination(file, vehicle)), own)
     check_count(uses, display_path(path))
     return uses
 
 
-def _transition(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
+def _transition(file: ControlPointFile, vehicle: VehicleFile | None) -> Transition | None:
     """Declared transition of a control point: of its own file, or the vehicle's at a point with a turbulent table."""
+    of_vehicle = None if vehicle is None or file.ratio_table_turbulent is None else vehicle.transition
+    return file.transition or of_vehicle
+
+
+def _transition_use(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
     by_table = file.ratio_table_turbulent is not None
-    criterion = file.transition or (vehicle.transition if vehicle is not None and by_table else None)
+    criterion = _transition(file, vehicle)
     if criterion is None:
         return ()
     if not by_table and file.turbulent is None:
@@ -559,7 +565,8 @@ def _control_point(
     ratio: RatioTable,
     effects: tuple[EffectUse, ...],
     flow: EdgeFlow,
-    catalysis_source: str,
+    transition: Transition | None,
+    catalysis: Catalysis | None,
 ) -> ControlPoint:
     x, y, z = file.position_m
     return ControlPoint(
@@ -577,7 +584,8 @@ def _control_point(
         turbulent_factor=None if file.turbulent is None else file.turbulent.factor,
         effects=effects,
         flow=flow,
-        catalysis_source=catalysis_source,
+        transition=transition,
+        catalysis=catalysis,
         declared=file,
     )
 

@@ -233,9 +233,9 @@ def _declared_effects(point: ControlPoint) -> dict[str, Any]:
     keys: dict[str, Any] = {}
     for used in point.effects:
         if used.effect.name == TRANSITION:
-            keys["transition"] = transition_keys(used, TURBULENT)
+            keys["transition"] = transition_keys(used, TURBULENT, point.transition)
         elif used.effect.name == RECOMBINATION:
-            keys["catalysis"] = catalysis_keys(used, point.flow.atoms, point.catalysis_source)
+            keys["catalysis"] = catalysis_keys(used, point.flow.atoms, point.catalysis)
     if point.flow.re_theta:
         keys["running_length_m"] = point.running_length_m
     return keys

@@ -13,12 +13,15 @@ from hypothesis import strategies as st
 from sim_heating.credibility.contributors import peak_uncertainty
 from sim_heating.credibility.evidence import shipped_evidence
 from sim_heating.credibility.reviews import Review, Reviewed, add_review, digest_of, reviews_in
-from sim_heating.credibility.sources import DeclaredInput
+from sim_heating.credibility.sources import DeclaredInput, conditions_of_record, inputs_of_record
 from sim_heating.credibility.statement import Answer, Facts, Statement, assess
-from sim_heating.inputs.record import ConditionsFile
+from sim_heating.inputs.points import point_of_record
+from sim_heating.inputs.record import ConditionsFile, load_record
 from sim_heating.march.history import march_points
 from sim_heating.simulation.predict import Prediction
+from tests.support.paths import ROOT
 
+RECORDS = ROOT / "scenarios" / "records"
 YES = Answer(True, "")
 GOOD = DeclaredInput("model", "a primary source", "A", measured=True)
 
@@ -51,11 +54,11 @@ def reviews(*factors: str) -> list[Reviewed]:
     ]
 
 
-def test_a_measured_tile_is_verified_inside_its_region_and_its_sources_are_incomplete(tile: Prediction):
+def test_a_measured_tile_is_verified_inside_its_region_and_some_of_its_inputs_are_judged(tile: Prediction):
     found = tile.credibility.as_json()
     assert found["factors"]["verification"]["level"] == 3
     assert found["region"]["inside"] > 0.9
-    assert "transition" in found["evidence"]["data.sources"]["finding"]
+    assert found["factors"]["data_pedigree"]["level"] == 2
     assert found["factors"]["history"]["level"] is None
     assert found["factors"]["process_management"]["level"] is None
     assert found["verification"]["uncovered"] == []
@@ -130,6 +133,22 @@ def test_an_input_without_a_source_is_named_with_the_place_where_to_state_it(boa
     found = silent.credibility.findings
     assert "construction of the wall (`source` in record.toml, at the top)" in found["data.sources"].text
     assert "conditions (`source` in record.toml, [conditions])" in found["inputs.sources"].text
+
+
+@pytest.mark.parametrize("path", sorted(RECORDS.rglob("record.toml")), ids=lambda path: path.parent.name)
+def test_every_shipped_record_states_the_sources_of_all_it_was_made_from(path: Path):
+    record = load_record(path.parent)
+    stated = [*inputs_of_record(record, point_of_record(record).effects), *conditions_of_record(record)]
+    assert not [f"{i.name}: {i.place}" for i in stated if not i.source]
+
+
+def test_a_transition_without_a_source_is_named_with_its_table_of_the_record(tile: Prediction):
+    declared = tile.record.declared
+    transition = declared.heating.transition.model_copy(update={"source": ""})
+    heating = declared.heating.model_copy(update={"transition": transition})
+    silent = replace(tile.record, declared=declared.model_copy(update={"heating": heating}))
+    found = replace(tile, record=silent).credibility.findings["data.sources"]
+    assert "transition (`source` in record.toml, [heating.transition])" in found.text
 
 
 def test_sources_that_are_gone_lower_the_pedigrees(facts: Facts):
