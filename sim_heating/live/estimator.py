@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,7 +43,7 @@ from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
-from sim_heating.live.types import Frame, Sample
+from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.point import PointModel, initial_temperatures
 
 WIDE = 0.5
@@ -90,10 +90,10 @@ class LiveOptions:
     lateness_s: float = 2.0
     jump_s: float = 2.5
     longest_step_s: float = 1.0
-    wait_s: float = 0.25
+    wait_s: float = 0.4
     linearise_s: float = 1.0
     again_s: float = 60.0
-    snapshot_s: float = 0.25
+    snapshot_s: float = 0.5
     start: Literal["auto", "declared", "readings"] = "auto"
     start_s: float = 2.0
     node_noise_K_sqrt_s: float = 0.0
@@ -319,10 +319,16 @@ class LiveEstimator:
         What is late, doubled, lost or on another clock is counted in `counts`; a jump of the clock is told in
         `messages`.
         """
-        for sample in samples:
+        at, count = 0, len(samples)
+        while at < count:
+            sample = samples[at]
+            at += 1
             if isinstance(sample, Frame):
                 if not self._plausible(sample):
                     continue
+            elif taken := self._put_in_order(samples, at - 1):
+                at, self._changed = at - 1 + taken, True
+                continue
             elif (sample.point, sample.sensor) not in self._sensors.numbers:
                 raise InputError(self._unknown(sample.point, sample.sensor))
             placed, self._changed = self.timeline.put(sample), True
@@ -332,6 +338,14 @@ class LiveEstimator:
                 self._tell_conflict()
             elif placed is Placed.JUMPED:
                 self._follow()
+
+    def _put_in_order(self, samples: Sequence[Sample], first: int) -> int:
+        """Take readings, from number `first` of the samples on, that are in order and need nothing filtered again."""
+        last = first + 1
+        while last < len(samples) and isinstance(samples[last], Reading):
+            last += 1
+        after_s = -math.inf if self._now is None else self._now.time_s
+        return self.timeline.put_readings(samples[first:last], after_s)  # type: ignore[arg-type]
 
     def _tell_conflict(self) -> None:
         """Tell once that samples came again with other values."""
@@ -670,7 +684,8 @@ class LiveEstimator:
         """Drop snapshots and samples that no sample to come can reach."""
         window = self.timeline.newest_s - self.options.lateness_s
         while len(self._kept) > 1 and self._kept[1].decided_s < window:
-            self._kept.pop(0)
+            for f, snapshot in zip(self.filters, self._kept.pop(0).filters, strict=True):
+                f.done_with(snapshot)
         if self._begun_s is not None:
             self._filter_again(self._kept[0].past)
         # filters that took over may stand before the window
@@ -700,7 +715,8 @@ class LiveEstimator:
         for k, f in enumerate(self.filters):
             own = profiles[k * LANES : (k + 1) * LANES]
             f.begin(begin.time_s, vectors[k * LANES : (k + 1) * LANES], [p for p, _ in own], [c for _, c in own])
-        self._now = self._begun = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
+        self._now = self._snapshot(begin.time_s, begin.time_s, self._values(begin), vectors)
+        self._begun = replace(self._now, filters=())
         self._kept, self._begun_s, self._changed = [self._now], begin.time_s, True
         return True
 

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from sim_heating.live.types import Frame, Sample
+from sim_heating.live.types import Frame, Reading, Sample
 
 CONFIRMED_BY = 3
 """Number of frames in a row that make a new clock."""
 MOST_WAITING = 10_000
 """Number of readings that wait for a new clock, or ahead of the newest frame, at most."""
+
+LONGEST_S = 1e300
+"""A flight time that is finite, and none is longer [s]."""
 
 
 class Placed(Enum):
@@ -109,6 +112,28 @@ class Timeline:
         if placed is not Placed.TAKEN:
             self._count(placed, sample.time_s)
         return placed
+
+    def put_readings(self, readings: Sequence[Reading], after_s: float) -> int:
+        """Put readings at the end, as long as each is the next in order, which is by far the most frequent case.
+
+        after_s : time [s] behind which they have to be
+        returns : number of readings that were taken, as `put` would have; the next one is for `put`
+        """
+        words, last_s, sensors = self.words, self._last_word_s, self.sensors
+        first_s = max(after_s, self.newest_s - self.lateness_s)
+        until_s = self.newest_s + self.jump_s if self.frames else LONGEST_S
+        before = words[-1][:2] if words else (-math.inf, -1)
+        for taken, reading in enumerate(readings):
+            t, value_K = reading.time_s, reading.value_K
+            number = sensors.get((reading.point, reading.sensor), -1)
+            # No comparison holds of what is no number.
+            in_time = first_s < t <= until_s and -math.inf < value_K < math.inf
+            place = t, number
+            if not (in_time and number >= 0 and place > before and t > last_s.get(number, -math.inf)):
+                return taken
+            words.append((t, number, value_K))
+            last_s[number], before = t, place
+        return len(readings)
 
     def _count(self, placed: Placed, time_s: float) -> None:
         counts = self.counts

@@ -81,17 +81,21 @@ def steps() -> list[LinearStep]:
     return [linear_step(model, mesh, HEATED[0, k : k + 2], DT, decay) for k in range(STEPS)]
 
 
-def by_textbook(steps: list[LinearStep], samples: Samples):
+def in_steps(samples: Samples) -> list[list[tuple[int, float, float, float]]]:
+    """Readings of each step: node, fraction of the step, value, variance."""
     own = np.maximum(np.ceil(samples.time_s / DT - 1e-12).astype(int) - 1, 0)
-    readings = [
+    return [
         [(samples.node[i], samples.time_s[i] / DT - k, samples.lower_K[i], samples.variance_K2[i])
          for i in np.flatnonzero((own == k) & ~np.isnan(samples.lower_K))]
         for k in range(STEPS)
     ]  # fmt: skip
+
+
+def by_textbook(steps: list[LinearStep], samples: Samples):
     start = np.zeros((10, 10))
     start[:9, :9], start[9, 9] = some_covariance(9), WALKED.start_sigma**2
     gained = WALKED.density_1_s * 0.5 * WALKED.correlation_s * (1.0 - np.exp(-2.0 * DT / WALKED.correlation_s))
-    return dense_filter(steps, DT, np.append(START_K, 0.0), start, NOISE_K2_S, gained, readings)
+    return dense_filter(steps, DT, np.append(START_K, 0.0), start, NOISE_K2_S, gained, in_steps(samples))
 
 
 def lost(samples: Samples, fraction: float) -> Samples:
@@ -122,6 +126,21 @@ def test_linear_wall_is_filtered_as_by_the_textbook(steps, when, fraction_lost):
     scale = np.sqrt(np.diagonal(np.array(dense.covariance), axis1=1, axis2=2))
     difference = (history.covariance - dense.covariance) / (scale[:, :, None] * scale[:, None, :])
     assert np.max(np.abs(difference)) < 1e-8
+    assert np.sum(filtered.log_likelihood) == pytest.approx(dense.log_likelihood, rel=1e-9)
+
+
+def test_a_start_that_is_uncertain_along_two_profiles_is_filtered_as_by_the_textbook(steps):
+    model, mesh = linear_wall()
+    samples = wall_samples(WHEN["several in a step"], mesh)
+    profiles = np.array([5.0 * np.ones(9), np.linspace(8.0, -3.0, 9)]).T
+    track = FilterTrack(model, mesh, samples, initial_K=START_K, covariance_K2=profiles @ profiles.T)
+    filtered = FilterMarch([track], TIME_S, HEATED).filter(keep=True)[0]
+    start = np.zeros((10, 10))
+    start[:9, :9] = profiles @ profiles.T
+    dense = dense_filter(steps, DT, np.append(START_K, 0.0), start, np.zeros(9), 0.0, in_steps(samples))
+    np.testing.assert_allclose(filtered.history.mean[:, :9], np.array(dense.mean)[:, :9], rtol=1e-9)
+    np.testing.assert_allclose(filtered.history.covariance, dense.covariance, atol=1e-9)
+    assert np.linalg.matrix_rank(filtered.covariance, tol=1e-9) == 2
     assert np.sum(filtered.log_likelihood) == pytest.approx(dense.log_likelihood, rel=1e-9)
 
 

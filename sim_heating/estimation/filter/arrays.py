@@ -118,7 +118,9 @@ class StepReadings(NamedTuple):
     x, mean, rate     : (reading,) fraction of the step [-], temperature [K], its rate [K/s]
     covariance, cross : (reading, reading) with each other; (reading, node + 1) with z at the end of the step [K2]
     S                 : (reading, parameter) sensitivities of the temperatures read
-    rows, start       : (reading, node + 1) rows R against z at the start of the step; cov(z at the start, T)
+    rows, along       : (reading, node + 1) rows R against z at the start of the step; R L, one number for each column
+                        of the factor of the covariance there [K]
+    weight            : (reading,) g^2 / S, by which its cov(z, T) cov(z, T)' is taken from P [1/K2]; 0 where not used
     """
 
     x: FloatArray
@@ -128,7 +130,8 @@ class StepReadings(NamedTuple):
     cross: FloatArray
     S: FloatArray
     rows: FloatArray
-    start: FloatArray
+    along: FloatArray
+    weight: FloatArray
 
 
 class FilterArrays(NamedTuple):
@@ -136,10 +139,10 @@ class FilterArrays(NamedTuple):
 
     readings, state, noise : readings, filter state (updated) and noise of the process, of all lanes
     gains, history         : frozen gains;  history for a smoother
-    gamma                  : work space of a first pass without F P, where gains are frozen
-    first, second          : work space of a whole first pass, and of the second pass
+    work                   : work space of a pass
     taken                  : readings of one step
     z, transition          : (node + 1,) state of a lane;  (node + 1, node + 1) transition of its step
+    L                      : (node + 1, node + 1) factor of its covariance, a column of it in each row
     """
 
     readings: Readings
@@ -147,12 +150,11 @@ class FilterArrays(NamedTuple):
     noise: Noise
     gains: FrozenGains
     history: SmootherHistory
-    gamma: Workspace
-    first: Workspace
-    second: Workspace
+    work: Workspace
     taken: StepReadings
     z: FloatArray
     transition: FloatArray
+    L: FloatArray
 
 
 class LaneStep(NamedTuple):
@@ -161,7 +163,7 @@ class LaneStep(NamedTuple):
     lane, nodes  : number of the lane and of its nodes
     dt, decay    : length of the step [s];  exp(-dt / correlation time) of the ratio disturbance [-]
     first, number : number of the first reading in the step, and of readings in it
-    whole        : whether the covariance is propagated, which it is not where gains are frozen
+    rank         : number of columns of the factor of the covariance; 0 where gains are frozen and it is not propagated
     keep         : whether rows and transition are kept for a smoother
     """
 
@@ -171,7 +173,7 @@ class LaneStep(NamedTuple):
     decay: float
     first: int
     number: int
-    whole: bool
+    rank: int
     keep: bool
 
 
@@ -215,10 +217,10 @@ def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
 
     Holds temperatures [K], covariances [K2] and rows of docs/theory/filter.md, equations 5 to 7.
     """
-    x, mean, rate = np.zeros((3, readings))
-    cross, rows, start = np.zeros((3, readings, size))
+    x, mean, rate, weight = np.zeros((4, readings))
+    cross, rows, along = np.zeros((3, readings, size))
     return StepReadings(
-        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, start
+        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, along, weight
     )
 
 

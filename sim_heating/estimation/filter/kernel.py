@@ -6,11 +6,12 @@ against d,
 
     z' = F z + w,    F = [Phi, Gamma; 0, decay],    P' = F P F' + Q,
 
-where F is never formed: its products are columns propagated with the matrix of the step, M = F P, then F M'. A
+where F is never formed. P = L L' with as few columns as its rank asks for, the columns of L are propagated with the
+matrix of the step, and F P F' = (F L) (F L)': a start known along a few directions stays on a few directions. A
 reading at the fraction x of a step is y = gain T(x) + bias + noise, T(x) the parabola through start, middle stage
 and end plus the part x of the step's white noise, so that with R its row against z
 
-    cov(z, T) = P R',    cov(z', T) = F P R' + Q_x,    cov(T_i, T_j) = R_i P R_j' + Q_x,
+    cov(z', T) = F L (R L)' + Q_x,    cov(T_i, T_j) = R_i L (R_j L)' + Q_x,
 
 and all readings of a step are taken one after the other from the joint covariance of z' and themselves, without a
 second march. A reading known as an interval matches the moments of the truncated normal (Curry, Estimation and Control
@@ -90,6 +91,8 @@ SAME_FRACTION = 1e-6
 """Fraction of a step within which two readings count as simultaneous, for frozen gains."""
 MIN_GAIN = 1e-14
 """A reading that removes less than this fraction of its own variance is not used: its effect would be rounding."""
+LEFT_OUT = 1e-14
+"""Part of the largest variance of a temperature [-] below which what is left of the covariance is rounding."""
 
 
 @njit
@@ -124,33 +127,104 @@ def _add_forcing(gamma: Workspace, w: Workspace, column: int, amount: float, n: 
 
 
 @njit
-def first_pass(X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: State, w: Workspace) -> None:
-    """Propagate Gamma, the sensitivities, and where wanted F P and F itself, through one step of a lane.
+def columns_of(w: Workspace, nodes: int, columns: int) -> Workspace:
+    """The first numbers of a work space as one of so many nodes and columns, each column [K] over some unit.
+
+    Its arrays are contiguous, as `propagate` wants them. The propagation is docs/theory/equations_march.md, equation 7.
+    """
+    count = nodes * columns
+    return Workspace(
+        w.end.ravel()[:count].reshape((nodes, columns)), w.middle.ravel()[:count].reshape((nodes, columns)),
+        w.e.ravel()[:count].reshape((nodes, columns)), w.f.ravel()[:count].reshape((nodes, columns)),
+        w.star.ravel()[:count].reshape((nodes, columns)), w.e_middle.ravel()[:count].reshape((nodes, columns)),
+        w.reduced,
+    )  # fmt: skip
+
+
+@njit
+def factorise_covariance(P: FloatArray, n: int, diagonal: FloatArray, L: FloatArray) -> int:
+    """Factor of a covariance of low rank, P = L L', by elimination of the largest variance that is left.
+
+    P        : (n + 1, n + 1) covariance of the temperatures [K2] and of the disturbance; its lower triangle is read
+    diagonal : (n + 1,) work space
+    L        : (column, n + 1) receives the columns of the factor as its rows [K], [-]
+    returns  : number of columns; what is left has variances below LEFT_OUT of the largest one of a temperature
+
+    Derived in docs/theory/filter.md, equation 4.
+    """
+    largest = 0.0
+    for i in range(n):
+        diagonal[i] = P[i, i]
+        largest = max(largest, P[i, i])
+    limit = LEFT_OUT * largest
+    pivot, variance, rank = n, P[n, n], 0
+    # The disturbance first: its unit is another one.
+    if not variance > 0.0:
+        pivot, variance = _largest(diagonal, n)
+    while variance > (0.0 if pivot == n else limit):
+        for i in range(pivot):
+            L[rank, i] = P[pivot, i]
+        for i in range(pivot, n + 1):
+            L[rank, i] = P[i, pivot]
+        for k in range(rank):
+            share = L[k, pivot]
+            for i in range(n + 1):
+                L[rank, i] -= share * L[k, i]
+        inverse = 1.0 / math.sqrt(variance)
+        for i in range(n + 1):
+            L[rank, i] *= inverse
+        for i in range(n):
+            diagonal[i] -= L[rank, i] * L[rank, i]
+        if pivot < n:
+            diagonal[pivot] = 0.0
+        rank += 1
+        if rank > n:
+            break
+        pivot, variance = _largest(diagonal, n)
+    return rank
+
+
+@njit
+def _largest(diagonal: FloatArray, n: int) -> tuple[int, float]:
+    """Number and value of the largest of n variances [K2]."""
+    at = 0
+    for i in range(1, n):
+        if diagonal[i] > diagonal[at]:
+            at = i
+    return at, diagonal[at]
+
+
+@njit
+def first_pass(
+    X: Blocks, offsets: PerturbedOffsets, step: LaneStep, state: State, L: FloatArray, w: Workspace
+) -> None:  # fmt: skip
+    """Propagate Gamma, the sensitivities, the factor of the covariance and where wanted F through one step of a lane.
 
     X, offsets : blocks of the perturbed lanes, and where those of each lane are
-    step       : the step; `whole` for F P, `keep` for the columns of F
-    state      : covariance and sensitivities at the start, unchanged
-    w          : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F P
-                 [K2], F
+    step       : the step; `rank` columns of L, `keep` for the columns of F
+    state      : sensitivities at the start, unchanged
+    L          : (column, node + 1) columns of the factor at the start as rows, P = L L'
+    w          : receives columns at end and middle stage: Gamma [K], sensitivities [K over the parameter's unit], F L
+                 [K], F
 
     Columns come in this order, so that those with forcing are the first. Derived in docs/theory/filter.md, equations 4
     and 11.
     """
     lane, n, m = step.lane, step.nodes, state.S.shape[2]
-    first, identity, covariances = 1 + m, 1 + m + state.P.shape[1], n + 1 if step.whole else 0
+    first, identity = 1 + m, 1 + m + step.rank
     w.end[:, :] = 0.0
     for i in range(n):
         for k in range(m):
             w.end[i, 1 + k] = state.S[lane, i, k]
-        for j in range(covariances):
-            w.end[i, first + j] = state.P[lane, i, j]
+        for j in range(step.rank):
+            w.end[i, first + j] = L[j, i]
         if step.keep:
             w.end[i, identity + i] = 1.0
     propagate(X, offsets, lane, 1 + m, step.dt, w)
     for k in range(m):
         _add_forcing(w, w, 1 + k, state.S[lane, n, k], n)
-    for j in range(covariances):
-        _add_forcing(w, w, first + j, state.P[lane, n, j], n)
+    for j in range(step.rank):
+        _add_forcing(w, w, first + j, L[j, n], n)
     if step.keep:
         _add_forcing(w, w, identity + n, 1.0, n)
 
@@ -169,19 +243,19 @@ def read_column(w: Workspace, column: int, node: int, x: float, start: float) ->
 
 @njit
 def predict_readings(
-    B: FloatArray, step: LaneStep, readings: Readings, state: State, w: Workspace, taken: StepReadings
+    B: FloatArray, step: LaneStep, readings: Readings, state: State, L: FloatArray, w: Workspace, taken: StepReadings
 ) -> None:
-    """Predict the readings of a step: temperatures, rates, sensitivities, rows, and cov(z at the start, T).
+    """Predict the readings of a step: temperatures, rates, sensitivities, rows, and rows times the factor.
 
     B        : block of the lane group, after the step;  step : the step
-    readings : readings of all lanes;  state : at the start of the step
+    readings : readings of all lanes;  state, L : at the start of the step
     w        : columns of the first pass
-    taken    : receives temperature [K], rate [K/s], sensitivities, P R' [K2] and R of each reading of the step
+    taken    : receives temperature [K], rate [K/s], sensitivities, R L [K] and R of each reading of the step
 
     Derived in docs/theory/filter.md, equations 5 and 6, and docs/theory/equations_march.md, equation 5.
     """
     lane, n, m = step.lane, step.nodes, state.S.shape[2]
-    identity, covariances = 1 + m + state.P.shape[1], n + 1 if step.whole else 0
+    identity = 1 + m + step.rank
     for q in range(step.number):
         node, x = readings.node[lane, step.first + q], taken.x[q]
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
@@ -192,67 +266,61 @@ def predict_readings(
         taken.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
         for k in range(m):
             taken.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
-        for j in range(covariances):
-            taken.start[q, j] = read_column(w, 1 + m + j, node, x, state.P[lane, node, j])
-            if step.keep:
+        for j in range(step.rank):
+            taken.along[q, j] = read_column(w, 1 + m + j, node, x, L[j, node])
+        if step.keep:
+            for j in range(n + 1):
                 taken.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
 
 
 @njit
-def second_pass(
-    X: Blocks, offsets: PerturbedOffsets, step: LaneStep, readings: Readings, state: State, noise: Noise,
-    gamma: Workspace, w: Workspace, taken: StepReadings,
-) -> None:  # fmt: skip
+def joint_covariance(
+    step: LaneStep, readings: Readings, state: State, noise: Noise, L: FloatArray, w: Workspace, taken: StepReadings
+) -> None:
     """Covariance of the state after a step, P' = F P F' + Q, and the joint covariance of its readings.
 
-    X, offsets : blocks of the perturbed lanes, and where those of each lane are
-    step       : the step;  readings : of all lanes;  noise : of the process [K2/s], [1/s]
-    gamma      : columns of the first pass, F P among them;  w : work space
-    state      : P becomes P', [K2] for the temperatures
-    taken      : receives cov(z', T) and cov(T_a, T_b) [K2]
+    step  : the step;  readings : of all lanes;  noise : of the process [K2/s], [1/s]
+    L     : factor of P at the start, becomes F L;  w : columns of the first pass, F L among them
+    state : the lower triangle of P becomes that of P', [K2] for the temperatures
+    taken : receives cov(z', T) and cov(T_a, T_b) [K2]
 
-    F M' is propagated like M = F P: its columns are the rows of M, with those of the readings appended. Derived in
-    docs/theory/filter.md, equations 2, 4 and 6.
+    Derived in docs/theory/filter.md, equations 2, 4 and 6.
     """
-    lane, n, m, size = step.lane, step.nodes, state.S.shape[2], state.P.shape[1]
+    lane, n, m, rank = step.lane, step.nodes, state.S.shape[2], step.rank
     dt, decay, first, count = step.dt, step.decay, step.first, step.number
-    w.end[:, :] = 0.0
-    for i in range(n):
-        for j in range(n):
-            w.end[i, j] = gamma.end[j, 1 + m + i]
-        w.end[i, n] = decay * state.P[lane, n, i]
-        for q in range(count):
-            w.end[i, size + q] = taken.start[q, i]
-    # F P R' of the readings goes through with F M': one elimination serves all columns.
-    propagate(X, offsets, lane, 0, dt, w)
-    for j in range(n):
-        _add_forcing(gamma, w, j, gamma.end[j, 1 + m + n], n)
-    _add_forcing(gamma, w, n, decay * state.P[lane, n, n], n)
-    for q in range(count):
-        _add_forcing(gamma, w, size + q, taken.start[q, n], n)
+    P = state.P[lane]
+    variance = P[n, n]
+    for j in range(rank):
+        for i in range(n):
+            L[j, i] = w.end[i, 1 + m + j]
+        L[j, n] *= decay
+    for i in range(n + 1):
+        for k in range(i + 1):
+            P[i, k] = 0.0
+        for j in range(rank):
+            share = L[j, i]
+            for k in range(i + 1):
+                P[i, k] += share * L[j, k]
+        if i < n:
+            P[i, i] += noise.nodes[lane, i] * dt
+    P[n, n] = decay * decay * variance + noise.density_1_s[lane] * _noise_duration(noise.decay_1_s[lane], dt)
     for q in range(count):
         node, x = readings.node[lane, first + q], taken.x[q]
-        for i in range(n):
-            taken.cross[q, i] = w.end[i, size + q]
-        taken.cross[q, n] = decay * taken.start[q, n]
+        taken.cross[q, : n + 1] = 0.0
+        for j in range(rank):
+            share = taken.along[q, j]
+            for i in range(n + 1):
+                taken.cross[q, i] += share * L[j, i]
         # White noise of the node up to the reading is still in the node's temperature at the end of the step.
         taken.cross[q, node] += x * dt * noise.nodes[lane, node]
-        for s in range(count):
-            covariance = read_column(w, size + s, node, x, taken.start[s, node])
+        for s in range(q + 1):
+            covariance = 0.0
+            for j in range(rank):
+                covariance += taken.along[q, j] * taken.along[s, j]
             if readings.node[lane, first + s] == node:
                 # Two readings of a node share the noise up to the earlier of them.
                 covariance += min(x, taken.x[s]) * dt * noise.nodes[lane, node]
-            taken.covariance[q, s] = covariance
-    for i in range(n):
-        for j in range(i + 1):
-            # The two triangles differ by rounding; left alone the difference grows from step to step.
-            state.P[lane, i, j] = 0.5 * (w.end[i, j] + w.end[j, i])
-            state.P[lane, j, i] = state.P[lane, i, j]
-        state.P[lane, i, i] += noise.nodes[lane, i] * dt
-        state.P[lane, i, n] = state.P[lane, n, i] = w.end[i, n]
-    state.P[lane, n, n] = decay * decay * state.P[lane, n, n] + noise.density_1_s[lane] * _noise_duration(
-        noise.decay_1_s[lane], dt
-    )
+            taken.covariance[q, s] = taken.covariance[s, q] = covariance
 
 
 @njit
@@ -290,12 +358,16 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 @njit
 def _condition_on(
-    step: LaneStep, q: int, readings: Readings, state: State, taken: StepReadings, z: FloatArray,
+    step: LaneStep, q: int, begun: int, readings: Readings, state: State, taken: StepReadings, z: FloatArray,
     transition: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Condition z, P, the sensitivities and the other readings of the step on reading number q of the step."""
+    """Condition z, the sensitivities and the readings of the step from number `begun` on, on reading number q of it.
+
+    What it takes from P stays in `taken`: cov(z, T), which later readings change no more, and its weight.
+    """
     lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
     gain, m = readings.gain[lane, k], state.S.shape[2]
+    taken.weight[q] = 0.0
     predicted = out[N_OUT:]
     for j in range(m):
         direct = readings.direct[lane, k, j]
@@ -310,28 +382,54 @@ def _condition_on(
     )  # fmt: skip
     out[INNOVATION], out[VARIANCE] = nu, variance
     # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
-    cross, own = taken.cross[q].copy(), taken.covariance[q].copy()
-    own_row, inverse = taken.rows[q].copy(), 1.0 / variance
+    cross, own, inverse = taken.cross[q], taken.covariance[q].copy(), 1.0 / variance
+    taken.weight[q] = gain * gain * inverse
     for i in range(n + 1):
         share = gain * cross[i] * inverse
         z[i] += share * nu
-        for j in range(n + 1):
-            state.P[lane, i, j] -= (gain * cross[i]) * (gain * cross[j]) * inverse
         for j in range(m):
             state.S[lane, i, j] -= share * predicted[j]
-        if step.keep:
-            for j in range(n + 1):
-                transition[i, j] -= share * (gain * own_row[j])
-    for s in range(count):
+    if step.keep:
+        _condition_rows(step, q, gain, inverse, own, taken, transition)
+    for s in range(begun, count):
         share = gain * own[s] * inverse
         taken.mean[s] += share * nu
-        for t in range(count):
+        for t in range(begun, count):
             taken.covariance[s, t] -= (gain * own[s]) * (gain * own[t]) * inverse
-        for i in range(n + 1):
-            taken.cross[s, i] -= share * (gain * cross[i])
-            taken.rows[s, i] -= share * (gain * own_row[i])
-        for j in range(m):
-            taken.S[s, j] -= share * predicted[j]
+        if s > q:
+            for i in range(n + 1):
+                taken.cross[s, i] -= share * (gain * cross[i])
+            for j in range(m):
+                taken.S[s, j] -= share * predicted[j]
+
+
+@njit
+def _condition_rows(
+    step: LaneStep, q: int, gain: float, inverse: float, own: FloatArray, taken: StepReadings, transition: FloatArray
+) -> None:
+    """Condition the transition and the rows of the later readings on reading number q, for a smoother."""
+    for i in range(step.nodes + 1):
+        share = gain * taken.cross[q, i] * inverse
+        for j in range(step.nodes + 1):
+            transition[i, j] -= share * (gain * taken.rows[q, j])
+    for s in range(q + 1, step.number):
+        share = gain * own[s] * inverse
+        for i in range(step.nodes + 1):
+            taken.rows[s, i] -= share * (gain * taken.rows[q, i])
+
+
+@njit
+def _condition_covariance(P: FloatArray, n: int, count: int, taken: StepReadings) -> None:
+    """P+ = P' - sum g^2 / S cov(z, T) cov(z, T)' [K2] over the readings of a step, from the lower triangle to both."""
+    for i in range(n + 1):
+        for q in range(count):
+            share = taken.weight[q] * taken.cross[q, i]
+            if share != 0.0:
+                for j in range(i + 1):
+                    P[i, j] -= share * taken.cross[q, j]
+    for i in range(n + 1):
+        for j in range(i):
+            P[j, i] = P[i, j]
 
 
 @njit
@@ -370,9 +468,10 @@ def take_readings(
         if step.keep:
             for j in range(step.nodes + 1):
                 history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
-        _condition_on(step, q, readings, state, taken, z, transition, out[k])
+        _condition_on(step, q, begun, readings, state, taken, z, transition, out[k])
         for s in range(begun, q + 1):
             out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
+    _condition_covariance(state.P[lane], step.nodes, count, taken)
 
 
 @njit
@@ -425,7 +524,7 @@ def filter_lane(
     march. Derived in docs/theory/filter.md, equations 1 to 14.
     """
     readings, state, history, taken = f.readings, f.state, f.history, f.taken
-    n, m, size = offsets.nodes[lane], state.S.shape[2], state.P.shape[1]
+    n, m = offsets.nodes[lane], state.S.shape[2]
     keep = history.mean.shape[1] > 0
     dt = time_s[k] - time_s[k - 1]
     decay = math.exp(-f.noise.decay_1_s[lane] * dt)
@@ -433,14 +532,15 @@ def filter_lane(
     while first + count < readings.number[lane] and readings.time_s[lane, first + count] <= time_s[k]:
         taken.x[count] = (readings.time_s[lane, first + count] - time_s[k - 1]) / dt
         count += 1
-    # With frozen gains only Gamma and the sensitivities are propagated; F P and F M' are not needed.
+    # With frozen gains only Gamma and the sensitivities are propagated; F L is not needed.
     whole = time_s[k] <= f.gains.after_s[lane] or not _repeats(f.gains, readings, lane, first, count, taken)
-    step = LaneStep(lane, n, dt, decay, first, count, whole, keep)
-    w = f.first if whole else f.gamma
-    first_pass(X, offsets, step, state, w)
-    predict_readings(B, step, readings, state, w, taken)
+    rank = factorise_covariance(state.P[lane], n, f.z, f.L) if whole else 0
+    step = LaneStep(lane, n, dt, decay, first, count, rank, keep)
+    w = columns_of(f.work, f.work.end.shape[0], 1 + m + rank + (n + 1 if keep else 0))
+    first_pass(X, offsets, step, state, f.L, w)
+    predict_readings(B, step, readings, state, f.L, w, taken)
     if whole:
-        second_pass(X, offsets, step, readings, state, f.noise, f.first, f.second, taken)
+        joint_covariance(step, readings, state, f.noise, f.L, w, taken)
         _store_covariances(step, f.gains, readings, state, taken)
     else:
         _reuse_covariances(step, f.gains, state, taken)
@@ -457,7 +557,7 @@ def filter_lane(
         transition[:, :] = 0.0
         for i in range(n):
             for j in range(n + 1):
-                transition[i, j] = f.first.end[i, 1 + m + size + j]
+                transition[i, j] = w.end[i, 1 + m + rank + j]
         transition[n, n] = decay
     take_readings(step, readings, state, taken, z, transition, history, out)
     if keep:

@@ -274,13 +274,13 @@ class FilterMarch(LinearMarch):
         readings, after_s = self._readings(points, m), np.zeros(len(points))
         for i, point in enumerate(points):
             after_s[self._lane_of[i]] = point.freeze_after_s
-        # Frozen gains skip F P and F M', from which the smoother's transition is read.
+        # Frozen gains skip F L and F, from which the smoother's transition is read.
         if keep and np.any(np.isfinite(after_s)):
             raise InputError("filter: a smoother needs the covariance of every step; leave freeze_after_s out")
         arrays = FilterArrays(
             readings, state, self._noise(points, n), frozen_gains(after_s, most, n + 1), history,
-            workspace(n, 1 + m), workspace(n, 1 + m + (2 if keep else 1) * (n + 1)), workspace(n, n + 1 + most),
-            step_readings(most, n + 1, m), np.zeros(n + 1), np.zeros((n + 1, n + 1)),
+            workspace(n, 1 + m + (2 if keep else 1) * (n + 1)), step_readings(most, n + 1, m), np.zeros(n + 1),
+            np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1)),
         )  # fmt: skip
         out = np.full((len(points), readings.time_s.shape[1], N_OUT + m), np.nan)
         out[..., LOG_LIKELIHOOD] = 0.0

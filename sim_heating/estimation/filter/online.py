@@ -197,11 +197,14 @@ class PointEstimate:
 
 @dataclass(frozen=True, eq=False)
 class FilterSnapshot:
-    """All that changes in an online filter, at a time [s]; `OnlineFilter.restore` goes back to it bit for bit."""
+    """All that changes in an online filter, at a time [s]; `OnlineFilter.restore` goes back to it bit for bit.
+
+    numbers : (number,) those of its arrays, one array after the other
+    """
 
     time_s: float
     stepped: bool
-    arrays: tuple[FloatArray | IntArray, ...]
+    numbers: FloatArray
 
 
 class OnlineFilter(FilterMarch):
@@ -228,6 +231,7 @@ class OnlineFilter(FilterMarch):
         self._size = n, m
         self.now_s = math.nan
         self._stepped = False
+        self._room: list[FloatArray] = []
         self._group = self.nominal.lane_group(0)
         if self.perturbed is None:
             raise InputError("online filter: nothing to filter")
@@ -430,18 +434,29 @@ class OnlineFilter(FilterMarch):
 
     def snapshot(self) -> FilterSnapshot:
         """All that changes, copied; `restore` goes back to it exactly."""
-        return FilterSnapshot(self.now_s, self._stepped, tuple(a.copy() for a in self._changing()))
+        arrays = [a.ravel() for a in self._changing()]
+        numbers = self._room.pop() if self._room else np.empty(sum(a.size for a in arrays))
+        return FilterSnapshot(self.now_s, self._stepped, np.concatenate(arrays, out=numbers))
+
+    def done_with(self, snapshot: FilterSnapshot) -> None:
+        """Have a snapshot's room for later ones: fresh memory costs more than the copy. It is not restored again."""
+        self._room.append(snapshot.numbers)
 
     def restore(self, snapshot: FilterSnapshot) -> None:
         """Go back, or forward, to a snapshot of this filter."""
         self.now_s, self._stepped = snapshot.time_s, snapshot.stepped
-        for own, kept in zip(self._changing(), snapshot.arrays, strict=True):
-            own[...] = kept
+        at = 0
+        for own in self._changing():
+            own[...] = snapshot.numbers[at : at + own.size].reshape(own.shape)
+            at += own.size
+        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
+        self._X.start[:] = self._X.end
+        self._X.middle[:] = self._X.end
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
         info = self._information
         mesh = () if self._mesh_error is None else (self._mesh_error.state,)
-        filtered = self._group.B, *self._X, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
+        filtered = self._group.B, self._X.end, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
         return (*filtered, *mesh)
 
     # Packing ---------------------------------------------------------------------------------------------------------
@@ -484,8 +499,8 @@ class OnlineFilter(FilterMarch):
             nothing = self._readings([replace(p, samples=_no_samples()) for p in self.points], m)
             self._arrays_of[most] = FilterArrays(
                 nothing, self._state_now, self._process, frozen_gains(np.full(len(self.points), np.inf), most, n + 1),
-                self._history(self.points, n, False), workspace(n, 1 + m), workspace(n, 2 + m + n),
-                workspace(n, n + 1 + most), step_readings(most, n + 1, m), np.zeros(n + 1), np.zeros((n + 1, n + 1)),
+                self._history(self.points, n, False), workspace(n, 2 + m + n), step_readings(most, n + 1, m),
+                np.zeros(n + 1), np.zeros((n + 1, n + 1)), np.zeros((n + 1, n + 1)),
             )  # fmt: skip
         return self._arrays_of[most]._replace(state=self._state_now)
 

@@ -159,7 +159,7 @@ def march_response(
     state = State(
         np.zeros((lanes, 0, 0)), np.zeros((lanes, w.end.shape[0], 0)), np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
     )
-    next_reading = np.zeros(lanes, dtype=np.int64)
+    L, next_reading = np.zeros((0, 0)), np.zeros(lanes, dtype=np.int64)
     for lane in range(lanes):
         _copy_temperatures(B, lane, offsets.nodes[lane], output.temperature_K[lane, 0])
         disturb(B, X, perturbed, lane, added[lane, 0])
@@ -169,9 +169,9 @@ def march_response(
         dt = time_s[k] - time_s[k - 1]
         for lane in range(lanes):
             n = offsets.nodes[lane]
-            step = LaneStep(lane, n, dt, 1.0, next_reading[lane], 0, False, True)
+            step = LaneStep(lane, n, dt, 1.0, next_reading[lane], 0, 0, True)
             if output.transition.shape[3] > 0:
-                first_pass(X, offsets, step, state, w)
+                first_pass(X, offsets, step, state, L, w)
                 output.transition[lane, k - 1, :n, : n + 1] = w.end[:n, 1 : n + 2]
             next_reading[lane] = _read_step(B, w, step, time_s, k, readings, output)
             _copy_temperatures(B, lane, n, output.temperature_K[lane, k])
