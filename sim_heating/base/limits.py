@@ -222,7 +222,7 @@ def quantity(name: str) -> Quantity | None:
 
 def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:
     """Location and value of each number of nested lists; of a number by itself, with the location ()."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
+    if type(value) is float or (isinstance(value, (int, float)) and not isinstance(value, bool)):
         yield (), float(value)
     elif isinstance(value, (list, tuple)):
         for i, item in zip(count(), value, strict=False):

@@ -534,7 +534,8 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     where  : name for the messages
     raises : InputError as for a file named `where`, with all problems of the parts
     """
-    parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials.items()}}
-    whole = check(parts, Construction, where)
     used = {layer.material for layer in stack.layer}
-    return whole.model_copy(update={"materials": {n: m for n, m in whole.materials.items() if n in used}})
+    # all of them where one is unknown, which may be misspelt
+    given = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
+    parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in given.items()}}
+    return check(parts, Construction, where)

@@ -5,7 +5,15 @@ A problem is one line with file, place, value and rule: `record.toml, [thermocou
 a file are reported at once.
 """
 
-from sim_heating.base.files.csv_table import COLDEST_K, CsvTable, celsius_rule, csv_text, read_csv_columns, write_csv
+from sim_heating.base.files.csv_table import (
+    COLDEST_K,
+    CsvTable,
+    celsius_rule,
+    csv_columns,
+    csv_text,
+    read_csv_columns,
+    write_csv,
+)
 from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import display_path, file_digest, text_digest
 from sim_heating.base.files.results import (
@@ -50,10 +58,10 @@ from sim_heating.base.files.transaction import exclusive, replace_files, require
 
 __all__ = [
     "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
-    "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_text", "digest_matches",
-    "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys", "nearest_name",
-    "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns", "read_json",
-    "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "replaces_others",
+    "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_columns", "csv_text",
+    "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys",
+    "nearest_name", "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns",
+    "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "replaces_others",
     "replacing_others", "require_exclusive", "require_writable", "results_digest", "roots_of", "settle",
     "suggestion", "text_digest", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
     "write_text_atomic",

@@ -109,7 +109,26 @@ def read_csv_columns(
     text        : columns kept as text
     raises      : InputError naming row, column and value, all problems at once
     """
-    names, rows, lines, header = _cells(Path(path))
+    return csv_columns(
+        Path(path), read_text(path), required, optional, allow_empty=allow_empty, keep_other=keep_other, text=text
+    )
+
+
+def csv_columns(
+    path: Path,
+    content: str,
+    required: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    allow_empty: Iterable[str] = (),
+    keep_other: bool = True,
+    text: Sequence[str] = (),
+) -> CsvTable:
+    """The table that the text of a CSV file holds; the path is that of the messages.
+
+    Parameters, result and errors as in `read_csv_columns`.
+    """
+    names, rows, lines, header = _cells(path, content)
     lost = set(allow_empty)
     problems = _name_problems(display_path(path), names, required, optional, lost)
     selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
@@ -128,12 +147,12 @@ def read_csv_columns(
         problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
-    return CsvTable(columns, header, Path(path), np.array(lines, dtype=np.int64), texts)
+    return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
 
 
-def _cells(path: Path) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:
+def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:
     """Names, rows of cells, the line of each row, and the `# key: value` header."""
-    content = read_text(path).replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
+    content = text.replace("\r\n", "\n").replace("\r", "\n").rstrip().split("\n")
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
         raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")

@@ -111,8 +111,10 @@ class LocatedError(ValueError):
 
 def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
     """Problems of the numbers of one field: the place below the field, and the rule of the quantity."""
+    if value is None or isinstance(value, (str, bool)):
+        return []
     declared = model.quantities.get(name, name)
-    if declared is None or value is None:
+    if declared is None:
         return []
     if isinstance(value, Mapping):
         return [((key, *place), text) for key, v in value.items() for place, text in _range_problems(quantity(key), v)]
@@ -137,6 +139,9 @@ def _meant(model: Declared, name: str) -> str:
 def _range_problems(known: Quantity | None, value: Any) -> list[tuple[Location, str]]:
     if known is None:
         return []
+    if type(value) is float:  # most are, and there are thousands
+        text = known.problem(value)
+        return [] if text is None else [((), text)]
     return [(place, text) for place, number in numbers_in(value) if (text := known.problem(number)) is not None]
 
 

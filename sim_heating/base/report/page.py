@@ -77,7 +77,7 @@ class SavedPicture:
         """The file as a data URL, with a palette of colours: a quarter of its size."""
         buffer = io.BytesIO()
         with Image.open(self.path) as picture:
-            picture.convert("RGB").quantize(PALETTE, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+            _few_colours(picture.convert("RGB")).save(buffer, "PNG")
         return _data_url("image/png", buffer.getvalue())
 
 
@@ -91,9 +91,12 @@ def _with_palette(raster: bytes) -> bytes:
     """A rasterized part of a figure as a data URL with a palette of colours and transparencies."""
     buffer = io.BytesIO()
     with Image.open(io.BytesIO(raster)) as picture:
-        few = picture.convert("RGBA").quantize(PALETTE, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        few.save(buffer, "PNG", optimize=True)
+        _few_colours(picture.convert("RGBA")).save(buffer, "PNG")
     return _data_url("image/png", buffer.getvalue()).encode()
+
+
+def _few_colours(picture: Image.Image) -> Image.Image:
+    return picture.quantize(PALETTE, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
 
 
 def _data_url(media: str, content: bytes) -> str:

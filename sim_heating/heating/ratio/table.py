@@ -14,6 +14,8 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +25,11 @@ from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
+    csv_columns,
     csv_text,
     display_path,
     raise_problems,
-    read_csv_columns,
+    read_text,
     suggestion,
     write_text_atomic,
 )
@@ -38,6 +41,8 @@ LARGEST_SIGMA, SMALLEST_SIGMA = 10.0, 1e-5
 """Largest sigma over the largest ratio of a table, and smallest median of sigma over ratio."""
 LEAST_RATIO = 1e-5
 """Largest ratio of a table, at least: sheltered places have 1e-3 of the stagnation point's."""
+TABLES_KEPT = 256
+"""Tables that stay in memory once read: planning and joint fits read those of a vehicle again and again."""
 SPIKE = 100.0
 """Factor between a ratio and those at all nodes next to it that no flow has: shocks that meet give 20."""
 
@@ -103,8 +108,14 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
               an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
+    return _table_of(Path(path), read_text(path))
+
+
+@lru_cache(maxsize=TABLES_KEPT)
+def _table_of(path: Path, text: str) -> RatioTable:
+    """The table that a file with this text holds; its arrays are shared by all who read it, and cannot be written."""
     required = tuple(name for name in RATIO_VARIABLES if name not in SURFACES)
-    table = read_csv_columns(path, (*required, "ratio"), (*SURFACES, "sigma"))
+    table = csv_columns(path, text, (*required, "ratio"), (*SURFACES, "sigma"))
     table = table.with_columns({name: np.zeros(len(table)) for name in SURFACES if name not in table.columns})
     raise_problems([*_header_problems(table), *_column_problems(table)])
     axes = tuple(np.unique(table[name]) for name in RATIO_VARIABLES)
@@ -113,7 +124,10 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     raise_problems(_repeated_nodes(table, index) or _missing_nodes(table, axes, index))
     ratio = _on_grid(table, "ratio", axes, index)
     raise_problems(_spikes(table, ratio, index))
-    return RatioTable(axes, ratio, _sigma(table, axes, index), table.header)
+    sigma = _sigma(table, axes, index)
+    for array in (*axes, ratio, *(() if sigma is None else (sigma,))):
+        array.setflags(write=False)
+    return RatioTable(axes, ratio, sigma, table.header)
 
 
 def depends_on(variable: str, *tables: RatioTable | None) -> bool:
