@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -12,6 +14,7 @@ import sim_heating as sh
 from benchmarks.live_streams import EIGHT, SIX, flown_frames, orbiter_of, practice, samples_of_record, word_K
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
+from sim_heating.estimation.filter import online
 from sim_heating.live.ahead import LookAhead
 from sim_heating.live.estimator import LiveEstimator, LiveOptions
 from sim_heating.live.futures import FlownPath, Futures
@@ -100,17 +103,39 @@ def waiting_too(call_s: FloatArray) -> FloatArray:
     return np.array(found)
 
 
-def replay_speed(given: Stream) -> float:
-    """Flight time over processor time of a replay as fast as it goes, a second of flight at a time [-]."""
-    e = estimator(given)
-    worked = time.process_time()
+def replay(e: LiveEstimator, given: Stream) -> None:
+    """Give an estimator the stream as fast as it goes, a second of flight [s] at a time."""
     for k in range(0, len(given.batches), FRAMES_HZ):
         for batch in given.batches[k : k + FRAMES_HZ]:
             e.add(*batch)
         e.advance()
         e.innovations()
     e.estimates()
+
+
+def replay_speed(given: Stream) -> float:
+    """Flight time over processor time of a replay as fast as it goes, a second of flight at a time [-]."""
+    e = estimator(given)
+    worked = time.process_time()
+    replay(e, given)
     return (given.frames[-1].time_s - given.frames[0].time_s) / (time.process_time() - worked)
+
+
+def share_of_kernel(given: Stream) -> float:
+    """Part of the processor time of a replay that the compiled filter itself takes [-]: what is left is Python's."""
+    kernel, taken = online.run_online, []
+
+    def timed(*arguments: Any) -> None:
+        begun = time.thread_time()
+        kernel(*arguments)
+        taken.append(time.thread_time() - begun)
+
+    with patch.object(online, "run_online", timed):
+        e = estimator(given)
+        taken.clear()
+        worked = time.thread_time()
+        replay(e, given)
+        return sum(taken) / (time.thread_time() - worked)
 
 
 def record_speed(name: str = "p06") -> float:
@@ -183,6 +208,7 @@ def speed(flight_s: float) -> list[Figure]:
         Figure(f"{size}: wall time over that of the plug-in's steps of the same points", float(np.mean(wall)) / plain_s,
                "", note=f"the plug-in: {1e6 * plain_s:.0f} us a frame"),
         Figure(f"{size}: replay over real time, on one core", replay_speed(given), "x", FASTEST, True),
+        Figure(f"{size}: part of the time of that replay in the compiled filter", share_of_kernel(given), ""),
         *(
             Figure(f"{POINTS} points: look-ahead of {h:.0f} s on three futures with covariance, median",
                    1e3 * float(np.median(taken)), "ms", LARGEST_AHEAD_MS[h],
