@@ -22,6 +22,7 @@ from tests.support.paths import SCENARIOS
 pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install 'sim-heating[plan]'")
 
 from benchmarks import betts
+from benchmarks.optimal import hottest_with_drawn_tables
 from sim_heating.planning.optimal import dynamics as od
 from sim_heating.planning.optimal import tables
 from sim_heating.planning.optimal.collocation import Transcription, refined_mesh
@@ -174,14 +175,8 @@ def test_a_limit_costs_cross_range(limited_flight):
 
 def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
     entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
-    point, vehicle = entry.study.points[0].point, entry.study.vehicle
-    draws = np.random.default_rng(7).standard_normal(150)
-    model, table = point_of_vehicle(vehicle, point), point.ratio
-    drawn = [replace(model, ratio=replace(table, ratio=table.ratio + z * table.sigma)) for z in draws]
-    flown = conditions_at_point(vehicle, point, entry.conditions.at(np.arange(0.0, entry.motion.duration_s, 4.0)))
-    hottest = [np.max(h.surface_K) for h in march_points(drawn, [flown] * len(drawn), longest_step_s=4.0)]
-    inside = np.mean(np.array(hottest) <= 1900.0)
-    assert inside == pytest.approx(0.9, abs=3.0 * np.sqrt(0.9 * 0.1 / len(draws)))
+    inside = np.mean(hottest_with_drawn_tables(entry, 150, 7, 4.0) <= 1900.0)
+    assert inside == pytest.approx(0.9, abs=3.0 * np.sqrt(0.9 * 0.1 / 150))
     assert entry.nominal[0].surface_K < entry.peaks[0].surface_K - 10.0
 
 
