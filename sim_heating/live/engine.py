@@ -22,7 +22,7 @@ from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.inference.observability import heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
-from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions
+from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions, check_estimated
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
@@ -109,19 +109,30 @@ def parameters_of(link: Link) -> list[str]:
     return list(heating_names(all(record.ratio_table is not None for record in link.records.values())))
 
 
+def check_estimate(link: Link) -> None:
+    """Refuse parameters, priors and sensors that a running estimate cannot have, without making one.
+
+    raises : InputError with one line
+    """
+    names = parameters_of(link)
+    with error_context(f"{display_path(link.path)}, [estimate]"):
+        if unknown := [name for name in link.declared.estimate.prior if name not in names]:
+            raise InputError(f"`prior`: {unknown[0]} is not estimated{suggestion(unknown[0], names)}")
+        check_estimated({p.name: p.sensors for p in link.points}, names)
+
+
 def make_estimator(link: Link) -> LiveEstimator:
     """The estimator that a link file declares.
 
     raises : InputError for a parameter or a sensor that a running estimate cannot have
     """
+    check_estimate(link)
     own, names = link.declared.estimate, parameters_of(link)
     priors = {name: Prior(mean, sigma) for name, (mean, sigma) in own.prior.items()}
     with error_context(f"{display_path(link.path)}, [estimate]"):
-        if unknown := [name for name in priors if name not in names]:
-            raise InputError(f"`prior`: {unknown[0]} is not estimated{suggestion(unknown[0], names)}")
         options = LiveOptions(
             lateness_s=own.lateness_s, jump_s=own.jump_s, linearise_s=own.linearise_s, start=own.start,
-            ratio_noise=(own.wander, own.wander_s) if own.wander > 0.0 else None,
+            ratio_noise=(own.wander, own.wander_s) if own.wander > 0.0 else None, corrects_mesh=own.corrects_mesh,
         )  # fmt: skip
         points: ConditionsOfFrame
         if link.vehicle is not None:
@@ -278,7 +289,7 @@ class LinkEngine:
         for read in self.estimator.innovations():
             failure = self.checks.take(read)
             if failure is not None:
-                self.estimator.leave_out(failure.point, failure.sensor, failure.from_s)
+                self.estimator.leave_out(failure.point, failure.sensor, failure.from_s, failure.wrong_s)
                 self.test.leave_out(failure.point, failure.sensor)
                 self.remarks.add(_removed(failure).text)
             elif not self.checks.has_failed(read.point, read.sensor):
@@ -288,7 +299,7 @@ class LinkEngine:
     def end(self) -> None:
         """No more messages come."""
         self.advance()
-        self._estimate(self.estimator.filter_again)  # as a fit of the whole record would be linearised
+        self._estimate(self._filter_again)
         self._look_ahead()  # from the last estimate, which depends on the samples alone
         self._phase = "ended"
 
@@ -301,6 +312,11 @@ class LinkEngine:
             left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point and not f.drifts]
             self.weighing.start(self.journal.path, alarm.point, left_out, root=self.link.root)
         return self.weighing.busy
+
+    def _filter_again(self) -> None:
+        """Linearise as a fit of the whole record would be, and take back what failing sensors read."""
+        if not self.estimator.filter_again() and self.checks.failures:
+            self.remarks.add("the clock jumped: what sensors read before they were taken out stays in the estimate")
 
     def _poll_weighing(self) -> None:
         """Take what was found; a process that died is a remark."""
@@ -460,7 +476,8 @@ def _limits(link: Link, point: str) -> dict[str, float]:
 
 
 def _removed(failure: Failure) -> RemovedSensor:
-    return RemovedSensor(failure.point, failure.sensor, failure.from_s, failure.why)
+    kept = f"; what it read from {failure.wrong_s:.1f} s on is taken back when the link ends"
+    return RemovedSensor(failure.point, failure.sensor, failure.from_s, failure.why + kept)
 
 
 def _unit(point: LivePoint, name: str) -> str:

@@ -45,6 +45,7 @@ from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import Counts, Placed, Timeline, Word
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.point import PointModel, initial_temperatures
+from sim_heating.thermal.stack import Sensor
 
 WIDE = 0.5
 """Prior standard deviation of `ratio.scale`, and of what a derivative adds to a ratio over a usual range, over the
@@ -200,6 +201,33 @@ class _Second:
     taken: int = 0
 
 
+def check_estimated(sensors: Mapping[str, Sequence[Sensor]], names: Sequence[str]) -> None:
+    """Refuse sensors that a running estimate cannot follow, and parameters of sensors and clock that it cannot have.
+
+    sensors : of each control point, by its name;  names : parameters to estimate
+    raises  : InputError with one line
+    """
+    for point, own in sensors.items():
+        lagging = [s for s in own if s.tau_s > 0.0 and s.used]
+        if lagging:
+            raise InputError(
+                f"{point}: sensor {lagging[0].name} lags (tau_s = {lagging[0].tau_s:g}); a running estimate follows "
+                "thermocouples without a lag alone. Set its tau_s to 0, or used = false and `estimate` the record"
+            )
+    known = {s.name for own in sensors.values() for s in own if s.used}
+    for name in names:
+        if not name.startswith((SENSOR_PREFIX, "clock.", "sensors.")):
+            continue
+        sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
+        if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
+            raise InputError(
+                f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
+                f"clock nothing, `{CLOCK_SKEW.name}` among it. Leave it out here and `estimate` the record"
+            )
+        if sensor not in known:
+            raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
+
+
 @dataclass
 class _Out:
     """Times [s] from which on, and to which, a sensor is left out."""
@@ -235,7 +263,7 @@ class LiveEstimator:
         self.points = source.points
         self.names = tuple(p.name for p in self.points)
         self._of_point = {p.name: i for i, p in enumerate(self.points)}
-        self._check(names)
+        check_estimated({p.name: p.sensors for p in self.points}, names)
         self._sensors = _SensorTable(self.points, names)
         self._tracks, self._priors = zip(
             *(_track(p, self._sensors.names[i], priors or {}, self.options) for i, p in enumerate(self.points)),
@@ -255,6 +283,7 @@ class LiveEstimator:
         self._told_conflict = False
         self.refused = 0
         self._out = [_Out() for _ in self._sensors.sensors]
+        self._wrong: dict[int, tuple[float, float]] = {}
         self._restart()
         self._warm_up()
 
@@ -287,27 +316,6 @@ class LiveEstimator:
             f.step(np.array([1.0]), own[:, np.newaxis], no_readings(max(p.parameters for p in f.points)))
             f.linearise_again(0)
             f.estimates()
-
-    def _check(self, names: Sequence[str]) -> None:
-        for point in self.points:
-            lagging = [s.name for s in point.sensors if s.tau_s > 0.0 and s.used]
-            if lagging:
-                raise InputError(
-                    f"{point.name}: sensor {lagging[0]} lags; a running estimate takes thermocouples without a lag. "
-                    "Set its tau_s to 0, or used = false"
-                )
-        of_sensors = [n for n in names if n.startswith((SENSOR_PREFIX, "clock.", "sensors."))]
-        for name in of_sensors:
-            what = name.rpartition(".")[2]
-            known = {s.name for p in self.points for s in p.sensors if s.used}
-            sensor = name.removeprefix(SENSOR_PREFIX).rpartition(".")[0]
-            if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
-                raise InputError(
-                    f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
-                    f"clock nothing, `{CLOCK_SKEW.name}` among it"
-                )
-            if sensor not in known:
-                raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
 
     # Samples in ------------------------------------------------------------------------------------------------------
 
@@ -424,12 +432,16 @@ class LiveEstimator:
             if frames:
                 self._commit(frames[-1], frames[-1].time_s)
 
-    def leave_out(self, point: str, sensor: str, since_s: float) -> None:
+    def leave_out(self, point: str, sensor: str, since_s: float, wrong_s: float | None = None) -> None:
         """Use no readings of a sensor from a time on [s]; they are still predicted.
 
-        raises : InputError for an unknown point or sensor
+        wrong_s : earlier time from which on they are not trusted [s]: `filter_again` takes them back from there on.
+                  The running estimate does not, as when that could be done depends on when the samples came
+        raises  : InputError for an unknown point or sensor
         """
         self._change_use(point, sensor, since_s, True)
+        if wrong_s is not None:
+            self._wrong[self._sensors.numbers[point, sensor]] = (wrong_s, since_s)
 
     def take_in(self, point: str, sensor: str, since_s: float) -> None:
         """Use the readings of a sensor again from a time on [s]."""
@@ -586,16 +598,21 @@ class LiveEstimator:
         if self._past and self._past[-1].frame.time_s - self._past[0].frame.time_s > LONGEST_AGAIN_S:
             self._give_up_past()
 
-    def filter_again(self) -> None:
-        """Filter the whole flight so far again, linearised about the present estimate, at once.
+    def filter_again(self) -> bool:
+        """Filter the whole flight so far again, linearised about the present estimate, at once; whether it was.
 
-        What earlier readings said is then linearised about the estimate too, as in a fit of the whole record; a flight
-        of 1000 s takes some seconds. Nothing is done before the start, or where the clock jumped.
+        What earlier readings said is then linearised about the estimate too, as in a fit of the whole record, and what
+        sensors read after they had begun to fail is taken back; a flight of 1000 s takes some seconds. Nothing is done
+        before the start, or where the clock jumped.
         """
         self.advance()
         self._undo_provisional()
         if self._now is None or not self._past:
-            return
+            return False
+        has_wrong = bool(self._wrong)
+        for n, span in self._wrong.items():
+            self._out[n].spans.insert(0, span)
+        self._wrong.clear()
         estimates = tuple(e.values for f in self.filters for e in f.estimates())
         second = self._begin_again(estimates, len(self._past))
         self._take_again(second, len(self._past))
@@ -603,6 +620,8 @@ class LiveEstimator:
         self._take_over(second)
         self._changed = True
         self.advance()
+        # the estimate that this was linearised about had those readings
+        return self.filter_again() if has_wrong else True
 
     def _begin_again(self, at: Sequence[FloatArray], known: int) -> _Second:
         assert self._begun is not None

@@ -57,6 +57,8 @@ from sim_heating.thermal.stack import Sensor
 LOOPBACK = "127.0.0.1"
 DRIVING = ("q_add_W_m2", "T_surroundings_K", "T_back_K")
 """Columns that change at a wall without flow."""
+NOT_OF_MODEL = ("sensor.", "sensors.", "effect.", "clock.")
+"""Beginnings of names that are checked with the sensors of a link."""
 PORT = Field(default=5500, ge=1, le=65535, description="port, 1 to 65535")
 
 
@@ -225,6 +227,7 @@ class EstimateSettings(Declared):
     start           : "readings": initial temperatures by conduction, from the first readings; "declared": those
                       of the stack; "auto": the former where the readings contradict the latter
     linearise_s     : flight time after which a point is linearised about its estimate again
+    corrects_mesh   : whether the error of the meshes is found beside the filter and corrected; false is faster
     """
 
     quantities: ClassVar = {
@@ -244,6 +247,7 @@ class EstimateSettings(Declared):
     jump_s: float = Field(default=2.5, gt=0.0, le=1e4)
     start: Literal["auto", "readings", "declared"] = "auto"
     linearise_s: float = Field(default=1.0, gt=0.0, le=100.0)
+    corrects_mesh: bool = True
 
     @field_validator("prior")
     @classmethod
@@ -261,7 +265,7 @@ class EstimateSettings(Declared):
     @classmethod
     def _check_names(cls, names: list[str] | None) -> list[str] | None:
         for name in names or []:
-            if name not in MODEL and layer_parameter(name) is None and not name.startswith(("sensor.", "effect.")):
+            if name not in MODEL and layer_parameter(name) is None and not name.startswith(NOT_OF_MODEL):
                 raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL)}")
         return names
 

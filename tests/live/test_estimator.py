@@ -285,6 +285,24 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
     assert name in found.sensors
 
 
+def test_what_a_sensor_read_while_it_failed_is_taken_back_when_the_flight_is_filtered_again():
+    name = record().used_sensors[0].name
+    wrong = [
+        replace(s, value_K=s.value_K + 10.0)
+        if isinstance(s, Reading) and s.sensor == name and s.time_s > 870.0 else s
+        for s in samples()
+    ]  # fmt: skip
+    told, known = feed(estimator(), wrong), estimator()
+    before = told.estimates()[told.names[0]].parameters["ratio.scale"]
+    told.leave_out(told.names[0], name, END_S + 1.0, wrong_s=870.0)
+    assert told.filter_again()
+    known.leave_out(known.names[0], name, 870.0)
+    feed(known, wrong).filter_again()
+    after, expected = (e.estimates()[e.names[0]].parameters["ratio.scale"] for e in (told, known))
+    assert after[1] == pytest.approx(expected[1], rel=0.01)
+    assert abs(after[0] - expected[0]) < 0.3 * expected[1] < abs(before[0] - expected[0])
+
+
 @pytest.mark.parametrize(
     ("readings_K", "told"),
     [

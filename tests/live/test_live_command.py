@@ -12,7 +12,7 @@ import pytest
 import sim_heating as sh
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
-from sim_heating.inputs.record import load_record
+from sim_heating.inputs.record import load_record, write_record
 from tests.live.links import FRAME, free_port, json_lines, part_of_record
 from tests.support.json_output import run_json
 from tests.support.paths import PRACTICE
@@ -139,6 +139,22 @@ def test_a_mapping_of_an_unknown_condition_is_one_line(tmp_path, capsys):
     link = of_vehicle(tmp_path, LINK + '\n[conditions]\nalpa_deg = { field = "a" }\n')
     told = the_error(capsys, "live", str(link), "--headless", "--out", str(tmp_path / "o"))
     assert "did you mean `alpha_deg`" in told
+
+
+def test_what_a_running_estimate_cannot_follow_is_refused_by_validate_and_at_the_start(cut: Path, tmp_path, capsys):
+    lagging = load_record(cut)
+    first, *rest = lagging.sensors
+    write_record(lagging.with_sensors([first.model_copy(update={"tau_s": 0.5}), *rest]), tmp_path / "lagging")
+    source = '[[source]]\nkind = "replay"\nspeed = 0.0\n'
+    head = 'format = "link/1"\nrecords = ["{}"]\n' + source
+    (tmp_path / "lags.toml").write_text(head.format("lagging"))
+    (tmp_path / "clock.toml").write_text(head.format(cut) + '[estimate]\nparameters = ["ratio.scale", "clock.skew"]\n')
+    for name, problem in (("lags", "lags (tau_s = 0.5)"), ("clock", "`clock.skew`: a running estimate cannot have it")):
+        path, root = str(tmp_path / f"{name}.toml"), ["--root", "/"]
+        told = the_error(capsys, "validate", path, *root)
+        assert problem in told
+        assert "`estimate` the record" in told
+        assert the_error(capsys, "live", path, "--headless", "--out", str(tmp_path / name), *root) == told
 
 
 def test_a_field_that_is_never_sent_is_named(tmp_path, capsys):

@@ -39,6 +39,7 @@ class Failure:
     """A sensor that failed.
 
     found_s : time of the reading that told [s];  from_s : from when on it is left out [s];  why : in one line
+    wrong_s : from when on its readings are not trusted, before it was found [s]
     drifts  : whether it is away from its neighbours; what the model lacks can do that too
     """
 
@@ -47,6 +48,7 @@ class Failure:
     found_s: float
     from_s: float
     why: str
+    wrong_s: float
     drifts: bool = False
 
 
@@ -101,7 +103,10 @@ class SensorChecks:
         if not (why or drift):
             return None
         self._failed.add(key)
-        self.failures.append(Failure(*key, read.time_s, read.time_s + self.wait_s, why or drift, bool(drift)))
+        looked_at = recent.equal if why and recent.equal >= STUCK_READINGS else FLICKER_OF if why else DRIFT_OF
+        wrong_s = list(recent.rows)[-looked_at:][0][0]
+        from_s = read.time_s + self.wait_s
+        self.failures.append(Failure(*key, read.time_s, from_s, why or drift, wrong_s, bool(drift)))
         return self.failures[-1]
 
     def has_failed(self, point: str, sensor: str) -> bool:
