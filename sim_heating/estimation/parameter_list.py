@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
 from sim_heating.base.parameters import (
@@ -26,6 +27,7 @@ from sim_heating.base.parameters import (
     RECORD_PARAMETERS,
     SENSOR,
     SENSOR_PREFIX,
+    SHORT_NAMES,
     STACK_PREFIX,
     Parameter,
     layer_parameter,
@@ -51,6 +53,7 @@ from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import point_of_record, point_of_vehicle
 from sim_heating.inputs.record import Record, Sensor, load_record
 from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.point import PointModel, insulation_layer
 
 FORMAT = "parameters/1"
@@ -191,6 +194,8 @@ def parameter_list(
 def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> list[ParameterList]:
     """Every parameter that exists at each control point of a scenario, with prior and bounds.
 
+    A vehicle without a control surface has no derivatives against its deflection.
+
     effects : names of effects that the vehicle does not declare, listed at their nominal values
     returns : one list a control point, each parameter with its unit ([-], [K] ...)
     raises  : InputError for an unknown effect
@@ -200,8 +205,16 @@ def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> l
     for name in scenario.names:
         point = scenario.vehicle.control_point(name)
         model = point_of_vehicle(scenario.vehicle, point, effects=(*scenario.effects(name), *uses))
-        found.append(ParameterList(name, tuple(_listed(model, point.sensors))))
+        listed = _listed(model, point.sensors)
+        found.append(ParameterList(name, tuple(p for p in listed if not _is_of_absent(p.name, scenario.vehicle))))
     return found
+
+
+def _is_of_absent(name: str, vehicle: Vehicle) -> bool:
+    """Whether a parameter is a derivative against a control surface that a vehicle does not have."""
+    columns = zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)
+    absent = [short for short, column in columns if column in SURFACES and column not in vehicle.surfaces]
+    return name.startswith("ratio.d_") and any(short in name for short in absent)
 
 
 # What exists ----------------------------------------------------------------------------------------------------------

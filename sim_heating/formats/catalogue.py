@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
-from sim_heating.base.conditions import DESCRIPTIONS, HEATING, RATIO_VARIABLES, STATE
+from sim_heating.base.conditions import DESCRIPTIONS, HEATING, RATIO_VARIABLES, STATE, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.inputs.record import OPTIONAL_COLUMNS
@@ -94,11 +94,12 @@ FORMATS: tuple[FileFormat, ...] = (
         "conditions", "conditions.csv", "flight conditions of a record, one row a sample",
         "Conditions are linear in time between rows. `rho_kg_m3` may be left out where `q_Pa` is given. "
         "`h_ref_kg_m2_s` and `H_r_J_kg` are needed with `reference = \"columns\"` alone; otherwise the reference "
-        "heating that `[heating]` names is computed. With `reference = \"none\"` only `time_s` is needed. Further "
+        "heating that `[heating]` names is computed. A deflection may be left out where no ratio table depends on it. "
+        "With `reference = \"none\"` only `time_s` is needed. Further "
         "columns of numbers are kept; `axial_accel_g` serves as independent evidence.",
         "scenarios/records/practice/p08/conditions.csv",
-        _columns(*STATE, "p_surface_Pa"),
-        _columns(*HEATING[1:], *OPTIONAL_COLUMNS, "axial_accel_g"),
+        _columns(*(name for name in STATE if name not in SURFACES), "p_surface_Pa"),
+        _columns(*SURFACES, *HEATING[1:], *OPTIONAL_COLUMNS, "axial_accel_g"),
     ),
     ColumnFormat(
         "thermocouples", "thermocouples.csv", "measured temperatures of a record, one column a sensor",
@@ -121,10 +122,11 @@ FORMATS: tuple[FileFormat, ...] = (
         "trajectory", "FLIGHT.csv", "recorded trajectory of a scenario with source = \"recorded\"",
         "Times in seconds, angles in degrees. What is left out is derived: temperature and pressure from the standard "
         "atmosphere, Mach and Reynolds number from them. Columns are compared with each other, so that a speed in ft/s "
-        "or a 'Mach' that is V / 1000 ft/s is refused.",
+        "or a 'Mach' that is V / 1000 ft/s is refused. A deflection is needed where the heating of the vehicle depends "
+        "on it, else it is 0; of `rho_kg_m3` and `q_Pa` one is needed.",
         "scenarios/data/sts107_early_entry.csv",
         _columns(*REQUIRED),
-        _columns(*OPTIONAL),
+        _columns(*SURFACES, *OPTIONAL),
     ),
     ModelFormat(
         "scenario", "SCENARIO.toml", "scenario: a flight with its manoeuvres, measurements and truth",

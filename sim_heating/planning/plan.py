@@ -135,10 +135,12 @@ def plan(
                 if isinstance(error, InputError) and len(parts) == 1:
                     raise
                 done.failed[name] = str(error)
+        names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} | {SUMMARY, PAGE}
+        # The same object is written and returned: its credibility flies the base entry, once.
+        done = replace(done, files=tuple(sorted(names)))
         write_json(folder / SUMMARY, summary(done))
         write_page(folder / PAGE, page_of(done, folder))
-        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
-    return replace(done, files=tuple(names))
+    return done
 
 
 def _within(progress: Progress, name: str, i: int, parts: int) -> Progress:

@@ -23,10 +23,12 @@ from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
 DERIVED = ("T_inf_K", "p_inf_Pa", "mach", "log10_re")
-REQUIRED = tuple(name for name in STATE if name not in DERIVED)
+DENSITY = ("rho_kg_m3", "q_Pa")
+"""Columns of which one is needed."""
+REQUIRED = tuple(name for name in STATE if name not in (*DERIVED, *DENSITY, *SURFACES))
+"""Columns that every recording has; a vehicle needs those of its control surfaces as well."""
 OPTIONAL = (
-    "rho_kg_m3",
-    "q_Pa",
+    *DENSITY,
     *DERIVED,
     "jets",
     "qbar_Pa",
@@ -64,7 +66,7 @@ def read_conditions(path: Path, length_m: float, surfaces: Collection[str] = SUR
     raises   : InputError naming file, row and column
     """
     spared = [name for name in SURFACES if name not in surfaces]
-    required = [name for name in REQUIRED if name not in (*OPTIONAL, *spared)]
+    required = [*REQUIRED, *(name for name in SURFACES if name in surfaces)]
     table = with_density(read_csv_columns(path, required, [*OPTIONAL, *spared]))
     table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))

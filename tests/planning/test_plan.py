@@ -22,6 +22,7 @@ import dask
 import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
+import sim_heating as sh
 from sim_heating import cli
 from sim_heating.base import parallel as batches
 from sim_heating.planning.study import load_study
@@ -312,6 +313,15 @@ def test_an_envelope_without_a_possible_flight_fails_with_the_reason(study, tmp_
     assert "outside the atmosphere" in errors[0]
     assert errors[1] == "failed: envelope: no result"
     assert list(json.loads((out / "study.json").read_text())["failed"]) == ["envelope"]
+
+
+def test_the_plan_that_is_returned_states_the_credibility_that_was_written(study, tmp_path):
+    """The base entry was flown for the files, and is not flown again for the caller: its scenario may be gone."""
+    planned = sh.plan(study, tmp_path / "out", workers=1)
+    study.unlink()
+    assert planned.credibility.as_json() == json.loads((tmp_path / "out" / "study.json").read_text())["credibility"]
+    written = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert set(planned.files) == {name for name in written if not name.startswith(("batches/", "."))}
 
 
 @needs_browser

@@ -53,6 +53,10 @@ def test_a_new_vehicle_flies_and_names_what_was_estimated() -> None:
 
     made("scenario", "--vehicle", "pod", "--until-mach", "22", "--point", "SIDE", "--out", "flight")
     assert "good. scenario Entry of pod" in run("validate", "flight/scenario.toml").output
+    listed = run("parameters", "flight/scenario.toml").output
+    assert "ratio.d_alpha" in listed
+    assert "elevon" not in listed
+    assert "bodyflap" not in listed
     flown = sh.run("flight/scenario.toml")
     surface_K = flown.to_xarray()["surface_K"].to_numpy()
     assert 400.0 < np.nanmax(surface_K) < 1500.0

@@ -23,7 +23,7 @@ from benchmarks.verification.trajectories import (
     spec,
     vacuum_orbit,
 )
-from sim_heating.base.conditions import EXTRAS, FRAME
+from sim_heating.base.conditions import EXTRAS, FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.inputs.vehicle import load_vehicle
@@ -368,6 +368,10 @@ def write_columns(path, columns):
     path.write_text(",".join(columns) + "\n" + "".join(",".join(map(repr, map(float, r))) + "\n" for r in rows))
 
 
+RECORDED = (*recorded.REQUIRED, *SURFACES, "rho_kg_m3")
+"""Columns that a recording of the Orbiter needs."""
+
+
 def recorded_flight(path):
     """The flight of a recorded CSV."""
     return recorded.fly(TrajectorySpec(source="recorded", file=str(path)), VEHICLE)
@@ -375,7 +379,7 @@ def recorded_flight(path):
 
 def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
     c = nominal.conditions
-    write_columns(tmp_path / "c.csv", {n: c[n] for n in recorded.REQUIRED})
+    write_columns(tmp_path / "c.csv", {n: c[n] for n in RECORDED})
     back = recorded_flight(tmp_path / "c.csv").conditions
     for name in ("altitude_m", "mach", "log10_re", "T_inf_K", "p_inf_Pa", "qbar_Pa"):
         assert back[name] == pytest.approx(c[name], rel=1e-12)
@@ -392,7 +396,7 @@ def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
     ],
 )
 def test_a_damaged_recording_is_refused_with_file_row_and_column(nominal, tmp_path, damage, expected):
-    columns = {n: nominal.conditions[n][:50] for n in recorded.REQUIRED}
+    columns = {n: nominal.conditions[n][:50] for n in RECORDED}
     damage(columns)
     write_columns(tmp_path / "c.csv", columns)
     with pytest.raises(InputError, match=r"c\.csv") as refused:

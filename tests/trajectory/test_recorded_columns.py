@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, read_csv_columns, write_csv
 from sim_heating.heating.recorded_columns import implausible_values
@@ -20,7 +21,9 @@ from tests.support.paths import PRACTICE, RECORDS, SCENARIOS
 
 Columns = dict[str, NDArray[np.float64]]
 Change = Callable[[Columns], Columns]
-FLIGHT = read_csv_columns(PRACTICE / "p01" / "conditions.csv", REQUIRED, OPTIONAL).columns
+COLUMNS = (*REQUIRED, *SURFACES, "rho_kg_m3")
+"""Columns that a recording of the Orbiter needs."""
+FLIGHT = read_csv_columns(PRACTICE / "p01" / "conditions.csv", COLUMNS, OPTIONAL).columns
 """A whole entry, with temperature, pressure, Mach and Reynolds number of its own."""
 
 
@@ -84,7 +87,7 @@ def test_a_column_in_another_unit_or_place_is_refused(change: Change, expected: 
 def test_a_recorded_trajectory_needs_no_temperature_to_be_checked(
     change: Change, expected: str, tmp_path: Path
 ) -> None:
-    given_columns = {name: FLIGHT[name] for name in REQUIRED}
+    given_columns = {name: FLIGHT[name] for name in COLUMNS}
     write_csv(tmp_path / "c.csv", {**given_columns, **change(FLIGHT)})
     if not expected:  # Mach by the speed of sound at sea level: wrong by a tenth, as scatter may be
         assert len(read_conditions(tmp_path / "c.csv", 32.8)) == len(FLIGHT["time_s"])
@@ -150,7 +153,7 @@ def test_the_ground_track_of_sts107_is_plausible() -> None:
 
 @pytest.mark.parametrize("cell", ["７２０００", "1_000", "0x10", "infinity", "1,5", "¹²", "1e400", "--1", "٣"])  # noqa: RUF001
 def test_a_cell_that_other_programs_do_not_read_as_a_number_is_refused(cell: str, tmp_path: Path) -> None:
-    write_csv(tmp_path / "c.csv", {name: FLIGHT[name][:5] for name in REQUIRED})
+    write_csv(tmp_path / "c.csv", {name: FLIGHT[name][:5] for name in COLUMNS})
     lines = (tmp_path / "c.csv").read_text().splitlines()
     lines[2] = ",".join([lines[2].split(",")[0], f'"{cell}"', *lines[2].split(",")[2:]])
     (tmp_path / "c.csv").write_text("\n".join(lines), encoding="utf-8")

@@ -36,8 +36,8 @@ MEANINGS = {
     "conductivity of the hot layer is too large",
     PRIOR: "usually it takes up another error of the model: keep the declared value by --fix and let close-loop look "
     "for the cause; or the prior is narrower than what is known",
-    CORRELATION: "the readings identify a combination of the two and neither alone: fix one, give it a prior, or fly "
-    "what tells them apart",
+    CORRELATION: "the readings identify a combination of the two and neither alone: fix one, give it a prior, or "
+    "measure what tells them apart",
     BOUND: "the readings ask for more than the bound allows, and it has no sigma; usually another cause is at work",
 }
 """What each kind of remark usually means."""
