@@ -128,7 +128,7 @@ def _follow(
 ) -> None:
     from sim_heating.live.engine import LinkEngine
     from sim_heating.live.journal import NAME, Journal, remove_ended
-    from sim_heating.live.results import RESULT, write_results
+    from sim_heating.live.results.files import RESULT, write_results
     from sim_heating.live.run import run
     from sim_heating.live.to_record import RECORDS
 

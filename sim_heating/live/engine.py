@@ -8,6 +8,7 @@ their times, so that an engine that takes the messages of a journal again comes 
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,6 +27,7 @@ from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions,
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
+from sim_heating.live.results.followed import Followed
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.spec import Link
@@ -165,6 +167,7 @@ class LinkEngine:
         self.checks = SensorChecks(sensors, link.declared.estimate.lateness_s)
         self.test = SequentialTest(link.declared.missing.false_alarms_per_hour)
         self.weighing = Weighing()
+        self.followed = Followed()
         self._sequence = 0
         self._last = State(0, None, 0.0)
         self._limits = {name: _limits(link, name) for name in link.names}
@@ -176,6 +179,11 @@ class LinkEngine:
         self._phase: LinkPhase = "waiting"
 
     # Messages --------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether messages have come of a flight time at which an estimate is to be kept for the report."""
+        return self._latest_frame is not None and self.followed.is_due(self._latest_frame.time_s)
 
     def take(self, message: Message, source: int = 0) -> None:
         """Keep a message, and give its samples to the estimator.
@@ -268,6 +276,9 @@ class LinkEngine:
             self.remarks.add(line)
         self.estimator.messages.clear()
         self._test_innovations()
+        if self.followed.is_due(time_s := self.estimator.time_s) and time_s is not None:
+            alpha = math.nan if self._latest_frame is None else self._latest_frame.values.get("alpha_deg", math.nan)
+            self.followed.add_estimates(time_s, alpha, self.estimator.estimates())
         if self.ahead.due(self.estimator.time_s):
             self._look_ahead()
 
@@ -286,7 +297,9 @@ class LinkEngine:
 
     def _test_innovations(self) -> None:
         """Check the sensors and test the model with the readings that no late sample can change any more."""
-        for read in self.estimator.innovations():
+        found = self.estimator.innovations()
+        self.followed.add_readings(found)
+        for read in found:
             failure = self.checks.take(read)
             if failure is not None:
                 self.estimator.leave_out(failure.point, failure.sensor, failure.from_s, failure.wrong_s)

@@ -222,6 +222,8 @@ async def _next(queue: asyncio.Queue[_Item], stopped: asyncio.Future[Any], wait_
 def _give(engine: LinkEngine, batch: Sequence[Message]) -> None:
     for message in batch:
         engine.give(message)
+        if engine.is_behind:
+            engine.advance()
     engine.advance()
 
 

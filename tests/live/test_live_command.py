@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import socket
 from pathlib import Path
@@ -82,6 +84,20 @@ def test_the_end_of_a_link_tells_its_estimates_counts_and_records(cut: Path, tmp
     assert found["counts"]["readings"] == len(record.sensors) * len(record.time_s)
     assert f"Missing effect: {found['state']['missing']['text']}" in told
     assert f"{out / 'records'}, one of each control point" in told
+
+
+def test_the_report_of_a_link_holds_each_point_s_histories_and_ratio(replayed: Path):
+    found, page = read_json(replayed / "live.json"), (replayed / "report.html").read_text()
+    (point,) = found["control_points"]
+    charts = [json.loads(data) for data in re.findall(r'<script type="application/json">(.*?)</script>', page, re.S)]
+    assert [chart["title"] for chart in charts] == [f"{point}, histories", f"{point}, heating ratio"]
+    labels = [panel["label"] for panel in charts[0]["panels"]]
+    assert labels[:2] == ["surface, K", "bondline, K"]
+    for sensor in found["state"]["points"][point]["sensors"]:
+        assert f"{sensor}, K" in labels
+    surface = charts[0]["panels"][0]["curves"][0]
+    assert sum(surface["y"]) * surface["step"] == pytest.approx(found["state"]["points"][point]["surface_K"], abs=5.0)
+    assert "What came" in page
 
 
 def test_json_is_one_object_with_the_last_state(cut: Path, tmp_path, capsys):

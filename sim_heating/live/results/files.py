@@ -1,4 +1,4 @@
-"""Results of a link: live.json with the last state and all remarks, and the flight as records."""
+"""Results of a link: live.json with the last state and all remarks, report.html, and the flight as records."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim_heating.live.state import State, plain
 from sim_heating.live.to_record import RECORDS, longest_stretch, records_of, samples_of
 
 FORMAT = "live/1"
-RESULT = "live.json"
+RESULT, PAGE = "live.json", "report.html"
 
 
 def summary(engine: LinkEngine, state: State) -> dict[str, Any]:
@@ -37,9 +37,13 @@ def write_results(engine: LinkEngine, state: State, out: str | os.PathLike[str])
 
     returns : names of the files and folders, and one line for each thing that could not be made
     """
+    from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.live.results.report import live_page
+
     notes: list[str] = []
     with output_directory(out, "live", inputs=[engine.link.path]) as folder:
         write_json(folder / RESULT, summary(engine, state))
+        write_page(folder / PAGE, live_page(engine, state))
         try:
             stretch, left_out = longest_stretch(samples_of(Path(out) / NAME, engine.link), engine.link)
             notes += left_out

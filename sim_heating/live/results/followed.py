@@ -1,0 +1,60 @@
+"""What a link followed, for its report: readings with what was expected of them, estimates along the flight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.live.estimator import Innovation, LiveEstimate
+from sim_heating.live.outputs.history import Thinned
+
+EVERY_S = 2.0
+"""Flight time between two estimates that are kept [s]."""
+READING = ("time_s", "read_K", "expected_K", "sigma_K")
+ESTIMATE = (
+    "time_s", "alpha_deg", "surface_K", "surface_sigma_K", "bondline_K", "bondline_sigma_K", "ratio", "ratio_sigma",
+    "ratio_declared",
+)  # fmt: skip
+
+
+class Followed:
+    """Readings and estimates of a link, bounded however long it lasts: what is long past is thinned."""
+
+    def __init__(self) -> None:
+        self._readings: dict[tuple[str, str], Thinned] = {}
+        self._estimates: dict[str, Thinned] = {}
+        self._last_s = -math.inf
+
+    def add_readings(self, found: Iterable[Innovation]) -> None:
+        """Add readings, each as it was expected before it was taken."""
+        for read in found:
+            rows = self._readings.setdefault((read.point, read.sensor), Thinned(len(READING)))
+            rows.add([read.time_s, read.read_K, read.predicted_K, math.sqrt(read.predicted_variance_K2)])
+
+    def is_due(self, time_s: float | None) -> bool:
+        """Whether an estimate of a flight time [s] is to be kept; also after a clock that went back."""
+        return time_s is not None and not self._last_s <= time_s < self._last_s + EVERY_S
+
+    def add_estimates(self, time_s: float, alpha_deg: float, found: Mapping[str, LiveEstimate]) -> None:
+        """Add the estimates of all control points at a flight time [s] and angle of attack [deg], NaN for none."""
+        self._last_s = time_s
+        for name, own in found.items():
+            rows = self._estimates.setdefault(name, Thinned(len(ESTIMATE)))
+            rows.add([
+                time_s, alpha_deg, own.surface_K, own.surface_sigma_K, own.bondline_K, own.bondline_sigma_K,
+                own.state.ratio, own.state.ratio_sigma, own.state.ratio_declared,
+            ])  # fmt: skip
+
+    def readings(self, point: str) -> dict[str, dict[str, FloatArray]]:
+        """(reading,) columns READING of each sensor of a control point that was read, by its name."""
+        return {
+            sensor: dict(zip(READING, rows.all().T, strict=True))
+            for (own, sensor), rows in self._readings.items()
+            if own == point
+        }
+
+    def estimates(self, point: str) -> dict[str, FloatArray]:
+        """(time,) columns ESTIMATE of a control point; empty where it has none."""
+        rows = self._estimates.get(point)
+        return {} if rows is None else dict(zip(ESTIMATE, rows.all().T, strict=True))
