@@ -197,5 +197,6 @@ def _values(time_s: FloatArray, v: FloatArray, form: str, at: float) -> FloatArr
     if form == "above":
         return np.maximum(v - at, 0.0)
     if form == "step":
-        return 0.5 + 0.5 * np.tanh((v - at) / (SHARPNESS * np.ptp(v)))
+        width = SHARPNESS * np.ptp(v)
+        return 0.5 + 0.5 * np.tanh((v - at) / width) if width > 0.0 else np.heaviside(v - at, 0.5)
     return np.gradient(v, time_s) if form == "rate" else v
