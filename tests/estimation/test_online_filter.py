@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import CONDITION_COLUMNS
+from sim_heating.base.kernels.block import CONDITION_COLUMNS, LOG10_RE
 from sim_heating.estimation.filter.march import Disturbance, Filtered, FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.online import OnlineFilter, PointReadings, Prior
+from sim_heating.heating.effects import use
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
@@ -138,8 +139,18 @@ def test_final_estimate_and_covariance_are_those_of_the_batch_filter_with_the_pr
         np.testing.assert_allclose(estimate.sigma_K**2, np.diag(whole), rtol=1e-9)
 
 
-def test_a_filter_that_went_back_goes_on_with_the_same_bits(flown):
+@pytest.mark.parametrize("remembers", [False, True], ids=["plain heating", "lag and hysteresis"])
+def test_a_filter_that_went_back_goes_on_with_the_same_bits(flown, remembers):
     tracks, time_s, histories = flown
+    if remembers:
+        # Reynolds number rises for half a minute and falls again, past the onset and within its hysteresis
+        histories = histories.copy()
+        histories[:, 31:, LOG10_RE] = histories[:, 29::-1, LOG10_RE]
+        uses = [
+            use("transition", {"log10_re_onset": 6.42, "width": 0.02, "factor": 1.5, "hysteresis": 0.05}),
+            use("nonisothermal-wall", {"lag_s": 5.0, "lag_fraction": 0.3}),
+        ]
+        tracks = [replace(p, model=replace(p.model, effects=(*p.model.effects, *uses))) for p in tracks]
     o, straight = online(tracks, histories), online(tracks, histories)
     run(straight, tracks, time_s, histories, 1)
     run(o, tracks, time_s, histories, 1, end=20)
