@@ -90,8 +90,8 @@ def design(
     raises      : InputError where there is nothing to design, RunError where no design keeps the limits
 
     >>> import sim_heating as sh
-    >>> sh.design("scenarios/design_flap.toml", evaluations=8)
-    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=3.4e-05, sigma(ratio.d_bodyflap)=8.5e-05; 8 designs>
+    >>> sh.design("scenarios/design_first_look.toml", evaluations=4)
+    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=5.4e-05; 4 designs>
     """
     scenario = load_scenario(scenario)
     if evaluations is not None:
