@@ -89,31 +89,46 @@ def start(study, out, workers, **environment):
     return subprocess.Popen(arguments, env=os.environ | environment, start_new_session=True, **quiet)
 
 
+@pytest.fixture(scope="module")
+def by_a_fresh_process(tmp_path_factory):
+    """The study, which its results name by its path, and the bytes that a process leaves that does nothing else, with
+    linear algebra on one thread."""
+    home = tmp_path_factory.mktemp("fresh")
+    study = home / "study.toml"
+    study.write_text(STUDY.format(more=""))
+    assert start(study, home / "out", 1, OPENBLAS_NUM_THREADS="1").wait() == 0
+    return study, results(home / "out")
+
+
 @posix
-def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(study, tmp_path):
-    whole, out, moments = tmp_path / "whole", tmp_path / "out", random.Random(7)
-    assert cli.main(["plan", str(study), "--out", str(whole), "--workers", "1"]) == 0
-    for wanted in (1, 4):
-        run = start(study, out, 2)
-        while run.poll() is None and len(finished_batches(out)) < wanted:
-            time.sleep(0.005)
-        time.sleep(moments.uniform(0.0, 0.3))
-        os.killpg(run.pid, signal.SIGKILL)
-        run.wait()
-        assert not (out / "study.json").exists() or (out / "report.html").exists()
+def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(
+    by_a_fresh_process, tmp_path
+):
+    """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`."""
+    (study, whole), out, moments = by_a_fresh_process, tmp_path / "out", random.Random(7)
+    wanted = moments.randint(1, 4)
+    run = start(study, out, 2)
+    while run.poll() is None and len(finished_batches(out)) < wanted:
+        time.sleep(0.005)
+    time.sleep(moments.uniform(0.0, 0.3))
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    assert not (out / "study.json").exists() or (out / "report.html").exists()
+    kept = {p: p.stat().st_mtime_ns for p in finished_batches(out)}
+    assert len(kept) >= wanted
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 0
-    assert results(out) == results(whole)
+    assert {p: p.stat().st_mtime_ns for p in kept} == kept  # nothing that was finished is done again
+    assert results(out) == whole
 
 
-def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(study, tmp_path):
+def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(by_a_fresh_process, tmp_path):
     """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
-    other, busy, fresh = tmp_path / "other.toml", tmp_path / "busy", tmp_path / "fresh"
+    (study, fresh), other, busy = by_a_fresh_process, tmp_path / "other.toml", tmp_path / "busy"
     other.write_text(study.read_text().replace("flights = 48", "flights = 12").replace("V09T9527", "BODYFLAP"))
     with threadpool_limits(2, "blas"):
         assert cli.main(["plan", str(other), "--out", str(tmp_path / "before"), "--workers", "2"]) == 0
         assert cli.main(["plan", str(study), "--out", str(busy), "--workers", "1"]) == 0
-    assert start(study, fresh, 1, OPENBLAS_NUM_THREADS="1").wait() == 0
-    assert results(busy) == results(fresh)
+    assert results(busy) == fresh
 
 
 def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path, capsys):
