@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from sim_heating.base.kernels.truncated_normal import truncated_normal
 from sim_heating.estimation.filter.kernel import innovation
@@ -39,8 +40,8 @@ def test_a_null_flight_of_a_quarter_of_an_hour_raises_no_alarm_at_any_rate_of_re
 @pytest.mark.parametrize(
     ("wrong", "kind"),
     [
-        (lambda z: z + 1.0, "mean"),
-        (lambda z: z - 1.0, "mean"),
+        (lambda z: z + 1.5, "mean"),
+        (lambda z: z - 1.5, "mean"),
         (lambda z: 2.5 * z, "variance"),
     ],
 )
@@ -63,6 +64,18 @@ def test_innovations_that_follow_one_another_are_found_although_their_variance_i
     for i in range(1, len(z)):
         z[i] = 0.8 * z[i - 1] + 0.6 * rng.normal()
     assert first_alarm_s(z, 1.0, 0.01) < 300.0
+
+
+@pytest.mark.parametrize(("share", "tau_s"), [(0.15, 3.0), (0.25, 5.0)])
+def test_slightly_coloured_noise_raises_no_more_alarms_than_stated(share: float, tau_s: float) -> None:
+    # as of white noise: 20 alarms an hour
+    rate, rng, keeps, times = 20.0, np.random.default_rng(12), math.exp(-1.0 / tau_s), []
+    for _ in range(40):
+        correlated = lfilter([math.sqrt(1.0 - keeps**2)], [1.0, -keeps], rng.normal(size=800))[400:]
+        z = math.sqrt(share) * correlated + math.sqrt(1.0 - share) * rng.normal(size=400)
+        times.append(first_alarm_s(z, 1.0, rate))
+    assert np.mean(np.minimum(times, 400.0)) > 180.0
+    assert np.mean(np.array(times) < 90.0) < 0.5
 
 
 def test_a_small_common_shift_is_found_sooner_with_more_sensors() -> None:
