@@ -157,11 +157,13 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
     columns = [
         Column("manoeuvre"), Column("flights", is_text=True),
         *(Column(n.removeprefix("ratio."), is_text=True) for n in names),
-        Column("RMSE", format=".2f", unit="K"), Column("noise floor", format=".2f", unit="K"), Column("", is_text=True),
+        Column("RMSE", format=".2f", unit="K"), Column("noise floor", format=".2f", unit="K"),
     ]  # fmt: skip
-    cells = [
-        [r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"], usable(r)] for r in rows
-    ]
+    cells = [[r["group"], _who(r), *(_bound(r, n) for n in names), r["rmse_K"], r["noise_floor_K"]] for r in rows]
+    remarks = [usable(r) for r in rows]
+    if any(remarks):
+        columns.append(Column("remark", is_text=True))
+        cells = [[*row, remark] for row, remark in zip(cells, remarks, strict=True)]
     points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
     strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
     pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []

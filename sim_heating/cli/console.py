@@ -139,6 +139,8 @@ ROOT = click.option(
 )
 
 
+COMPILING = "compiling, unless compiled before"
+"""Line of progress before work whose first step compiles kernels for longer than it takes."""
 TEXT_INTERVAL_S = 15.0
 """Least time [s] between two lines of progress on one stage, where the output is not a terminal."""
 ESTIMATE_AFTER_S = 2.0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.cli.console import CONSOLE, FORCE, PATH, ROOT, comma_list, progress_line
+from sim_heating.cli.console import COMPILING, CONSOLE, FORCE, PATH, ROOT, comma_list, progress_line
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def export(
         found["system"] = _export_system(loaded, ssp, trajectory, points, platforms, input_timing, root)
     if out is not None:
         with progress_line("fmu export") as progress:
-            progress(0.1, "compiling, unless compiled before")
+            progress(0.1, COMPILING)
             image = export_fmu(
                 loaded, out, points, fmi=int(fmi), platforms=platforms, columns=reference == "columns",
                 input_timing=input_timing, progress=progress,
@@ -170,7 +170,7 @@ def _export_system(
         )
     targets_of(platforms, FMI)
     with progress_line("fmu export") as progress:
-        progress(0.1, "compiling, unless compiled before")
+        progress(0.1, COMPILING)
         system = export_ssp(
             vehicle, flown.declared.trajectory, out, points, title=flown.title, platforms=platforms,
             input_timing=input_timing, progress=progress,
@@ -209,7 +209,7 @@ def trajectory(scenario: Path, out: Path, fmi: str, platforms: tuple[str, ...], 
         require_entry_source(spec)
     targets_of(platforms, int(fmi))
     with progress_line("fmu trajectory") as progress:
-        progress(0.1, "compiling, unless compiled before")
+        progress(0.1, COMPILING)
         image = export_entry(
             spec, vehicle, out, title=loaded.title, fmi=int(fmi), platforms=platforms, progress=progress
         )

@@ -406,7 +406,8 @@ def _parameters_section(found: Closure) -> list[Section]:
         return []
     about = derivatives_about(derivatives, found.reference)
     caption = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
-    columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g"), "unit"]
+    columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g")]
+    columns.append(Column("unit", is_text=True))
     table = Table(caption, columns, rows, strong=list(range(of_effects)))
     return [Section("Estimated parameters", points=[r.in_words for r in found.remarks], tables=[table])]
 

@@ -6,6 +6,8 @@ import base64
 import html
 import io
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -13,13 +15,23 @@ import numpy as np
 import pytest
 from rich.text import Text
 
+from benchmarks.browser import Browser
 from sim_heating.base.errors import printable
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span
 from sim_heating.base.report.figure import add_grid_and_title, new_figure
 from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Column, Table
 from sim_heating.cli.console import PlainConsole
-from tests.support.browser import CANARY, EVERY_EVENT, POLICY, assert_harmless, hostile, needs_browser, shown
+from tests.support.browser import (
+    CANARY,
+    EVERY_EVENT,
+    POLICY,
+    assert_fits,
+    assert_harmless,
+    hostile,
+    needs_browser,
+    shown,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore:constrained_layout not applied")  # texts longer than the picture
 
@@ -65,7 +77,7 @@ def test_the_policy_of_a_page_stops_a_script_that_would_run_without_it(tmp_path)
 
 
 def test_a_reader_sees_the_texts_as_they_were_written():
-    text = html.unescape(page_html(page()))
+    text = html.unescape(page_html(page()).replace("<wbr>", ""))
     for where in ("title", "subtitle", "section", "text", "point", "caption", "cell", "head", "warning", "conclusion"):
         assert printable(hostile(where)) in text
 
@@ -83,3 +95,55 @@ def test_a_terminal_obeys_no_text_of_an_input_file():
     assert output.getvalue() == "a\\x1b]0;owned\\x07 b\\x9b31m [bold]c[/] \\u202etxt.exe\n"
     assert printable("two\nlines\tand é, 温度, a\u200bb") == "two\nlines\tand é, 温度, a\u200bb"
     assert Text(printable("\x00")).plain == "\\x00"
+
+
+def wide_page() -> Page:
+    """A table of more columns than a telephone shows, with long names and estimates, and a picture with small type."""
+    figure, (axes,) = new_figure(9.5, 3.0, 1)
+    add_grid_and_title(figure, "picture", np.array([axes]))
+    names = ["scale", "d_alpha", "d_beta", "d_logre", "d_elevon", "d_bodyflap"]
+    columns = ["flight", *(Column(n, is_text=True) for n in names), "RMSE", "noise floor"]
+    rows = [["stack.coating.heat_capacity_factor", *["0.0004897 +- 6.9e-05"] * 6, "1.39 K", "1.36 K"]] * 80
+    table = Table("", columns, rows, sortable=True)
+    return Page("wide", "a page", [Section("Fits", ["Estimates."], tables=[table], pictures=[Picture(figure, "one")])])
+
+
+@needs_browser
+def test_a_page_that_is_wider_than_a_telephone_scrolls_within_itself_and_is_whole_on_paper(tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(page_html(wide_page()))
+    assert_fits(path)
+    with Browser() as browser:
+        opened = browser.open(path, 390)
+        wide = "[...document.querySelectorAll('.table, figure')].map((e) => e.scrollWidth > e.clientWidth)"
+        assert opened.evaluate(wide) == [True, True]
+
+
+@needs_browser
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="needs pdftotext, which is not installed")
+def test_the_heads_of_a_sorted_table_stand_on_each_sheet_of_paper(tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(page_html(wide_page()))
+    with Browser() as browser:
+        browser.open(path).pdf(tmp_path / "page.pdf")
+    found = subprocess.run(["pdftotext", "-layout", tmp_path / "page.pdf", "-"], capture_output=True, check=True)
+    sheets = found.stdout.decode().strip("\f").split("\f")
+    assert len(sheets) > 2
+    assert all("d_bodyflap" in sheet for sheet in sheets if "6.9e-05" in sheet)  # heads that sort are on every sheet
+
+
+def test_a_long_name_breaks_between_its_parts_and_a_number_does_not_break():
+    cells = ["stack.coating.heat_capacity_factor", "0.00041 +- 4.6e-05", "popu-mach20", "<b>" * 9]
+    text = page_html(Page("", "", [Section("", tables=[Table("", ["name"], [[c] for c in cells])])]))
+    found = re.findall("<td>(.*?)</td>", text)
+    assert found[0] == "stack.<wbr>coating.<wbr>heat_<wbr>capacity_<wbr>factor"
+    assert found[1:] == ['0.00041 <span class="whole">+- 4.6e-05</span>', "popu-mach20", html.escape(cells[3])]
+
+
+def test_a_picture_of_many_panels_has_two_columns_with_times_below_both():
+    curve = Curve("curve", np.arange(9.0), np.arange(9.0), "tab:blue")
+    figure = Chart("chart", [Panel(f"panel {i}", [curve]) for i in range(11)]).figure()
+    assert len(figure.axes) == 11
+    assert sum(bool(a.get_xlabel()) for a in figure.axes) == 2
+    width, height = figure.get_size_inches()
+    assert height < 2.0 * width

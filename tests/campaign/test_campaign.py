@@ -20,6 +20,7 @@ from sim_heating.campaign.flights import read_flights
 from sim_heating.campaign.joint import agreement
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record
+from tests.support.browser import assert_fits, needs_browser
 from tests.support.json_output import run_json
 from tests.support.paths import SCENARIOS
 
@@ -170,6 +171,11 @@ def test_the_page_names_every_flight_and_the_csv_holds_every_estimate(home: Path
     rows = (home / "out" / "fits.csv").read_text().splitlines()
     shown = [n for r in (*report["fits"], *report["joint"]) for n in r["parameters"] if not n.startswith("initial.")]
     assert len([row for row in rows if not row.startswith("#")]) == 1 + len(shown)
+
+
+@needs_browser
+def test_the_page_fits_a_screen_a_telephone_and_paper(home: Path) -> None:
+    assert_fits(home / "out" / "report.html")
 
 
 def test_fits_of_one_point_take_the_name_that_all_its_records_allow() -> None:

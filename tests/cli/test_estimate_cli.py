@@ -18,6 +18,7 @@ from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.estimation.report.estimate_file import read_estimate
 from sim_heating.estimation.report.report import estimate_contents
+from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
 from tests.support.json_output import run_json
 from tests.support.paths import ROOT
@@ -283,6 +284,11 @@ def test_pictures_are_drawn_with_something_in_them(fit_of_first: Path) -> None:
     page = (fit_of_first / "report.html").read_text()
     assert page.count("<figure") == 2  # the chart of the record, in which its picture is, and the heating ratio
     assert all(f">{name}<" in page for name in TRUTH)
+
+
+@needs_browser
+def test_the_page_fits_a_screen_a_telephone_and_paper(fit_of_first: Path) -> None:
+    assert_fits(fit_of_first / "report.html")
 
 
 def test_a_fit_of_the_stack_alone_draws_no_ratio(workdir: Path, tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statemen
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import pooled_rmse_K
-from tests.support.browser import CHROMIUM, assert_harmless, hostile, needs_browser
+from tests.support.browser import CHROMIUM, assert_fits, assert_harmless, hostile, needs_browser
 from tests.support.missing import record_with
 
 FOUND_ONSET = Statement(
@@ -217,7 +217,7 @@ def test_the_folder_contains_json_history_and_page(tmp_path):
 class Elements(HTMLParser):
     """Addresses and text of a page, and its elements that are not closed."""
 
-    VOID = ("meta", "img", "link", "br")
+    VOID = ("meta", "img", "link", "br", "wbr")
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -290,6 +290,15 @@ def test_a_browser_shows_the_page_with_all_its_pictures(tmp_path: Path):
     assert np.count_nonzero(inked) > 300
     coloured = np.ptp(pixels, axis=2) > 0.2
     assert np.mean(coloured) > 0.003
+
+
+@needs_browser
+def test_the_pages_of_a_record_and_of_a_batch_fit_a_screen_a_telephone_and_paper(tmp_path: Path):
+    write_closure(closed(), tmp_path)
+    assert_fits(tmp_path / "report.html")
+    row, kept = (json.loads(json.dumps(f(closed()))) for f in (summary_row, residual_history))
+    (tmp_path / "batch.html").write_text(page_html(batch_page([row, row], [kept, kept])))
+    assert_fits(tmp_path / "batch.html")
 
 
 def test_a_batch_has_a_page_with_all_records_and_the_residuals_of_those_that_are_done():

@@ -15,6 +15,7 @@ import xarray as xr
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
+from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
 
 SCENARIO = (
@@ -143,6 +144,11 @@ def test_conditions_without_a_common_film_coefficient_have_one_a_point(result: R
     flown = with_reference_heating(replace(result, points=points))
     assert "h_ref_kg_m2_s" not in flown
     np.testing.assert_array_equal(flown["LEE_UPPER_h_ref_kg_m2_s"], points["LEE_UPPER"].conditions["h_ref_kg_m2_s"])
+
+
+@needs_browser
+def test_the_page_of_a_run_fits_a_screen_a_telephone_and_paper(out: Path) -> None:
+    assert_fits(out / "report.html")
 
 
 def test_the_page_of_a_run_has_the_histories_of_all_points_and_their_peaks(out: Path, result: RunResult) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.browser import CHROMIUM
+from benchmarks.browser import CHROMIUM, Browser
 from sim_heating.base.report.page import CHART_SCRIPTS, SHARED_SCRIPTS, TABLE_SCRIPTS
 from tests.support.paths import ROOT
 
@@ -45,7 +45,7 @@ followed that leads to no other file."""
 CONTENT = {
     "html", "head", "meta", "title", "style", "body", "main", "header", "h1", "h2", "p", "div", "strong", "nav", "a",
     "section", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption",
-    "footer", "noscript", "script", "span",
+    "footer", "noscript", "script", "span", "wbr",
 }  # fmt: skip
 ATTRIBUTES = {
     "lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv",
@@ -63,6 +63,38 @@ def hostile(where: str, without: str = "") -> str:
     """
     text = f"{where} " + " ".join(ATTACKS).replace("{canary}", CANARY.replace("{where}", where))
     return "".join(c for c in text if c not in without)
+
+
+WIDER_THAN_THE_SCREEN = """
+[...document.querySelectorAll('main *')].filter((e) => {
+  const isCut = (q) => q.tagName === 'MAIN' || (getComputedStyle(q).overflowX === 'visible' && isCut(q.parentElement));
+  return e.getBoundingClientRect().right > innerWidth + 0.5 && isCut(e.parentElement);
+}).map((e) => `${e.tagName}: ${e.textContent.trim().slice(0, 60)}`)
+"""
+WITHOUT_CONTENT = """
+[...document.querySelectorAll('section, tbody')].filter((e) => e.children.length < (e.tagName === 'TBODY' ? 1 : 2))
+  .map((e) => e.closest('section').querySelector('h2').textContent)
+"""
+PRINTABLE_PX = 717
+"""Width [CSS pixels] of what is printed on A4 between the browser's margins."""
+
+
+def assert_fits(page: Path) -> None:
+    """On a screen, a telephone and paper nothing of a page is cut off, and no section or table of it is empty.
+
+    What is wider than the screen lies in something that scrolls; on paper nothing scrolls.
+    """
+    with Browser() as browser:
+        for width in (1280, 390):
+            opened = browser.open(page, width)
+            assert opened.evaluate("document.documentElement.scrollWidth") <= width
+            assert opened.evaluate(WIDER_THAN_THE_SCREEN) == []
+            assert opened.evaluate(WITHOUT_CONTENT) == []
+        opened.resize(PRINTABLE_PX)
+        opened.call("Emulation.setEmulatedMedia", media="print")
+        assert opened.evaluate(WIDER_THAN_THE_SCREEN) == []
+        assert not opened.evaluate("[...document.querySelectorAll('canvas, .tools')].some((e) => e.offsetParent)")
+        assert opened.complaints() == []
 
 
 def shown(page: Path) -> str:

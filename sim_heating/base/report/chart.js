@@ -197,6 +197,7 @@
     },
     {
       stroke: SOFT, font: FONT, grid: { stroke: GRID, width: 1 }, ticks: { stroke: GRID, size: 6 }, size: 60,
+      space: (u) => Math.max(16, Math.min(30, u.bbox.height / uPlot.pxRatio / 4)),  // low panels have three numbers, too
       values: (u, all) => all.map((v) => String(Number(v.toPrecision(6)))),
     },
   ];

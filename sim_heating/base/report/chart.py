@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -28,6 +29,10 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 """Colours that people with any colour vision tell apart: Okabe and Ito (2008) without yellow, and a grey."""
 DASHES = ((), (7, 4), (2, 3))
 """Dashes that tell curves apart once the colours are used up [pixels]."""
+MOST_IN_A_COLUMN = 8
+"""Panels of a picture below each other; more stand in two columns, so that they can be read on paper."""
+LABEL_WIDTH = 15
+"""Characters in a line of the label of a low panel."""
 PAGE_SAMPLES = 60_000
 """Samples that the charts of a page hold together: about 0.4 MB."""
 MOST_INTERVALS, LEAST_INTERVALS = 700, 100
@@ -114,8 +119,15 @@ class Chart:
 
     def figure(self) -> Figure:
         """The chart as a picture."""
-        heights = [panel.height for panel in self.panels]
-        figure, axes = new_figure(9.5, 2.6 * sum(heights) + 1.0, len(heights), sharex=True, height_ratios=heights)
+        columns = 1 if len(self.panels) <= MOST_IN_A_COLUMN else 2
+        by_row = [self.panels[i : i + columns] for i in range(0, len(self.panels), columns)]
+        heights = [max(panel.height for panel in row) for row in by_row]
+        figure, grid = new_figure(
+            9.5, 2.6 * sum(heights) + 1.0, len(heights), columns, sharex=True, height_ratios=heights
+        )
+        axes = grid.ravel()[: len(self.panels)]
+        for left_over in grid.ravel()[len(self.panels) :]:
+            left_over.remove()
         for a, panel in zip(axes, self.panels, strict=True):
             for c in map(_drawable, panel.curves):
                 style: dict[str, Any] = {"linewidth": 1.2}
@@ -134,13 +146,20 @@ class Chart:
                 a.set_ylim(*panel.limits)
                 for c in panel.curves:
                     mark_beyond(a, c.time_s, c.values, c.color)
-            a.set_ylabel(panel.label.replace(", ", ",\n", 1) if panel.height < 0.8 else panel.label)
+            a.set_ylabel(_lines(panel.label) if panel.height < 0.8 else panel.label)
             if any(c.label for c in panel.curves):
                 legend_above(a)
-        axes[-1].set_xlabel(self.time)
+        for a in axes[-columns:]:
+            a.set_xlabel(self.time)
+            a.tick_params(labelbottom=True)
         if self.view is not None:
             axes[-1].set_xlim(*self.view)
         return save_figure(figure, None, self.title, axes)
+
+
+def _lines(label: str) -> str:
+    """The label of a low panel in lines: the unit by itself, a long name without unit wrapped."""
+    return label.replace(", ", ",\n", 1) if ", " in label else textwrap.fill(label, LABEL_WIDTH)
 
 
 def _drawable(curve: Curve) -> Curve:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import jinja2
 import matplotlib as mpl
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -39,6 +39,11 @@ SHARED_SCRIPTS = ("element.js",)
 """Scripts that those of charts and of tables need before them."""
 LOOK = "look.css"
 RASTER = re.compile(rb"data:image/png;base64,([A-Za-z0-9+/=\s]+)")
+WHOLE = re.compile(r"((?:\+- )?[-+]?\b\d+(?:\.\d+)?e[-+]\d+\b|\+- [\d.]+)")
+"""Numbers in a text that would break at the sign of their exponent, or between `+-` and the number."""
+LONG_NAME = re.compile(r"[\w.\-/]{16,}")
+"""Names that a table may break where one of its parts ends."""
+AFTER_A_PART = re.compile(r"(?<=[._/])(?=\w)")
 PALETTE = 200
 """Colours of a picture of pixels on a page."""
 RASTER_DPI = 80
@@ -188,4 +193,17 @@ def _template() -> jinja2.Template:
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         finalize=lambda value: printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value,
     )  # fmt: skip
+    environment.filters["breakable"] = _breakable
     return environment.get_template(TEMPLATE)
+
+
+def _breakable(cell: str) -> Markup:
+    """The text of a cell: a long name may break after a dot or underscore, a number and its exponent stay whole."""
+    parts = WHOLE.split(printable(cell))
+    parts[1::2] = [Markup('<span class="whole">{}</span>').format(number) for number in parts[1::2]]
+    parts[::2] = [LONG_NAME.sub(_with_breaks, str(escape(text))) for text in parts[::2]]
+    return Markup("".join(parts))
+
+
+def _with_breaks(name: re.Match[str]) -> str:
+    return AFTER_A_PART.sub("<wbr>", name[0])

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sim_heating.cli.console import OUT, PATH
+from sim_heating.cli.console import COMPILING, OUT, PATH, progress_line
 from sim_heating.cli.new.options import points_option, quantity_option, title_option
 from sim_heating.cli.new.printing import print_made
 
@@ -43,16 +43,18 @@ def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], **given: Any)
     from sim_heating.templates.starters import write_new_scenario
 
     initial = {"altitude_m": given["altitude"], "velocity_m_s": given["speed"], "gamma_deg": given["gamma"]}
-    path = write_new_scenario(
-        out,
-        vehicle,
-        title=given["title"],
-        points=points,
-        recorded=given["trajectory"],
-        initial={name: value for name, value in initial.items() if value is not None},
-        stop_mach=given["until_mach"],
-        manoeuvre=given["manoeuvre"],
-    )
+    with progress_line("new scenario") as progress:
+        progress(0.1, COMPILING)
+        path = write_new_scenario(
+            out,
+            vehicle,
+            title=given["title"],
+            points=points,
+            recorded=given["trajectory"],
+            initial={name: value for name, value in initial.items() if value is not None},
+            stop_mach=given["until_mach"],
+            manoeuvre=given["manoeuvre"],
+        )
     print_made(
         f"scenario of {vehicle}",
         path,

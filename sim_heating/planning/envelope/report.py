@@ -13,7 +13,7 @@ from typing import Any
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.progress import Progress
-from sim_heating.base.report.table import Table
+from sim_heating.base.report.table import Column, Table
 from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.inputs.vehicle import vehicle_place
 from sim_heating.planning.envelope import plots
@@ -244,7 +244,7 @@ def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> ForecastEviden
 
 def _ranking_table(ranked: Sequence[RankedManoeuvre]) -> Table:
     names = list(ranked[0].conservative_area)
-    heads = ["manoeuvre", "read at", "sigma reduced by"]
+    heads: list[Column | str] = ["manoeuvre", Column("read at", is_text=True), "sigma reduced by"]
     heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "conservative area")]
     rows = []
     for r in ranked:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.files import write_csv
-from sim_heating.base.report.table import Table
+from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.revisions import FOLDER as REVISIONS
 from sim_heating.planning.envelope.boundary import GreatestValue
 from sim_heating.planning.envelope.envelope import (
@@ -120,7 +120,7 @@ def map_table(flown: FlownMap) -> Table:
         name, m = least
         rows.append((*at, f"{m.margin:.1f} {m.unit}", name, f"{m.sigma:.1f} {m.unit}"))
     title = flown.declared.title or flown.declared.name
-    heads = (*flown.declared.axes, "least margin", "limit", "sigma")
+    heads: list[Column | str] = [*flown.declared.axes, "least margin", Column("limit", is_text=True), "sigma"]
     return Table(f"Map: {title}", heads, rows)
 
 
@@ -178,7 +178,9 @@ def boundary_data(boundary: FlownBoundary) -> dict[str, Any]:
 def boundary_table(boundary: FlownBoundary) -> Table:
     """A boundary for the page."""
     d = boundary.declared
-    heads = (*([] if d.family is None else [d.family]), d.along, "allowed", "limits", CONSERVATIVE, OPTIMISTIC)
+    limits_head = Column("limits", is_text=True)
+    named = [d.along] if d.family is None else [d.family, d.along]
+    heads: list[Column | str] = [*named, "allowed", limits_head, CONSERVATIVE, OPTIMISTIC]
     rows = []
     for s in boundary.segments:
         low, high = edge_limits(s)
