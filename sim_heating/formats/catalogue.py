@@ -207,7 +207,8 @@ FORMATS: tuple[FileFormat, ...] = (
     ),
     ModelFormat(
         "optimal_entry", "STUDY.toml", "study of the entry with the greatest cross-range within temperature limits",
-        "Read by `plan`.", "scenarios/studies/optimal_entry.toml",
+        "Read by `validate` and, in Python, `load_optimal_study`. A study takes its keys in the table `[optimal]`.",
+        "scenarios/studies/optimal_entry.toml",
         "planning.optimal.spec:OptimalStudyFile", ("scenarios/studies/optimal_*.toml",),
     ),
     ModelFormat(

@@ -22,8 +22,6 @@ from sim_heating.trajectory.aero import load_aero
 
 COMMAND = "new"
 SCENARIO, STUDY = "scenario.toml", "study.toml"
-SCHEMAS = {"dispersion": "study", "envelope": "study", "optimal": "optimal_entry"}
-"""Kind of a study -> name of its format."""
 LIFTING = 0.6
 """Lift over drag from which an entry may be as shallow as the Orbiter's."""
 SHALLOW_DEG, STEEP_DEG = -1.2, -1.5
@@ -152,7 +150,7 @@ def write_new_study(
         values["alpha_limits_deg"] = [float(aero.basic.alpha_deg[0]), float(aero.basic.alpha_deg[-1])]
         values["gamma_deg"] = entry_angle_deg(base.vehicle)
     values["offsets"] = [-4.0, -2.0, 0.0, 2.0]
-    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", SCHEMAS[kind], **values)}, _no_check)
+    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", "study", **values)}, _no_check)
 
 
 def _no_check(path: Path) -> None:

@@ -15,6 +15,7 @@ import sim_heating as sh
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
 from sim_heating.inputs.record import write_record
+from sim_heating.planning.study import load_study
 from tests.support.paths import ROOT
 
 POD = (
@@ -136,6 +137,11 @@ def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
     made("scenario", "--vehicle", "capsule", "--point", "FACE", "--out", "flight")
     made("study", kind, "--scenario", "flight/scenario.toml", "--out", "study")
     assert "study/study.toml: good" in run("validate", "study/study.toml").output
+    asked = load_study("study/study.toml")
+    optimal = asked.optimal()
+    assert [asked.declared.dispersion, asked.declared.envelope, optimal].count(None) == 2
+    if optimal is not None:
+        assert [p.point.name for p in optimal.points] == ["FACE"]
     if kind == "dispersion":
         made("study", kind, "--scenario", "flight/scenario.toml", "--flights", "256", "--out", "study")  # its own file
         Path("study/study.toml").write_text("# edited\n")
