@@ -78,6 +78,16 @@ def test_slightly_coloured_noise_raises_no_more_alarms_than_stated(share: float,
     assert np.mean(np.array(times) < 90.0) < 0.5
 
 
+def test_a_clock_that_goes_back_leaves_a_test_that_works() -> None:
+    rng, test = np.random.default_rng(4), SequentialTest(0.01)
+    for i in range(300):
+        test.take(float(i % 150), "NOSE", "surface", float(rng.normal()))
+    assert test.alarm is None
+    for i in range(60):
+        test.take(150.0 + i, "NOSE", "surface", float(rng.normal()) + 3.0)
+    assert test.alarm is not None
+
+
 def test_a_small_common_shift_is_found_sooner_with_more_sensors() -> None:
     rng, alone, together = np.random.default_rng(5), SequentialTest(0.01), SequentialTest(0.01)
     for i in range(900):

@@ -63,7 +63,7 @@ class _Noise:
 
     def take(self, time_s: float, score: float) -> float:
         """Logarithm of the density of a score as white noise over that as the mixture, given the earlier ones."""
-        kept = np.exp((self.last_s - time_s) / _TAU_S)
+        kept = np.exp(-max(time_s - self.last_s, 0.0) / _TAU_S)  # a clock may go back
         mean, variance = kept * self.mean, 1.0 - kept**2 * (1.0 - self.variance)
         S = _SHARE * variance + (1.0 - _SHARE)
         off = score - np.sqrt(_SHARE) * mean
