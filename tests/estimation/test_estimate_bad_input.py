@@ -176,8 +176,8 @@ def test_few_samples_estimate_what_they_identify_and_no_more():
 def test_manoeuvre_outside_the_table_has_a_warning(capsys, tmp_path):
     shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
     path = tmp_path / "p06" / "ratio_table.csv"
-    head, *rows = path.read_text().splitlines()
-    path.write_text("\n".join([head, *(row for row in rows if float(row.split(",")[0]) <= 25.0)]) + "\n")
+    source, head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([source, head, *(row for row in rows if float(row.split(",")[0]) <= 25.0)]) + "\n")
     status, text = run_estimate(capsys, tmp_path / "p06", "--parameters", "ratio.scale", "--out", tmp_path / "out")
     assert status == 0
     assert "alpha_deg is up to" in text
