@@ -23,7 +23,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.revise.errors import HeldFit, errors_before_and_after, held_fits
-from sim_heating.closure.revise.evidence import ratio_names
+from sim_heating.closure.revise.evidence import OF_START, ratio_names
 from sim_heating.closure.revise.revision_file import RevisionFile
 from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
@@ -248,7 +248,8 @@ def _not_held(held: Mapping[str, HeldFit]) -> Iterator[str]:
 def _cautions(update: TableUpdate) -> Iterator[str]:
     """Lines that a person should read before trusting the revision."""
     for name, reason in update.not_written.items():
-        yield f"{name}: not written, {reason}"
+        if not name.startswith(OF_START):  # temperatures at the start are the flight's own
+            yield f"{name}: not written, {reason}"
     for name, shift in update.effects.shift_sigmas.items():
         if shift > REPORTED_SHIFT:
             yield f"{name}: the table's sigma shifts it by {shift:.1f} sigma from the fit, by a linear estimate"
