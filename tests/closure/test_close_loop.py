@@ -32,8 +32,14 @@ from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, load_record, write_record
 from sim_heating.inputs.sensor_model import quantise
 from sim_heating.simulation.predict import predict
+from tests.support.few_candidates import search_among
 from tests.support.paths import BOARD, PRACTICE
 from tests.support.systems import posix
+
+PAIRED = (
+    "conductivity", "alpha-curvature", "radiative-conduction", "gap-flow", "heat-capacity", "coating-thickness",
+    "impingement-onset",
+)  # fmt: skip
 
 
 def simulated_record(
@@ -68,8 +74,9 @@ def test_noise_above_the_declared_one_is_no_cause() -> None:
     assert noisy.none.adequacy.unstructured
 
 
-def test_two_effects_are_both_named_with_their_sizes() -> None:
+def test_two_effects_are_both_named_with_their_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another effect resembles both together and is the best single one; the pair explains the record to its noise."""
+    search_among(monkeypatch, *PAIRED)
     put_in = [use("conductivity", {"conductivity_factor": 1.12}), use("alpha-curvature", {"d_alpha2": 1.5e-4})]
     found = search_effects(simulated_record(load_record(PRACTICE / "p06"), put_in))
     assert found.conclusion.best.adequate

@@ -19,11 +19,12 @@ from sim_heating.closure.several.joint import close_loops
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.heating.effects import use
 from sim_heating.inputs.record import Record, write_record
-from tests.support.few_candidates import searched_among
+from tests.support.few_candidates import search_among, searched_among
 from tests.support.missing import record_with
 
 ONSET, SLOPE = "effect.impingement-onset.alpha_onset_deg", "effect.impingement-onset.slope"
 RIVALS = ("impingement-onset", "alpha-curvature")
+AMONG = (*RIVALS, "time-skew", "coating-thickness")
 
 
 @cache
@@ -112,7 +113,8 @@ def test_what_is_of_the_flow_of_a_point_or_of_a_flight() -> None:
     assert narrower_levels("point", [left, right]) == []
 
 
-def test_two_flights_tell_together_what_neither_tells_alone(tmp_path: Path) -> None:
+def test_two_flights_tell_together_what_neither_tells_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    search_among(monkeypatch, *AMONG)
     for name, seed in (("one", 6), ("two", 7)):
         write_record(flown(name, seed, 40.0, 2.6e-4), tmp_path / name)
     records, out = [str(tmp_path / name) for name in ("one", "two")], tmp_path / "out"

@@ -9,9 +9,11 @@ import pytest
 from sim_heating.closure.close import close_loop
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.synthesize import synthesize
+from tests.support.few_candidates import search_among
 from tests.support.gliding import gliding
 
 POINT = "V09T9527"
+AMONG = ("sensor-lag", "time-skew", "alpha-curvature", "coating-thickness", "conductivity")
 ENTRY = """
 [[trajectory.manoeuvre]]
 kind = "popu"
@@ -26,8 +28,9 @@ tau_s = {tau_s}
     ("sensor", "tau_s"), [("V09T9527", 8.0), ("V07T9528", 30.0)], ids=["at the surface", "long, 4 mm deep"]
 )
 def test_the_lag_of_one_thermocouple_is_found_and_is_no_skew_of_the_clock(
-    tmp_path: Path, sensor: str, tau_s: float
+    tmp_path: Path, sensor: str, tau_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    search_among(monkeypatch, *AMONG)
     falling = gliding(280.0, POINT, altitude_m=100e3, velocity_m_s=7500.0).replace("gamma_deg = -0.1", "gamma_deg = -1")
     (tmp_path / "entry.toml").write_text(falling + ENTRY.format(sensor=sensor, tau_s=tau_s))
     record = synthesize(load_scenario(tmp_path / "entry.toml"))[POINT]

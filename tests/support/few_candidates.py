@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
+import pytest
+
+from sim_heating.closure.search import search
 from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
 from sim_heating.closure.search.ranking import count_forms, delta_bic, score_round
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
-from sim_heating.closure.search.trials.candidates import candidates
+from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.screening import predicted_gains
 from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
@@ -23,6 +27,15 @@ from sim_heating.closure.search.trials.trial_fit import (
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
+
+
+def search_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Let the search itself try effects of these names alone; `python -m benchmarks closure` searches among all."""
+
+    def few(*given: Any, **options: Any) -> list[Candidate]:
+        return [c for c in candidates(*given, **options) if c.name in names]
+
+    monkeypatch.setattr(search, "candidates", few)
 
 
 def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
