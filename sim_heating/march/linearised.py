@@ -503,6 +503,14 @@ def _read_samples(
 
 
 @njit
+def _copy_columns(S: FloatArray, lane: int, out: FloatArray) -> None:
+    """Copy the sensitivities of one lane, (lane, node, parameter); number by number, which compiles in no time."""
+    for i in range(S.shape[1]):
+        for q in range(S.shape[2]):
+            out[lane, i, q] = S[lane, i, q]
+
+
+@njit
 def march_linear(
     group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
     start: FloatArray, requested: Requested, out: FloatArray,
@@ -548,7 +556,7 @@ def march_linear(
         assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if requested.columns[lane] > 0:
-                S_start[lane] = S[lane]
+                _copy_columns(S, lane, S_start)
                 first_right_hand_side(e[lane], f[lane], dt, star[lane])
                 solve_columns(X, offsets, lane, m, ddt, star[lane], S_stage[lane], reduced)
                 content_columns(X, offsets, lane, m, S_stage[lane], middle[lane])

@@ -671,19 +671,6 @@ def step_with_perturbed(
 
 
 @njit
-def march_filter(
-    group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
-    f: FilterArrays, out: FloatArray,
-) -> None:  # fmt: skip
-    """Filter the lanes of one group through a flight; blocks B and X are changed and their contents lost.
-
-    All arguments as in `filter_steps`, temperatures in [K]. Derived in docs/theory/filter.md, equations 1 to 14.
-    """
-    begin_march(group, flights)
-    filter_steps(group, X, perturbed, offsets, flights, True, f, out)
-
-
-@njit
 def filter_steps(
     group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
     f: FilterArrays, out: FloatArray,

@@ -40,7 +40,8 @@ from sim_heating.estimation.filter.kernel import (
     PRIOR,
     PRIOR_VARIANCE,
     VARIANCE,
-    march_filter,
+    begin_march,
+    filter_steps,
 )
 from sim_heating.march.linearised import LinearMarch, Track, initial_profile
 from sim_heating.march.point import PointModel
@@ -286,7 +287,8 @@ class FilterMarch(LinearMarch):
         out[..., LOG_LIKELIHOOD] = 0.0
         self._begin([point.initial_K for point in points])
         group, X = self._copies()
-        march_filter(group, X, self._groups, self._offsets(1 + m), self._flights, arrays, out)
+        begin_march(group, self._flights)
+        filter_steps(group, X, self._groups, self._offsets(1 + m), self._flights, True, arrays, out)
         self._take_over(group.B)
         for i, point in enumerate(points):
             step = state.diverged[self._lane_of[i]]
