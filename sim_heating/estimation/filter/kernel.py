@@ -61,6 +61,7 @@ from sim_heating.estimation.filter.arrays import (
     Workspace,
 )
 from sim_heating.march.frames import Flights, set_flight_conditions
+from sim_heating.march.linearised import copy_matrix
 from sim_heating.thermal.faces import COLDEST_K
 from sim_heating.thermal.frame import EVALUATE_START, shift_conditions
 from sim_heating.thermal.sensitivity import (
@@ -491,20 +492,20 @@ def _store_covariances(
 ) -> None:
     """Store the covariances of a step for frozen gains."""
     lane, count = step.lane, step.number
-    gains.number[lane], gains.P[lane] = count, state.P[lane]
+    gains.number[lane] = count
+    copy_matrix(state.P[lane], gains.P[lane])
     for q in range(count):
         gains.node[lane, q], gains.x[lane, q] = readings.node[lane, step.first + q], taken.x[q]
-        gains.cross[lane, q] = taken.cross[q]
-        gains.covariance[lane, q] = taken.covariance[q]
+    copy_matrix(taken.cross[:count], gains.cross[lane, :count])
+    copy_matrix(taken.covariance[:count], gains.covariance[lane, :count])
 
 
 @njit
 def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, taken: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
-    state.P[step.lane] = gains.P[step.lane]
-    for q in range(step.number):
-        taken.cross[q] = gains.cross[step.lane, q]
-        taken.covariance[q] = gains.covariance[step.lane, q]
+    copy_matrix(gains.P[step.lane], state.P[step.lane])
+    copy_matrix(gains.cross[step.lane, :step.number], taken.cross[:step.number])
+    copy_matrix(gains.covariance[step.lane, :step.number], taken.covariance[:step.number])
 
 
 @njit
@@ -562,8 +563,8 @@ def filter_lane(
     take_readings(step, readings, state, taken, z, transition, history, out)
     if keep:
         history.mean[lane, k, : n + 1] = z[: n + 1]
-        history.covariance[lane, k] = state.P[lane]
-        history.transition[lane, k - 1] = transition
+        copy_matrix(state.P[lane], history.covariance[lane, k])
+        copy_matrix(transition, history.transition[lane, k - 1])
     _put_back(B, lane, n, k, state, z)
     return first + count
 
