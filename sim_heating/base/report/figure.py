@@ -18,10 +18,11 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, LogFormatter
+from matplotlib.ticker import FuncFormatter, LogFormatter, NullFormatter, ScalarFormatter
 from matplotlib.transforms import Bbox, TransformedBbox
 from numpy.typing import ArrayLike
 
@@ -114,18 +115,33 @@ def add_grid_and_title(figure: Figure, title: str, axes: np.ndarray) -> None:
 
 
 def _show_names_as_written(figure: Figure) -> None:
-    """Show texts without mathematics, except powers of ten on a logarithmic axis, and control characters as escapes."""
-    axes = [axis for a in figure.axes for axis in (a.xaxis, a.yaxis)]
-    powers = {t for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter) for t in axis.get_ticklabels()}
-    for formatter in (axis.get_major_formatter() for axis in axes):
-        if isinstance(formatter, FuncFormatter):  # of names given for ticks, which it writes again in each drawing
-            formatter.func = _printable_label(formatter.func)
-    for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        if text not in powers:
-            text.set_parse_math(False)
-            text.set_usetex(False)
-            text.set_text(printable(text.get_text()))
+    """Show texts without mathematics, except those of ticks with numbers, and control characters as escapes."""
+    for text in _texts(figure):
+        text.set_parse_math(False)
+        text.set_usetex(False)
+        text.set_text(printable(text.get_text()))
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    """All texts of an artist except labels of ticks that are numbers: these would first have to be placed."""
+    if isinstance(artist, Text):
+        yield artist
+    if not isinstance(artist, Axis):
+        children = artist.get_children()
+    elif _names_its_ticks(artist):
+        children = [artist.label, artist.offsetText, *artist.get_ticklabels()]
+    else:
+        children = [artist.label, artist.offsetText]
+    for child in children:
+        yield from _texts(child)
+
+
+def _names_its_ticks(axis: Axis) -> bool:
+    """Whether ticks have names of their own; a function that writes them in each drawing is made to escape them."""
+    formatter = axis.get_major_formatter()
+    if isinstance(formatter, FuncFormatter):
+        formatter.func = _printable_label(formatter.func)
+    return not isinstance(formatter, (ScalarFormatter, LogFormatter, NullFormatter))
 
 
 def _printable_label(label: Callable[..., str]) -> Callable[..., str]:
