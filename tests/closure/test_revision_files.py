@@ -114,7 +114,7 @@ DAMAGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         lambda d: put("evidence", "covariance", value=(9.0 * np.array(d["evidence"]["covariance"])).tolist())(d),
         "its evidence does not make the table",
     ),
-    "no reach": (lambda d: d["reach"].pop("beta_deg"), "[reach]: must hold a distance above 0"),
+    "no reach": (lambda d: d["reach"].pop("beta_deg"), "[reach]: must hold a distance from 1e-09"),
     "half a segment": (put("records", 0, "segments", value=[[3.0]]), "[3.0] is not [start_s, end_s]"),
     "no records": (put("records", value="first"), "`records`: \"first\" is not a list"),
     "infinite": (put("chi_square", value=1e400), "contains Infinity"),

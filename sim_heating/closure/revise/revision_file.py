@@ -19,6 +19,8 @@ from sim_heating.estimation.report.estimate_file import EstimatedParameter, is_c
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence
 
+LEAST_REACH = 1e-9
+"""Least distance of independent errors in a revision, in the unit of its variable: any two nodes are further apart."""
 LARGEST = 1e9
 """Largest weight, value or covariance that evidence is taken to have."""
 NODES = ("nodes", "H", "value")
@@ -251,6 +253,8 @@ class RevisionFile(Declared):
         if self.parent != self.revision - 1:
             rule = f"{self.parent} is not the revision before {self.revision}, which is {self.revision - 1}"
             raise LocatedError((("parent",), rule))
-        if set(self.reach) != set(RATIO_VARIABLES) or not all(0.0 < r <= LARGEST for r in self.reach.values()):
-            raise LocatedError((("reach",), f"must hold a distance above 0 for each of {', '.join(RATIO_VARIABLES)}"))
+        if set(self.reach) != set(RATIO_VARIABLES) or not all(LEAST_REACH <= r <= LARGEST for r in self.reach.values()):
+            raise LocatedError(
+                (("reach",), f"must hold a distance from {LEAST_REACH:g} for each of {', '.join(RATIO_VARIABLES)}")
+            )
         return self
