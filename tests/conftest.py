@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's shell
-# says of compiled files.
+# Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's
+# shell says of compiled files.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
