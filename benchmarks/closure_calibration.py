@@ -35,6 +35,7 @@ from sim_heating.closure.search.calibration import (
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
 
+COMMAND = "python -m benchmarks.closure_calibration --write"
 GROUPS = ("class", "flight", "wall", "half")
 PRIOR_SIGMA = 3.0
 LEAST_TRUE = 100
@@ -152,7 +153,7 @@ def main(write: bool) -> None:
         named = sum(verdict(r) != "right" for r in nulls)
         found = {"named": named, "records": len(nulls), "true_statistics": known.tolist(),
                  "features": FEATURES, "coefficients": b.tolist()}  # fmt: skip
-        write_json(CALIBRATION, read_json(CALIBRATION) | found | {"source": "python -m benchmarks closure"})
+        write_json(CALIBRATION, read_json(CALIBRATION) | found | {"source": COMMAND})
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def watch(record: Record, rate: float = RATE) -> Watched:
             if failure is not None:
                 e.leave_out(failure.point, failure.sensor, failure.from_s)
                 test.leave_out(failure.point, failure.sensor)
-            elif not checks.has_failed(read.point, read.sensor):
+            elif not (read.is_left_out or checks.has_failed(read.point, read.sensor)):
                 score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
                 test.take(read.time_s, read.point, read.sensor, score)
         if test.alarm is not None:

@@ -15,7 +15,7 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.parameters import MODEL, RATIO
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.base.report.page import Page, Picture, Section, write_page
-from sim_heating.base.report.table import Column, Table
+from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.campaign.manoeuvre_fits import usable
 from sim_heating.campaign.result import IMPROBABLE, CampaignResult
 from sim_heating.closure.report import closures_table
@@ -46,7 +46,7 @@ def fits_table(result: CampaignResult) -> Table:
         for n, p in r["parameters"].items()
         if not n.startswith("initial.")
     ]  # fmt: skip
-    return Table("Fits", columns, rows, sortable=True, choices=["control point", "parameter"])
+    return Table("Fits", columns, rows, sortable=len(rows) > SORTABLE, choices=["control point", "parameter"])
 
 
 def errors_table(result: CampaignResult) -> Table:
@@ -64,7 +64,9 @@ def errors_table(result: CampaignResult) -> Table:
         for e in result.errors
     ]
     title = "RMSE of the manoeuvres with the tables before and after"
-    return Table(title, columns, rows, sortable=True, choices=["flight", "control point", "manoeuvre", "use"])
+    return Table(
+        title, columns, rows, sortable=len(rows) > SORTABLE, choices=["flight", "control point", "manoeuvre", "use"]
+    )
 
 
 def write_campaign_page(path: Path, result: CampaignResult) -> None:
@@ -79,9 +81,13 @@ def campaign_page(result: CampaignResult) -> Page:
         *_joint_section(result), *_fits_sections(result), credibility_section(result.credibility.as_json()),
     ]  # fmt: skip
     vehicle = result.campaign.vehicle
-    count = f"{len(result.flights)} flights, {len(result.points)} control points"
+    count = f"{_counted(len(result.flights), 'flight')}, {_counted(len(result.points), 'control point')}"
     subtitle = f"{vehicle.name}, revision {vehicle.revision}: {count}"
     return Page(result.campaign.title, subtitle, sections, _headline(result))
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _headline(result: CampaignResult) -> tuple[str, str]:
@@ -126,7 +132,9 @@ def _flights_section(result: CampaignResult) -> Section:
         "The number after `mach` is the speed in 1000 ft/s at the start of a manoeuvre, as in the Shuttle's "
         "literature. Flights that check are not fitted: they show what the revised tables predict."
     )
-    return Section("Flights", text, points=result.omitted, tables=[Table("", columns, rows, sortable=True)])
+    return Section(
+        "Flights", text, points=result.omitted, tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)]
+    )
 
 
 def _closed_section(result: CampaignResult) -> list[Section]:
@@ -167,7 +175,7 @@ def _point_section(result: CampaignResult, point: str) -> list[Section]:
     points += [f"{name} not estimated: {why} ({', '.join(w)})" for (name, why), w in _not_estimated(rows).items()]
     strong = [i for i, r in enumerate(rows) if len(r["flights"]) > 1]
     pictures = [Picture(_draw(point, names, rows), f"Estimates of {point} with bounds of 2 sigma")] if names else []
-    tables = [Table("", columns, cells, strong, sortable=True), *_other_parameters(rows)]
+    tables = [Table("", columns, cells, strong, sortable=len(cells) > SORTABLE), *_other_parameters(rows)]
     return [Section(f"Fits of {point}", points=points, tables=tables, pictures=pictures)]
 
 
@@ -262,7 +270,7 @@ def _joint_section(result: CampaignResult) -> list[Section]:
         "The fits of single flights scatter about the fit of all together as their bounds say where the p-value is "
         f"not small. In {len(low)} of {len(rows)} it is below {IMPROBABLE:g}: flights differ by more than their bounds."
     )
-    table = Table("", columns, cells, low, sortable=True, choices=["control point", "manoeuvre"])
+    table = Table("", columns, cells, low, sortable=len(cells) > SORTABLE, choices=["control point", "manoeuvre"])
     return [Section("Do the flights agree?", [text], tables=[table])]
 
 
@@ -283,7 +291,7 @@ def _tables_section(result: CampaignResult) -> list[Section]:
         "is that of all evidence so far against the sigma that the table stated before any of it."
     )
     points = [f"Not used: {line}" for line in result.refused]
-    return [Section("Revised tables", [text], points, [Table("", columns, cells, sortable=True)])]
+    return [Section("Revised tables", [text], points, [Table("", columns, cells, sortable=len(cells) > SORTABLE)])]
 
 
 def _errors_section(result: CampaignResult) -> list[Section]:

@@ -23,7 +23,7 @@ from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.inference.observability import heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
-from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions, check_estimated
+from sim_heating.live.estimator import Innovation, LiveEstimate, LiveEstimator, LiveOptions, check_estimated
 from sim_heating.live.journal import Journal, read_journal
 from sim_heating.live.mapping import FieldMapping
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
@@ -217,7 +217,11 @@ class LinkEngine:
                 self.remarks.add(line)
         for sample in samples:
             self._note(sample, message.arrived_s)
+        jumps = self.estimator.counts.jumps
         self.estimator.add(*samples)
+        if self.estimator.counts.jumps != jumps:  # what is newest is so by the new clock
+            self._latest_frame = self.estimator.timeline.frames[-1]
+            self._latest.clear()
 
     def resume(self, path: Any, most: int) -> dict[int, int]:
         """Take the messages of a journal that was cut off again, without writing them.
@@ -275,6 +279,7 @@ class LinkEngine:
         for line in self.estimator.messages:
             self.remarks.add(line)
         self.estimator.messages.clear()
+        self._take_out_clocks()
         self._test_innovations()
         if self.followed.is_due(time_s := self.estimator.time_s) and time_s is not None:
             alpha = math.nan if self._latest_frame is None else self._latest_frame.values.get("alpha_deg", math.nan)
@@ -295,16 +300,29 @@ class LinkEngine:
             self.remarks.add(self.ahead.problem)
             self.ahead.problem = ""
 
+    def _take_out_clocks(self) -> None:
+        """Take sensors whose own clock went back for failed ones."""
+        for point, sensor, since_s, why in self.estimator.failed_clocks:
+            if not self.checks.has_failed(point, sensor):
+                self.checks.take_out(Failure(point, sensor, since_s, since_s, why, since_s))
+                self.test.leave_out(point, sensor)
+        self.estimator.failed_clocks.clear()
+
     def _test_innovations(self) -> None:
         """Check the sensors and test the model with the readings that no late sample can change any more."""
         found = self.estimator.innovations()
         self.followed.add_readings(found)
         for read in found:
-            failure = self.checks.take(read)
+            known = len(self.checks.undecided)
+            failure = self.checks.take(read, self.test.alarm is not None)
+            if len(self.checks.undecided) > known:
+                self.remarks.add(self._undecided())
             if failure is not None:
                 self.estimator.leave_out(failure.point, failure.sensor, failure.from_s, failure.wrong_s)
                 self.test.leave_out(failure.point, failure.sensor)
                 self.remarks.add(_removed(failure).text)
+            elif read.is_left_out:
+                self.remarks.add(_left_out(read))
             elif not self.checks.has_failed(read.point, read.sensor):
                 score = score_of_word(read.innovation_K, read.variance_K2, read.predicted_variance_K2)
                 self.test.take(read.time_s, read.point, read.sensor, score)
@@ -317,12 +335,16 @@ class LinkEngine:
         self._phase = "ended"
 
     def weigh(self) -> bool:
-        """Have the candidates of an alarm weighed in another process, once; whether that is at work."""
+        """Have the candidates of an alarm weighed in another process, when due; whether that is at work."""
         self._poll_weighing()
-        alarm = self.test.alarm
-        if alarm is not None and self.journal is not None and not self.weighing.begun:
+        alarm, now_s = self.test.alarm, self.estimator.time_s
+        if alarm is None or now_s is None or self.journal is None:
+            return False
+        since_s = now_s - alarm.time_s
+        if self.weighing.is_due(since_s):
             # whether a sensor drifts or the model lacks something, close-loop weighs itself
             left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point and not f.drifts]
+            self.weighing.weighed_from(since_s)
             self.weighing.start(self.journal.path, alarm.point, left_out, root=self.link.root)
         return self.weighing.busy
 
@@ -455,6 +477,14 @@ class LinkEngine:
     def _removed(self) -> Sequence[RemovedSensor]:
         return [_removed(failure) for failure in self.checks.failures]
 
+    def _undecided(self) -> str:
+        """Which sensors look as if they failed, or as if the model were wrong, in one line; "" for none."""
+        found = [f"{sensor} at {point} ({why})" for (point, sensor), why in self.checks.undecided.items()]
+        if not found:
+            return ""
+        fails = "fails" if len(found) == 1 else "fail"
+        return f"undecided whether {' and '.join(found)} {fails}, or the model lacks something there; still used"
+
     def _missing(self) -> MissingState:
         self._poll_weighing()
         alarm, found = self.test.alarm, self.weighing.last
@@ -463,8 +493,13 @@ class LinkEngine:
             text = alarm.text
             if self._phase != "ended":
                 self.weigh()
+            if undecided := self._undecided():
+                text = f"{text}; {undecided}"
             if found is not None:
-                text = f"{text}; {found.text}"
+                when = f"on the record up to {found.until_s:.0f} s: " if found.finding else ""
+                text = f"{text}; {when}{found.text}"
+                text += f"; weighed again: {self.weighing.problem}" if self.weighing.problem else ""
+                text += "; being weighed again" if self.weighing.busy else ""
             elif self.weighing.busy:
                 text = f"{text}; candidates are being weighed"
             elif self._phase == "ended":
@@ -488,8 +523,15 @@ def _limits(link: Link, point: str) -> dict[str, float]:
     return {name: limit for name, limit in given.items() if limit is not None}
 
 
+def _left_out(read: Innovation) -> str:
+    away = f"{abs(read.innovation_K):.0f} K from the prediction"
+    return f"{read.point}: 1 reading of {read.sensor} at {read.time_s:.1f} s left out: {away}"
+
+
 def _removed(failure: Failure) -> RemovedSensor:
     kept = f"; what it read from {failure.wrong_s:.1f} s on is taken back when the link ends"
+    if failure.wrong_s >= failure.from_s:
+        kept = ""
     return RemovedSensor(failure.point, failure.sensor, failure.from_s, failure.why + kept)
 
 

@@ -16,13 +16,13 @@ Filter: docs/theory/filter.md, section "Parameters as the readings come".
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray, IntArray
+from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
@@ -30,6 +30,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Param
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
 from sim_heating.estimation.filter.online import (
     FilterSnapshot,
+    Innovations,
     OnlineFilter,
     PointEstimate,
     PointReadings,
@@ -42,8 +43,9 @@ from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
-from sim_heating.live.timeline import Counts, Placed, Timeline, Word
+from sim_heating.live.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline, Word
 from sim_heating.live.types import Frame, Reading, Sample
+from sim_heating.live.watch.spikes import AWAY_SIGMAS, JUMP_SIGMAS, NEAR_S, suspected
 from sim_heating.march.point import PointModel, initial_temperatures
 from sim_heating.thermal.stack import Sensor
 
@@ -60,6 +62,8 @@ AGAIN = 4
 """Steps of the past that are filtered again with each new one."""
 LONGEST_AGAIN_S = 7200.0
 """Longest flight that is kept to be filtered again [s]."""
+CONFIRMED_WORDS = 2
+"""Readings of a sensor that have to come again with other values before its clock has gone back."""
 START_AGREES = 4.0
 """Readings within this many standard deviations of the declared start confirm it [-]."""
 GAP_ERROR_1_S, LARGEST_GAP_ERROR = 0.01, 0.3
@@ -140,6 +144,7 @@ class Innovation(NamedTuple):
                                 word those of docs/theory/filter.md, equation 10
     predicted_K, predicted_variance_K2 : the expected reading [K] and its variance with its noise [K2]
     read_K : the reading itself [K], the middle of the interval of a word
+    is_left_out : whether it is a single spike, which the filter did not use
     """
 
     time_s: float
@@ -150,9 +155,10 @@ class Innovation(NamedTuple):
     predicted_K: float
     predicted_variance_K2: float
     read_K: float
+    is_left_out: bool = False
 
 
-_Logged = tuple[float, int, float, float, float, float, float]
+_Logged = tuple[float, int, float, float, float, float, float, bool]
 """What is logged of a reading: time [s], number of its sensor, then as Innovation from innovation_K on."""
 
 
@@ -177,7 +183,7 @@ class _Past(NamedTuple):
     """A step that was taken, as it is to be taken again.
 
     frame     : at its end;  decided_s, innovations : as of _Kept;  vectors : (point, condition) at its end
-    words     : (reading, 3) its readings;  at : estimates of the parameters after it, where they serve to begin again
+    words     : (reading, 4) its readings;  at : estimates of the parameters after it, where they serve to begin again
     """
 
     frame: Frame
@@ -278,9 +284,14 @@ class LiveEstimator:
             for _ in range(2)
         )
         self._apart, self._share = line_tolerance(source.columns)
-        self.timeline = Timeline(self._sensors.numbers, self.options.lateness_s, self.options.jump_s)
+        # readings may come in any order: half of what is suspected between neighbours is looked at
+        self._gate_K = (JUMP_SIGMAS * self._sensors.sigma_K + np.nan_to_num(self._sensors.lsb)).tolist()
+        half_K = [0.5 * gate for gate in self._gate_K]
+        self.timeline = Timeline(self._sensors.numbers, self.options.lateness_s, self.options.jump_s, half_K)
         self.messages: list[str] = []
         self._told_conflict = False
+        self.failed_clocks: list[tuple[str, str, float, str]] = []
+        self._clocks_out: set[int] = set()
         self.refused = 0
         self._out = [_Out() for _ in self._sensors.sensors]
         self._wrong: dict[int, tuple[float, float]] = {}
@@ -303,6 +314,8 @@ class LiveEstimator:
         # from number `_log_from` on
         self._log: list[_Logged] = []
         self._log_from = 0
+        # time of the first suspected reading of a sensor whose next one has not come, by its number
+        self._undecided: dict[int, float] = {}
         self._given_until = -math.inf
         self.steps = 0
 
@@ -335,7 +348,11 @@ class LiveEstimator:
                 if not self._plausible(sample):
                     continue
             elif taken := self._put_in_order(samples, at - 1):
+                for reading in samples[at - 1 : at - 1 + taken] if self._undecided else ():
+                    self._decide(reading)  # type: ignore[arg-type]
                 at, self._changed = at - 1 + taken, True
+                if self.timeline.late_sensors:
+                    self._tell_late()
                 continue
             elif (sample.point, sample.sensor) not in self._sensors.numbers:
                 raise InputError(self._unknown(sample.point, sample.sensor))
@@ -346,6 +363,10 @@ class LiveEstimator:
                 self._tell_conflict()
             elif placed is Placed.JUMPED:
                 self._follow()
+            if self.timeline.late_sensors:
+                self._tell_late()
+            if self.timeline.repeated is not None and isinstance(sample, Frame):
+                self._judge_repeated()
 
     def _put_in_order(self, samples: Sequence[Sample], first: int) -> int:
         """Take readings, from number `first` of the samples on, that are in order and need nothing filtered again."""
@@ -361,9 +382,69 @@ class LiveEstimator:
         if at_s is not None and not self._told_conflict:
             self._told_conflict = True
             self._tell(
-                f"samples came again with other values, first at {at_s:g} s: a clock that went back by less than "
-                f"{self.options.lateness_s:g} s and a little, or two sources of one quantity; the first ones are used"
+                f"samples came again with other values, first at {at_s:g} s: a clock that went back, or two sources of "
+                "one quantity; the first ones are used"
             )
+
+    def _tell_late(self) -> None:
+        """Tell which sensors come late after they had come in time; not of one that is left out for its clock."""
+        for number, since_s, is_too_late in self.timeline.late_sensors:
+            point, sensor = self._sensors.place[number]
+            if number in self._clocks_out:
+                continue
+            late_s = self.options.lateness_s * (1.0 if is_too_late else 0.5)
+            use = "are not used" if is_too_late else "are used by their times"
+            self._tell(
+                f"{point}: readings of {sensor} after {since_s:g} s come more than {late_s:g} s late, one after the "
+                f"other, and {use}: its clock went back, or it is sent late"
+            )
+        self.timeline.late_sensors.clear()
+
+    def _judge_repeated(self) -> None:
+        """Tell why times came again, once that is known: the clock of all went back, or that of some sensors."""
+        found = self.timeline.repeated_until_now()
+        if found is None:
+            if self.timeline.is_two_sources:
+                self._tell("samples go on coming again with other values: two sources of one quantity")
+            return
+        if found.samples >= CONFIRMED_BY and self.timeline.is_of_frames(found):
+            self._follow_back(found)
+            return
+        for number, count in found.words.items():
+            if count >= CONFIRMED_WORDS:
+                self._leave_out_clock(number, found.first_s)
+
+    def _follow_back(self, found: Repeated) -> None:
+        """Go over to a clock that went back by little: from the state before it, over the time that came twice."""
+        self.advance()
+        jump = self.timeline.go_back(found)
+        self._tell(
+            f"the clock went back by about {-jump.by_s:.3g} s, from {jump.from_s:g} to {jump.to_s:g} s: samples came "
+            f"again with other values; what came for {found.first_s:g} to {found.last_s:g} s is not used, and bridged"
+        )
+        if self._now is None:
+            return
+        before_s = found.first_s - found.every_s
+        self._return_to(next((k for k in reversed(self._kept) if k.decided_s < before_s), self._kept[0]))
+        begin_s = self._now.time_s + jump.by_s
+        for f in self.filters:
+            f.now_s = begin_s
+        self._give_up_past()
+        self._now = self._snapshot(begin_s, begin_s, self._now.values, self._now.vectors)
+        self._kept, self._dirty, self._changed = [self._now], (math.inf, math.inf), True
+
+    def _leave_out_clock(self, number: int, since_s: float) -> None:
+        """Leave out a sensor whose own clock went back, from before that."""
+        if number in self._clocks_out:
+            return
+        self._clocks_out.add(number)
+        point, sensor = self._sensors.place[number]
+        why = f"its clock went back: readings from {since_s:g} s on came again with other values"
+        self.failed_clocks.append((point, sensor, since_s, why))
+        self._tell(f"{point}: {sensor}: {why}; it is left out")
+        self._change_use(point, sensor, since_s, True)
+        if self._now is not None and since_s <= self._now.time_s:
+            self._dirty = (self._dirty[0], min(self._dirty[1], since_s))
 
     def _plausible(self, frame: Frame) -> bool:
         missing = [c for c in self.source.columns if c not in frame.values]
@@ -382,8 +463,22 @@ class LiveEstimator:
                 self._passed = []
             if sample.time_s <= self._now.decided_s:
                 self._dirty = (min(frame, sample.time_s), reading)
-        elif sample.time_s <= self._now.time_s:
-            self._dirty = (frame, min(reading, sample.time_s))
+        else:
+            if sample.time_s <= self._now.time_s:
+                self._dirty = (frame, min(reading, sample.time_s - self._touched(sample)))
+            self._decide(sample)
+
+    def _touched(self, late: Reading) -> float:
+        """How long before a late reading one may be that it decides on [s]."""
+        return NEAR_S if self.timeline.differs_s else 0.0
+
+    def _decide(self, sample: Reading) -> None:
+        """Filter a suspected reading again, once the one after it has come."""
+        number = self._sensors.numbers[sample.point, sample.sensor]
+        at_s = self._undecided.get(number, math.inf)
+        if at_s < sample.time_s <= at_s + NEAR_S:
+            del self._undecided[number]
+            self._dirty = (self._dirty[0], min(self._dirty[1], at_s))
 
     def _unknown(self, point: str, sensor: str) -> str:
         if point not in self._of_point:
@@ -465,6 +560,11 @@ class LiveEstimator:
         """Numbers of late, doubled, lost ... samples."""
         return self.timeline.counts
 
+    @property
+    def jump(self) -> Jump | None:
+        """The last jump of the clock; None for none."""
+        return self.timeline.jump
+
     # Filtering -------------------------------------------------------------------------------------------------------
 
     def advance(self) -> None:
@@ -534,8 +634,19 @@ class LiveEstimator:
         return self._log_from + len(self._log)
 
     def _words(self, after_s: float, until_s: float) -> FloatArray:
-        """(reading, 3) readings of a step: time [s], number of the sensor, value [K]."""
-        return np.array(self.timeline.words_between(after_s, until_s), dtype=float).reshape(-1, 3)
+        """(reading, 4) readings of a step: time [s], number of the sensor, value [K], 1 where it may be a spike."""
+        words = self.timeline.words_between(after_s, until_s)
+        found = np.zeros((len(words), 4))
+        if words:
+            found[:, :3] = words
+        if self.timeline.differs_s:
+            near = self.timeline.words_between(after_s - NEAR_S, until_s + NEAR_S)
+            spikes = suspected(near, after_s, self._gate_K)
+            for k, (t, n, _) in enumerate(words):
+                found[k, 3] = (t, n) in spikes
+                if not spikes.get((t, n), True):
+                    self._undecided[n] = t
+        return found
 
     def _take(
         self, filters: Sequence[OnlineFilter], begin: float, before: FloatArray, end: float, vectors: FloatArray,
@@ -557,18 +668,47 @@ class LiveEstimator:
         log: list[_Logged] = []
         for k, f in enumerate(filters):
             first = k * LANES
-            given, numbers = self._sensors.readings(words, first, f, self._out)
+            given, numbers, doubtful = self._sensors.readings(words, first, f, self._out)
             along = histories[first : first + LANES]
-            found = f.gap(time_s, along, given, unknown) if unknown else f.step(time_s, along, given)
-            read = np.isfinite(found.innovation_K)
-            columns = (
-                given.time_s, numbers, found.innovation_K, found.innovation_variance_K2, found.predicted_K,
-                found.variance_K2, middle_K(given.lower_K, given.upper_K),
-            )  # fmt: skip
+            read_K = middle_K(given.lower_K, given.upper_K)
+
+            def filtered(given: PointReadings, f: OnlineFilter = f, along: FloatArray = along) -> Innovations:
+                return f.gap(time_s, along, given, unknown) if unknown else f.step(time_s, along, given)
+
+            is_out = np.zeros(len(numbers), dtype=bool)
+            if np.any(doubtful):
+                found, is_out = self._without_spikes(f, filtered, given, numbers, doubtful, read_K)
+            else:
+                found = filtered(given)
+            innovation, variance = found.innovation_K, found.innovation_variance_K2
+            if np.any(is_out):
+                innovation = np.where(is_out, read_K - found.predicted_K, innovation)
+                variance = np.where(is_out, found.variance_K2, variance)
+            read = np.isfinite(innovation)
+            columns = given.time_s, numbers, innovation, variance, found.predicted_K, found.variance_K2, read_K, is_out
             log += zip(*(column[read].tolist() for column in columns), strict=True)
         if linearise:
             self._linearise(filters, begin, end)
         return log
+
+    def _without_spikes(
+        self, f: OnlineFilter, filtered: Callable[[PointReadings], Innovations], given: PointReadings,
+        numbers: IntArray, doubtful: BoolArray, read_K: FloatArray,
+    ) -> tuple[Innovations, BoolArray]:  # fmt: skip
+        """Take a step without the readings that may be spikes, and again with those of them that were expected.
+
+        returns : innovations, and (reading,) which ones are left out
+        """
+        before = f.snapshot()
+        found = filtered(given._replace(lower_K=np.where(doubtful, np.nan, given.lower_K)))
+        half_lsb = 0.5 * np.nan_to_num(self._sensors.lsb[numbers])
+        away = np.abs(read_K - found.predicted_K) - half_lsb > AWAY_SIGMAS * np.sqrt(found.variance_K2)
+        is_out = doubtful & away
+        if np.any(doubtful & ~is_out & np.isfinite(read_K)):
+            f.restore(before)
+            found = filtered(given._replace(lower_K=np.where(is_out, np.nan, given.lower_K)))
+        f.done_with(before)
+        return found, is_out
 
     # Filtered again --------------------------------------------------------------------------------------------------
 
@@ -701,14 +841,15 @@ class LiveEstimator:
 
     def _forget(self) -> None:
         """Drop snapshots and samples that no sample to come can reach."""
-        window = self.timeline.newest_s - self.options.lateness_s
+        line = self.timeline
+        window = min(line.newest_s - self.options.lateness_s, line.held_s, line.differs_from(NEAR_S))
         while len(self._kept) > 1 and self._kept[1].decided_s < window:
             for f, snapshot in zip(self.filters, self._kept.pop(0).filters, strict=True):
                 f.done_with(snapshot)
         if self._begun_s is not None:
             self._filter_again(self._kept[0].past)
         # filters that took over may stand before the window
-        self.timeline.forget(min(self._kept[0].time_s, window))
+        self.timeline.forget(min(self._kept[0].time_s, window), NEAR_S)
 
     # Start -----------------------------------------------------------------------------------------------------------
 
@@ -826,7 +967,7 @@ class LiveEstimator:
 
     def innovations(self) -> list[Innovation]:
         """Innovations since the last call, in order of time, of readings that no late sample can change any more."""
-        until = self.timeline.newest_s - self.options.lateness_s
+        until = min(self.timeline.newest_s - self.options.lateness_s, self.timeline.held_s)
         if self._now is None or until <= self._given_until:
             return []
         final = sorted(r for r in self._log if self._given_until < r[0] <= min(until, self._now.time_s))
@@ -836,7 +977,11 @@ class LiveEstimator:
         if self._log[:gone] and self._log[gone - 1][0] <= self._given_until:
             del self._log[:gone]
             self._log_from += gone
-        return [Innovation(t, *self._sensors.place[n], *expected) for t, n, *expected in final]
+        place = self._sensors.place
+        return [
+            Innovation(t, *place[n], nu, S, predicted, of_it, read, is_out)
+            for t, n, nu, S, predicted, of_it, read, is_out in final
+        ]
 
     @property
     def diverged(self) -> list[str]:
@@ -880,17 +1025,18 @@ class _SensorTable:
 
     def readings(
         self, words: FloatArray, first: int, f: OnlineFilter, out: Sequence[_Out]
-    ) -> tuple[PointReadings, IntArray]:
-        """Readings of the points of one filter as it takes them, and the number of the sensor of each.
+    ) -> tuple[PointReadings, IntArray, BoolArray]:
+        """Readings of the points of one filter as it takes them, the number of the sensor of each, and which ones may
+        be spikes.
 
-        words : (reading, 3) time [s], number of the sensor, value [K];  first : number of the filter's first point
+        words : (reading, 4) as of `_words` of the estimator;  first : number of the filter's first point
         """
         m = max(p.parameters for p in f.points)
         last = first + len(f.points)
         number = words[:, 1].astype(np.int64)
         mine = (self.point[number] >= first) & (self.point[number] < last)
         if not np.any(mine):
-            return no_readings(m), np.zeros(0, dtype=np.int64)
+            return no_readings(m), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         number, t, value = number[mine], words[mine, 0], words[mine, 2]
         skipped = ~self.used[number]
         if any(o.spans for o in out):
@@ -906,7 +1052,8 @@ class _SensorTable:
                 self._add_terms(q, int(n), t[q], first, f, gain, bias, direct)
         lower = np.where(skipped, np.nan, lower)
         point, node, variance = self.point[number] - first, self.node[number], self.sigma_K[number] ** 2
-        return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct), number
+        given = PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
+        return given, number, words[mine, 3] > 0.0
 
     def _add_terms(
         self, q: int, n: int, t: float, first: int, f: OnlineFilter, gain: FloatArray, bias: FloatArray,

@@ -3,6 +3,10 @@
 What is kept does not depend on the order in which samples of the window came in. A sample that is older than the
 newest frame by more than the window is too late. A frame far ahead of the clock, or behind it by more than the window,
 is a damaged time or a new clock: the third of such frames in a row, in order among themselves, is a new clock.
+
+A clock that goes back by less looks like late samples, but for one thing: its samples come at times that are taken
+already, with other values. Those times, from the first to the last, are as long as the jump, however late the samples
+come. That they have ended is known once the newest frame has gone on by a window since the last of them came.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import pairwise
 
 from sim_heating.live.types import Frame, Reading, Sample
 
@@ -20,6 +25,18 @@ CONFIRMED_BY = 3
 MOST_WAITING = 10_000
 """Number of readings that wait for a new clock, or ahead of the newest frame, at most."""
 
+LATE_IN_A_ROW, TOO_LATE_IN_A_ROW = 30, 5
+"""Readings of a sensor, one after the other, that come late by half the window, or after it, until that is told.
+Of delays that are as long as they happen to be, to the length of the window, one in 2^30 does so."""
+SAME_TIME = 0.01
+"""Part of the time between two readings of a sensor within which a third one has the time of one of them [-]."""
+MOST_APART = 1.5
+"""Usual times between frames by which two may be apart without another one between them [-]."""
+RECENT_FRAMES = 40
+"""Frames over which the usual time between them is found."""
+
+LONGEST_NUMBER = math.inf
+"""Larger than the number of any sensor."""
 LONGEST_S = 1e300
 """A flight time that is finite, and none is longer [s]."""
 
@@ -68,6 +85,38 @@ class Counts:
     lateness_s: float = 0.0
 
 
+@dataclass
+class Repeated:
+    """Times that came again with other values.
+
+    first_s, last_s : the first and the last of them [s]
+    samples : number of samples with other values;  frames : and of frames among them
+    words   : number of such readings by sensor
+    doubled_s : times of the frames that came again since, with whatever values [s]
+    newest_s : time of the newest frame when the last of them came [s]
+    every_s : usual time between frames before they came [s];  times_s : all of them [s]
+    """
+
+    first_s: float
+    last_s: float
+    newest_s: float
+    every_s: float
+    times_s: set[float] = field(default_factory=set)
+    samples: int = 0
+    frames: int = 0
+    words: dict[int, int] = field(default_factory=dict)
+    doubled_s: set[float] = field(default_factory=set)
+
+    @property
+    def length_s(self) -> float:
+        """How far the clock went back [s]: over the times that came twice, to where the next one would be."""
+        times = sorted(self.times_s)
+        apart = min((b - a for a, b in pairwise(times)), default=self.every_s)
+        frames = [t for t in self.doubled_s if self.first_s <= t <= self.last_s]
+        of_frames = max(frames) - min(frames) + self.every_s if frames else 0.0
+        return max(of_frames, self.last_s - self.first_s + min(apart, self.every_s))
+
+
 Word = tuple[float, int, float]
 """A reading: flight time [s], number of the sensor, value [K]."""
 
@@ -79,6 +128,8 @@ class Timeline:
     sensors    : number of each sensor by point and name
     lateness_s : window [s]: how far behind the newest frame a sample may come
     jump_s     : how far ahead of the newest frame one may come [s], beyond which a new clock is suspected
+    gate_K     : by sensor, by how much one reading may differ from the last that came, more than which is noted in
+                 `differs_s`, the times [s]; None for no such notes
     frames_s, frames : times [s] and frames of the window in order;  words : readings in order
 
     `counts` and `jump`, the last jump of the clock, tell what happened. conflict_s : time of the first sample that came
@@ -88,6 +139,7 @@ class Timeline:
     sensors: Mapping[tuple[str, str], int]
     lateness_s: float = 2.0
     jump_s: float = 2.5
+    gate_K: Sequence[float] | None = None
     frames_s: list[float] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     words: list[Word] = field(default_factory=list)
@@ -95,9 +147,17 @@ class Timeline:
     jump: Jump | None = None
     newest_s: float = -math.inf
     conflict_s: float | None = None
+    repeated: Repeated | None = None
+    is_two_sources: bool = False
+    differs_s: list[float] = field(default_factory=list)
+    late_sensors: list[tuple[int, float, bool]] = field(default_factory=list)
+    _in_time_s: dict[int, float] = field(default_factory=dict)
+    _late: dict[int, list[float]] = field(default_factory=dict)
+    _behind: tuple[float, float] = (math.inf, -math.inf)
     _suspects: list[Frame] = field(default_factory=list)
     _aside: list[Word] = field(default_factory=list)
     _last_word_s: dict[int, float] = field(default_factory=dict)
+    _last_K: dict[int, float] = field(default_factory=dict)
 
     def put(self, sample: Sample) -> Placed:
         """Put a sample where it belongs; what became of it.
@@ -123,6 +183,8 @@ class Timeline:
         first_s = max(after_s, self.newest_s - self.lateness_s)
         until_s = self.newest_s + self.jump_s if self.frames else LONGEST_S
         before = words[-1][:2] if words else (-math.inf, -1)
+        gate_K, last_K = self.gate_K, self._last_K
+        late_s, in_time_s = self.newest_s - 0.5 * self.lateness_s, self._in_time_s
         for taken, reading in enumerate(readings):
             t, value_K = reading.time_s, reading.value_K
             number = sensors.get((reading.point, reading.sensor), -1)
@@ -132,7 +194,15 @@ class Timeline:
             if not (in_time and number >= 0 and place > before and t > last_s.get(number, -math.inf)):
                 return taken
             words.append((t, number, value_K))
+            if gate_K is not None:
+                if abs(value_K - last_K.get(number, value_K)) > gate_K[number]:
+                    self.differs_s += last_s.get(number, t), t
+                last_K[number] = value_K
             last_s[number], before = t, place
+            if t > late_s:
+                in_time_s[number] = t
+            else:
+                self._note_lateness(number, t)
         return len(readings)
 
     def _count(self, placed: Placed, time_s: float) -> None:
@@ -142,6 +212,9 @@ class Timeline:
             counts.lateness_s = max(counts.lateness_s, self.newest_s - time_s)
         elif placed is Placed.TOO_LATE:
             counts.too_late += 1
+            first_s, newest_s = self._behind
+            before = first_s if newest_s >= self.newest_s - self.lateness_s else math.inf
+            self._behind = min(before, time_s), self.newest_s
         elif placed is Placed.DOUBLED:
             counts.doubled += 1
         elif placed is Placed.LOST:
@@ -161,15 +234,106 @@ class Timeline:
             return Placed.TAKEN
         at = bisect_left(self.frames_s, t)
         if at < len(self.frames_s) and self.frames_s[at] == t:
+            if self.repeated is not None:
+                self.repeated.doubled_s.add(t)
             return self._again(t, self.frames[at].values == frame.values)
+        if self._is_between(frame, at):
+            self._repeat(t)
         self.frames_s.insert(at, t)
         self.frames.insert(at, frame)
         return Placed.LATE
 
-    def _again(self, time_s: float, is_same: bool) -> Placed:
-        if not is_same and self.conflict_s is None:
-            self.conflict_s = time_s
+    def _again(self, time_s: float, is_same: bool, number: int | None = None) -> Placed:
+        if not is_same:
+            if self.conflict_s is None:
+                self.conflict_s = time_s
+            self._repeat(time_s, number)
         return Placed.DOUBLED
+
+    def _repeat(self, time_s: float, number: int | None = None) -> None:
+        """Enter a sample at a time that is taken; number : of its sensor, None for a frame."""
+        if self.is_two_sources:
+            return
+        found = self.repeated
+        if found is None:
+            behind_s, newest_s = self._behind
+            first_s = min(time_s, behind_s) if newest_s >= self.newest_s - self.lateness_s else time_s
+            found = self.repeated = Repeated(first_s, time_s, self.newest_s, self.every_s)
+        found.first_s, found.last_s = min(found.first_s, time_s), max(found.last_s, time_s)
+        found.newest_s = self.newest_s
+        found.times_s.add(time_s)
+        found.samples += 1
+        if number is None:
+            found.frames += 1
+            found.doubled_s.add(time_s)
+        else:
+            found.words[number] = found.words.get(number, 0) + 1
+
+    def _is_between(self, frame: Frame, at: int) -> bool:
+        """Whether a late frame falls between two that follow one another, and is not of their flight."""
+        if not 0 < at < len(self.frames):
+            return False
+        before, after = self.frames[at - 1], self.frames[at]
+        apart_s = after.time_s - before.time_s
+        every_s = self.every_s if self.repeated is None else self.repeated.every_s
+        if apart_s > MOST_APART * every_s:
+            return False
+        part = (frame.time_s - before.time_s) / apart_s
+        return any(
+            abs(value - (1.0 - part) * before.values[name] - part * after.values[name])
+            > abs(after.values[name] - before.values[name]) + 1e-9 * abs(value)
+            for name, value in frame.values.items()
+            if name in before.values and name in after.values
+        )
+
+    @property
+    def every_s(self) -> float:
+        """Usual time between two frames [s], where some are missing or came late; 0 before there are two."""
+        recent = self.frames_s[-RECENT_FRAMES:]
+        apart = sorted(b - a for a, b in pairwise(recent))
+        return apart[len(apart) // 4] if apart else 0.0
+
+    @property
+    def held_s(self) -> float:
+        """Time from which on it is not known yet which clock samples are of [s]; infinite for none."""
+        return math.inf if self.repeated is None else self.repeated.first_s
+
+    def differs_from(self, near_s: float) -> float:
+        """First time [s] of readings that differ, to which one that still may come, so much later, adds a neighbour."""
+        if not self.differs_s:
+            return math.inf
+        reached_s = self.newest_s - self.lateness_s - near_s
+        return min((t for t in self.differs_s if t > reached_s), default=math.inf)
+
+    def repeated_until_now(self) -> Repeated | None:
+        """The times that came again, once they have ended, and are told thereby; None before, and for none.
+
+        Those that go on for longer than a jump back can last are of two sources.
+        """
+        found = self.repeated
+        if found is None:
+            return None
+        if found.last_s - found.first_s > self.lateness_s + self.jump_s:
+            self.repeated, self.is_two_sources = None, True
+            return None
+        if self.newest_s < found.newest_s + self.lateness_s:
+            return None
+        self.repeated = None
+        return found
+
+    def is_of_frames(self, found: Repeated) -> bool:
+        """Whether the frames went back too: one that came again differs, or most of them came again."""
+        flown = bisect_right(self.frames_s, found.last_s) - bisect_left(self.frames_s, found.first_s)
+        return found.frames > 0 or 2 * len(found.doubled_s) >= flown > 0
+
+    def go_back(self, found: Repeated) -> Jump:
+        """Leave out all samples up to the last time that came again, of which it is not known whose clock they have."""
+        at, word = bisect_right(self.frames_s, found.last_s), bisect_right(self.words, (found.last_s, LONGEST_NUMBER))
+        self.counts.off_clock += at + word
+        self.counts.jumps += 1
+        del self.frames_s[:at], self.frames[:at], self.words[:word]
+        self.jump = Jump(found.first_s + found.length_s, found.first_s)
+        return self.jump
 
     def _suspect(self, frame: Frame) -> Placed:
         """A frame on another clock: it waits, until others follow it or the clock turns out to be as before."""
@@ -194,6 +358,7 @@ class Timeline:
         bridged : whether the frames before the jump stay, so that the time between is a gap; otherwise all that is on
                   the old clock is dropped
         """
+        self.repeated = None
         found, aside = self._suspects, self._aside
         self._suspects, self._aside = [], []
         first = found[0].time_s
@@ -201,6 +366,7 @@ class Timeline:
             self.counts.off_clock += sum(1 for w in self.words if w[0] > self.newest_s)
             self.frames_s, self.frames, self.words = [], [], []
             self._last_word_s = {}
+            self._in_time_s = {}
         self.newest_s = found[-1].time_s
         self.frames_s += [f.time_s for f in found]
         self.frames += found
@@ -219,6 +385,7 @@ class Timeline:
             if self._suspects and t >= self._suspects[0].time_s - self.jump_s:
                 self._aside.append(word)
                 return Placed.WAITING
+            self._note_lateness(number, t, True)
             return Placed.TOO_LATE
         if self.frames and t > self.newest_s + self.jump_s:
             if len(self._aside) < MOST_WAITING:
@@ -228,20 +395,53 @@ class Timeline:
             return Placed.WAITING
         return self._insert(word)
 
+    def _note_lateness(self, number: int, time_s: float, is_too_late: bool = False) -> None:
+        """Note a reading that came in time, or count those of its sensor that come late, one after the other."""
+        if time_s > self.newest_s - 0.5 * self.lateness_s:
+            self._in_time_s[number] = time_s
+            return
+        since_s = self._in_time_s.get(number)
+        if since_s is None:
+            return
+        row = self._late.setdefault(number, [since_s, 0, 0])
+        if row[0] != since_s:
+            row[:] = since_s, 0, 0
+        row[1] += 1
+        row[2] += is_too_late
+        if row[1] == LATE_IN_A_ROW or (is_too_late and row[2] == TOO_LATE_IN_A_ROW):
+            self.late_sensors.append((number, since_s, is_too_late))
+
     def _insert(self, word: Word) -> Placed:
         t, number, _ = word
+        self._note_lateness(number, t)
         words, last = self.words, self._last_word_s.get(number, -math.inf)
         if not words or word[:2] > words[-1][:2]:
             words.append(word)
         else:
             at = bisect_left(words, (t, number, -math.inf))
             if at < len(words) and words[at][:2] == (t, number):
-                return self._again(t, words[at] == word)
+                return self._again(t, words[at] == word, number)
+            if self._has_time_of_another(word, at):
+                self._repeat(t, number)
             words.insert(at, word)
+        if self.gate_K is not None:
+            if abs(word[2] - self._last_K.get(number, word[2])) > self.gate_K[number]:
+                self.differs_s += min(last, t), t
+            self._last_K[number] = word[2]
         if t > last:
             self._last_word_s[number] = t
         # readings of a step may come behind its frame without being late: only one that a step has passed is
         return Placed.LATE if t <= self.newest_s and t < last else Placed.TAKEN
+
+    def _has_time_of_another(self, word: Word, at: int) -> bool:
+        """Whether a late reading has the time of another of its sensor but for what a clock rounds, and differs."""
+        t, number, value_K = word
+        before = next((w for w in reversed(self.words[:at]) if w[1] == number), None)
+        after = next((w for w in self.words[at:] if w[1] == number), None)
+        if before is None or after is None:
+            return False
+        nearest = min(before, after, key=lambda w: abs(w[0] - t))
+        return abs(nearest[0] - t) < SAME_TIME * (after[0] - before[0]) and nearest[2] != value_K
 
     def frames_after(self, time_s: float) -> list[Frame]:
         """Frames later than a time [s], in order."""
@@ -252,11 +452,13 @@ class Timeline:
         first = bisect_left(self.words, (math.nextafter(after_s, math.inf), -1, -math.inf))
         return self.words[first : bisect_left(self.words, (math.nextafter(until_s, math.inf), -1, -math.inf))]
 
-    def forget(self, before_s: float) -> None:
-        """Drop samples before a time [s]."""
+    def forget(self, before_s: float, words_s: float = 0.0) -> None:
+        """Drop samples before a time [s], readings so much before it [s]."""
         at = bisect_left(self.frames_s, before_s)
         if at > 0:
             del self.frames_s[:at], self.frames[:at]
-        at = bisect_left(self.words, (before_s, -1, -math.inf))
+        at = bisect_left(self.words, (before_s - words_s, -1, -math.inf))
         if at > 0:
             del self.words[:at]
+        if self.differs_s:
+            self.differs_s = [t for t in self.differs_s if t >= before_s - words_s]

@@ -111,9 +111,11 @@ class Prediction:
 
     def draw(self, path: Path | None) -> Figure:
         """The picture of `plot`, saved to a path where one is given."""
-        from sim_heating.simulation.report.plots import draw_prediction  # matplotlib is slow to import
+        from sim_heating.simulation.report.charts import with_rmse  # matplotlib is slow to import
+        from sim_heating.simulation.report.plots import draw_prediction
 
-        record, names = self.record, [s.name for s in self.record.sensors]
+        record, fitted = self.record, self.record.fit_mask()
+        names = [with_rmse(s.name, r, fitted) for s, r in zip(record.sensors, self.residual_K, strict=True)]
         title = f"{record.name}: declared model\n{record.declared.title or record.declared.control_point}"
         return draw_prediction(path, title, self.history.time_s, names, record.temperatures_K(), self.indicated_K)
 
@@ -232,6 +234,4 @@ def _curve(prediction: Prediction) -> ModelCurve:
     from sim_heating.simulation.report.charts import ModelCurve
     from sim_heating.simulation.report.pages import PREDICTED
 
-    found = prediction.segment_errors()["fit"]
-    label = "predicted" if found is None else f"predicted, RMSE {found['rmse_K']:.2f} K"
-    return ModelCurve(label, PREDICTED, prediction.indicated_K, prediction.residual_K)
+    return ModelCurve("predicted", PREDICTED, prediction.indicated_K, prediction.residual_K)

@@ -326,12 +326,44 @@ def write_new_record(
     )
     readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
     inputs = [measured.path]
-    with output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder, shown_at(folder, out):
+    with (
+        output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
+        said_of_options(out), shown_at(folder, out),
+    ):  # fmt: skip
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
         write_csv(folder / "thermocouples.csv", readings)
         record = load_record(folder)
     return record, [f"heated by {given.heat.note}", *notes, *given.notes]
+
+
+OPTIONS = {
+    ": `control_point`:": "--point:",
+    ", [conditions]: `q_add_W_m2`:": "--lamp:",
+    ", [conditions]: `p_surface_Pa`:": "--pressure:",
+    ", [heating]: `reference`:": "--reference:",
+    ", [heating]: `nose_radius_m`:": "--nose-radius:",
+}
+"""Place in record.toml -> the option that states what is there."""
+
+
+@contextmanager
+def said_of_options(out: str | os.PathLike[str]) -> Iterator[None]:
+    """Errors about a declaration that was made from options, which is not there afterwards, with their names."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(
+            *(_of_option(line, display_path(Path(out) / DECLARATION)) for line in error.problems)
+        ) from None
+
+
+def _of_option(line: str, declaration: str) -> str:
+    for place, option in OPTIONS.items():
+        if line.startswith(f"{declaration}{place}"):
+            rule = line.removeprefix(f"{declaration}{place}")
+            return f"{option}{rule.replace('`nose_radius_m`; add it', '--nose-radius; give it')}"
+    return line
 
 
 @contextmanager

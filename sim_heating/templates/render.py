@@ -27,7 +27,11 @@ def _environment() -> jinja2.Environment:
 
 
 def _toml_value(value: Any) -> str:
-    return tomlkit.item(value).as_string()
+    """A value as TOML on one line, a dict as an inline table."""
+    item = tomlkit.inline_table() if isinstance(value, dict) else tomlkit.item(value)
+    if isinstance(value, dict):
+        item.update(value)
+    return item.as_string()
 
 
 def render_toml(template: str, schema: str, /, **values: Any) -> str:

@@ -1,11 +1,16 @@
-"""The cache of compiled kernels is renewed by every source that a kernel is made of, and by nothing else."""
+"""The cache of compiled kernels is renewed by every source that a kernel is made of, and by nothing else; what two
+processes need at once, one of them compiles."""
 
 from __future__ import annotations
 
 import ast
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 from sim_heating.base.kernels.cache_folder import PACKAGE, kernel_sources, source_digest
@@ -73,3 +78,28 @@ def test_a_change_of_text_or_of_what_no_kernel_imports_keeps_the_cache(package, 
 
 def test_a_copy_of_the_package_has_the_digest_of_the_package(package):
     assert source_digest(package) == source_digest()
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
+def test_of_two_processes_that_need_a_kernel_one_compiles_it(tmp_path):
+    """Each process prints how many functions it took from the cache, of those that it has compiled or loaded."""
+    program = """
+import pathlib, sys, time
+from sim_heating.base.kernels.elementary import exp
+from sim_heating.base.kernels.compiler import CACHE
+pathlib.Path(sys.argv[1]).touch()
+while len(list(pathlib.Path(sys.argv[1]).parent.glob("ready*"))) < 2:
+    time.sleep(0.01)
+exp(1.0)
+print(sum(exp.stats.cache_hits.values()), len(exp.overloads), any(CACHE.glob("*.lock")))
+"""
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", program, str(tmp_path / f"ready{k}")],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+        )
+        for k in range(2)
+    ]
+    assert sorted(process.communicate()[0].split() for process in both) == [["0", "1", "True"], ["1", "1", "True"]]

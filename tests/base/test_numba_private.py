@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
+import importlib
 import math
 import pickle
 import re
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from numba import types
 
+from sim_heating.base.kernels import compiler
 from sim_heating.base.kernels.jit import (
     STEP_SIGNATURE,
     address_of,
@@ -22,8 +25,10 @@ from sim_heating.base.kernels.jit import (
     njit,
 )
 from sim_heating.base.kernels.numba_private import (
+    c_function_is_cached,
     call_effect_at,
     can_raise,
+    compile_within,
     plain_entry_ir,
     pointer_offset,
     portable_ir,
@@ -124,6 +129,33 @@ def test_python_calls_the_dispatcher_of_a_kernel_without_a_function_between():
 def test_a_pickled_kernel_is_the_kernel_of_the_process_that_has_it():
     kernel = njit(twice)
     assert pickle.loads(pickle.dumps(kernel)) is kernel
+
+
+def test_a_kernel_in_the_cache_is_loaded_without_waiting_and_any_other_compiled_within_a_lock(tmp_path, monkeypatch):
+    module = tmp_path / "thrice.py"
+    module.write_text("def thrice(x):\n    return 3.0 * x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(compiler, "CACHE", tmp_path)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    function = importlib.import_module("thrice").thrice
+    entered = []
+
+    @contextlib.contextmanager
+    def surrounding(function):
+        entered.append(function.__name__)
+        yield
+
+    def thrice():
+        return compile_within(surrounding, numba.njit(cache=True)(function))
+
+    first = thrice()
+    assert (first(2.0), first(2.0), entered) == (6.0, 6.0, ["thrice"])
+    assert (thrice()(2.0), entered) == (6.0, ["thrice"])
+    assert (thrice()(2), entered) == (6, ["thrice"] * 2)  # other arguments are another compilation
+
+    assert not c_function_is_cached(ONE_NUMBER, function)
+    c_function(ONE_NUMBER, function)
+    assert c_function_is_cached(ONE_NUMBER, function)
 
 
 # LLVM code within kernels --------------------------------------------------------------------------------------------

@@ -77,9 +77,19 @@ def test_the_policy_of_a_page_stops_a_script_that_would_run_without_it(tmp_path)
 
 
 def test_a_reader_sees_the_texts_as_they_were_written():
-    text = html.unescape(page_html(page()).replace("<wbr>", ""))
+    text = html.unescape(re.sub("</?code>", "`", page_html(page())).replace("<wbr>", ""))
     for where in ("title", "subtitle", "section", "text", "point", "caption", "cell", "head", "warning", "conclusion"):
         assert printable(hostile(where)) in text
+
+
+def test_names_that_a_message_marks_by_backticks_are_set_as_code():
+    text = "unknown key `surfce_K`; did you mean `stack.coating.heat_capacity_factor`"
+    picture = Picture(new_figure(4, 3, 1)[0], text)
+    section = Section(text, [text], [text], [Table(text, [text, "b"], [[text, 1.0]])], [picture])
+    found = page_html(Page(text, text, [section], (text, text), [text])).replace("<wbr>", "").partition("<body>")[2]
+    seen = re.sub('alt="[^"]*"', "", found)  # of which a reader sees nothing
+    assert "`" not in seen
+    assert seen.count("did you mean <code>stack.coating.heat_capacity_factor</code>") == 13
 
 
 def test_a_picture_with_hostile_texts_is_a_picture():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 
 from sim_heating.base.files import MARKER, files_written
 from sim_heating.cli import main
+from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
 from tests.support.systems import posix
@@ -30,6 +32,32 @@ def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
     (tmp_path / "short.toml").write_text(SHORT)
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def synthesized(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of the short flight, as `synthesize` writes it."""
+    home = tmp_path_factory.mktemp("synthesized")
+    (home / "short.toml").write_text(SHORT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+        assert main(["synthesize", str(home / "short.toml"), "--out", str(home / "record")]) == 0
+    return home / "record"
+
+
+@pytest.fixture
+def record(workdir: Path, synthesized: Path) -> Path:
+    """That record in the working directory."""
+    return shutil.copytree(synthesized, workdir / "record")
+
+
+@pytest.fixture(scope="module")
+def predicted(synthesized: Path) -> Path:
+    """What `predict` writes of it and a copy of it."""
+    shutil.copytree(synthesized, synthesized.parent / "copy")
+    records = [str(synthesized), str(synthesized.parent / "copy")]
+    assert main(["predict", *records, "--out", str(synthesized.parent / "predicted")]) == 0
+    return synthesized.parent / "predicted"
 
 
 def only_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -61,13 +89,14 @@ def test_a_second_run_replaces_the_first_and_keeps_other_files(workdir: Path) ->
     assert (workdir / "out" / "notes.txt").read_text() == "mine"
 
 
-def test_a_synthetic_record_is_valid_and_can_be_predicted(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
+def test_a_synthetic_record_is_valid_and_can_be_predicted(
+    record: Path, predicted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
     assert main(["validate", "record", "short.toml"]) == 0
-    assert main(["predict", "record", "--out", "predicted"]) == 0
-    fit = json.loads((workdir / "predicted" / "summary.json").read_text())["fit"]
-    floor = json.loads((workdir / "predicted" / "summary.json").read_text())["noise_floor_K"]
-    assert fit["rmse_K"] == pytest.approx(floor, rel=0.15)  # 305 samples: 3 sigma of an RMSE is 12 %
+    found = json.loads((predicted / "record" / "summary.json").read_text())
+    # 305 samples: 3 sigma of an RMSE is 12 %
+    assert found["fit"]["rmse_K"] == pytest.approx(found["noise_floor_K"], rel=0.15)
     assert "good" in capsys.readouterr().out
 
 
@@ -79,13 +108,26 @@ def test_a_name_in_brackets_is_printed_unchanged(workdir: Path, capsys: pytest.C
     assert "Wrote [bold] out" in output
 
 
-def test_several_records_are_predicted_each_in_its_own_directory(workdir: Path) -> None:
-    assert main(["synthesize", "short.toml", "--out", "one"]) == 0
-    assert main(["synthesize", "short.toml", "--out", "two"]) == 0
-    assert main(["predict", "one", "two", "--out", "predicted"]) == 0
-    assert {p.name for p in (workdir / "predicted").iterdir()} == {"one", "two", "report.html", MARKER}
-    fleet = (workdir / "predicted" / "report.html").read_text()
-    assert all(f'href="./{name}/report.html"' in fleet for name in ("one", "two"))
+def test_several_records_are_predicted_each_in_its_own_directory(predicted: Path) -> None:
+    assert {p.name for p in predicted.iterdir()} == {"record", "copy", "report.html", MARKER}
+    fleet = (predicted / "report.html").read_text()
+    assert all(f'href="./{name}/report.html"' in fleet for name in ("record", "copy"))
+
+
+def test_a_key_in_the_chart_of_a_sensor_gives_the_error_of_this_sensor(predicted: Path) -> None:
+    found = json.loads((predicted / "record" / "summary.json").read_text())["sensors"]
+    page = (predicted / "record" / "report.html").read_text()
+    (chart, *_) = (json.loads(text) for text in re.findall(r'application/json">([^<]*)<', page))
+    panels = {panel["label"].removesuffix(", indicated, K"): panel["curves"] for panel in chart["panels"]}
+    errors = {name: f"predicted, RMSE {error['rmse_K']:.2f} K" for name, error in found.items()}
+    assert len(set(errors.values())) > 1
+    assert {name: panels[name][1]["label"] for name in found} == errors
+
+
+@needs_browser
+def test_the_pages_of_records_and_predictions_fit_a_screen_a_telephone_and_paper(predicted: Path) -> None:
+    pages = "record/report.html", "predicted/report.html", "predicted/record/report.html"
+    assert_fits(*(predicted.parent / page for page in pages))
 
 
 def test_validate_recognises_a_vehicle_a_table_and_a_record(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,10 +231,9 @@ def test_two_records_of_one_name_are_refused(workdir: Path, capsys: pytest.Captu
     assert "rename" in only_line(capsys)
 
 
-def test_a_damaged_record_leaves_no_directory(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["synthesize", "short.toml", "--out", "record"])
+def test_a_damaged_record_leaves_no_directory(record: Path, workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
-    file = workdir / "record" / "thermocouples.csv"
+    file = record / "thermocouples.csv"
     file.write_text(file.read_text().replace("V09T9527_K", "V09T9527_C"))
     assert main(["predict", "record", "--out", "out"]) == 2
     assert "V09T9527_K" in only_line(capsys)
@@ -384,14 +425,13 @@ def test_a_recorded_flight_in_another_unit_is_refused(
     assert f"column {column}" in only_line(capsys)
 
 
-def test_predict_reports_a_negative_heating_ratio(workdir: Path) -> None:
-    assert main(["synthesize", "short.toml", "--out", "record"]) == 0
-    lines = (workdir / "record" / "ratio_table.csv").read_text().splitlines()
+def test_predict_reports_a_negative_heating_ratio(record: Path, workdir: Path) -> None:
+    lines = (record / "ratio_table.csv").read_text().splitlines()
     comments = [x for x in lines if x[0] == "#"]
     header, *rows = [x for x in lines if x[0] != "#"]
     assert header.endswith(",ratio,sigma")
     negative = [",".join([*row.split(",")[:-2], "-0.0001", "0.0001"]) for row in rows]
-    (workdir / "record" / "ratio_table.csv").write_text("\n".join([*comments, header, *negative]))
+    (record / "ratio_table.csv").write_text("\n".join([*comments, header, *negative]))
     assert main(["predict", "record", "--out", "out"]) == 0
     assert json.loads((workdir / "out" / "summary.json").read_text())["negative_ratio_s"] > 50.0
 

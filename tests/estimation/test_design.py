@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
+from sim_heating.cli import main
 from sim_heating.estimation.design.check import repeated_fits
 from sim_heating.estimation.design.information import (
     PRESSURE,
@@ -20,10 +24,10 @@ from sim_heating.estimation.design.information import (
     sensitivity_to_effort,
 )
 from sim_heating.estimation.design.planned_flight import PlannedFlight, Planner
-from sim_heating.estimation.design.report import design, summary
 from sim_heating.estimation.design.search import DesignSearch
 from sim_heating.inputs.scenario import load_scenario, with_design
 from sim_heating.thermal.stack import Sensor
+from tests.support.browser import assert_fits, needs_browser
 from tests.support.paths import SCENARIOS
 from tests.support.walls import practice_record
 
@@ -215,14 +219,43 @@ def test_a_misspelt_parameter_is_reported_with_its_place_and_the_nearest(key, na
         planner_of(**{key: names})
 
 
-def test_a_whole_design_reports_its_result():
-    designed = design(planner_of(evaluations=3, vary=[{"key": "hold_s", "low": 0.0, "high": 6.0}]).scenario)
-    found = summary(designed)
-    parameter = found["parameters"][D_ALPHA]
-    assert parameter["optimal_sigma"] <= parameter["planned_sigma"]
-    assert found["tried"] == 3
+@pytest.fixture(scope="module")
+def flap_design(tmp_path_factory) -> Path:
+    """Files of the shipped design of a body-flap sweep and an elevon pulse, its flight begun just before them."""
+    text = (SCENARIOS / "design_flap.toml").read_text(encoding="utf-8")
+    head, _, rest = text.partition("[design]")
+    head = head.replace("121920.0", "67000.0").replace("7450.0", "5100.0").replace("-1.2", "-0.1")
+    head = re.sub("control_points = .*", 'control_points = ["BODYFLAP"]', head.replace("mach = 2.5", "time_s = 155.0"))
+    declared = rest.partition("[[design.vary]]")[0].replace("evaluations = 64", "evaluations = 2")
+    home = tmp_path_factory.mktemp("flap_design")
+    vary = '[[design.vary]]\nmanoeuvre = 2\nkey = "hold_s"\nlow = 1.0\nhigh = 12.0\n'
+    (home / "flap.toml").write_text(f"{head}[design]{declared}{vary}", encoding="utf-8")
+    assert main(["design", str(home / "flap.toml"), "--out", str(home / "out")]) == 0
+    return home / "out"
+
+
+def test_a_whole_design_reports_its_result(flap_design):
+    """Both derivatives of a sweep in which the elevon follows the flap, and of a pulse that separates them."""
+    found = json.loads((flap_design / "design.json").read_text())
+    planned, optimal = ([p[k] for p in found["parameters"].values()] for k in ("planned_sigma", "optimal_sigma"))
+    assert set(found["parameters"]) == {"ratio.d_elevon", "ratio.d_bodyflap"}
+    assert [m["kind"] for m in found["optimal"]["manoeuvres"]] == ["bodyflap-sweep", "elevon-pulse"]
+    assert sum((o / p) ** 2 for o, p in zip(optimal, planned, strict=True)) <= 2.0  # the criterion A of the scenario
+    assert found["tried"] == 2
     kinds = {i["kind"] for i in found["instruments"]}
     assert kinds >= {"word", "rate", "clock", "pressure", "without", "extra sensor"}
+
+
+def test_the_page_of_a_design_says_in_words_what_a_sensor_alone_does_not_identify(flap_design):
+    """Nothing but the thermocouple at the surface sees a manoeuvre of half a minute."""
+    page = (flap_design / "report.html").read_text().replace("<wbr>", "")
+    (row,) = re.findall("<td>without</td><td[^>]*>BODYFLAP_surface</td>(.*)</tr>", page)
+    assert re.sub("<[^>]*>", " ", row).split() == ["not", "identified", "not", "identified"]
+
+
+@needs_browser
+def test_the_page_of_a_design_fits_a_screen_a_telephone_and_paper(flap_design):
+    assert_fits(flap_design / "report.html")
 
 
 @pytest.mark.parametrize(

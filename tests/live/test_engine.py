@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import socket
 import time
 from pathlib import Path
@@ -29,6 +30,12 @@ RECORD = ROOT / "scenarios" / "records" / "practice" / "p06"
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """200 s of a practice record, from the middle of the flight."""
     return part_of_record(RECORD, 500.0, 700.0, tmp_path_factory.mktemp("records") / "short")
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """100 s of a practice record, with a manoeuvre."""
+    return part_of_record(RECORD, 840.0, 940.0, tmp_path_factory.mktemp("records") / "moving")
 
 
 def replaying(record: Path, **keys) -> Link:
@@ -132,6 +139,83 @@ def test_doubled_damaged_and_lost_samples_are_counted_and_told(short: Path, foll
     assert state.link.damaged == 21
     assert any("is not JSON (21 times)" in line for line in state.link.messages)
     assert points_of(state) == points_of(followed)
+
+
+def sensor_apart(messages: list[Message], field: str, by_s: float, since_s: float) -> list[Message]:
+    """The messages with one field sent by itself, stamped by a clock that jumps."""
+    found = []
+    for message in messages:
+        time_s = float(message.values["time_s"])
+        if field not in message.values or time_s < since_s:
+            found.append(message)
+            continue
+        rest = {name: value for name, value in message.values.items() if name != field}
+        own = {"time_s": time_s + by_s, field: message.values[field]}
+        found += [Message(message.arrived_s, json.dumps(v).encode(), v) for v in (rest, own)]
+    return found
+
+
+def test_the_clock_of_one_thermocouple_that_goes_back_takes_it_out_and_the_page_says_why(moving: Path):
+    engine = LinkEngine(replaying(moving))
+    sensor = next(s for s in engine.link.points[0].sensors if s.used)
+    for message in sensor_apart(messages_of(engine.link), sensor.column, -2.0, 900.0):
+        engine.take(message)
+        engine.advance()
+    state = engine.state()
+    (removed,) = state.removed
+    assert (removed.sensor, removed.since_s) == (sensor.name, 898.0)
+    assert "its clock went back" in removed.why
+    (point,) = state.points.values()
+    assert not point.sensors[sensor.name].used
+
+
+@pytest.mark.parametrize(("by_s", "use"), [(-3.0, "are not used"), (-2.0, "are used by their times")])
+def test_the_clock_of_one_thermocouple_that_goes_back_while_nothing_changes_is_told(short: Path, by_s, use):
+    # words of a recorder that come again are the same ones: that they come later than before tells
+    engine = LinkEngine(replaying(short))
+    sensor = next(s for s in engine.link.points[0].sensors if s.used)
+    for message in sensor_apart(messages_of(engine.link), sensor.column, by_s, 600.0):
+        engine.take(message)
+        engine.advance()
+    (told,) = [m for m in engine.state().link.messages if "its clock went back, or it is sent late" in m]
+    assert f"readings of {sensor.name} after 599 s" in told
+    assert use in told
+
+
+def test_after_a_clock_that_went_back_the_newest_conditions_are_those_of_the_new_clock(short: Path):
+    engine = LinkEngine(replaying(short))
+    for message in messages_of(engine.link):
+        t = float(message.values["time_s"])
+        body = {**message.values, "time_s": t if t < 600.0 else t - 60.0}
+        engine.take(Message(message.arrived_s, json.dumps(body).encode(), body))
+        engine.advance()
+        if t == 610.0:
+            assert engine.state().conditions["velocity_m_s"] == body["velocity_m_s"]
+
+
+def test_one_reading_far_off_is_left_out_and_told(moving: Path):
+    engine = LinkEngine(replaying(moving))
+    sensor = next(s for s in engine.link.points[0].sensors if s.used)
+    for message in messages_of(engine.link):
+        values = dict(message.values)
+        if values["time_s"] == 912.0:
+            values[sensor.column] = float(values[sensor.column]) - 60.0
+        engine.take(Message(message.arrived_s, json.dumps(values).encode(), values))
+        engine.advance()
+    state = engine.state()
+    (told,) = [line for line in state.link.messages if "left out" in line]
+    assert re.search(rf"1 reading of {sensor.name} at 912\.0 s left out: (5|6)\d K from the prediction", told)
+    assert state.removed == []
+    assert not state.missing.alarm
+
+
+@pytest.mark.parametrize("name", ["p06", "p07"])
+def test_of_a_flight_without_an_effect_no_reading_is_left_out_however_steep_the_heating(name):
+    engine = LinkEngine(replaying(RECORD.parent / name))
+    for message in messages_of(engine.link):
+        engine.take(message)
+        engine.advance()
+    assert [line for line in engine.remarks.lines() if "left out" in line] == []
 
 
 def test_a_link_is_waiting_then_live_then_stalled():

@@ -18,7 +18,7 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.record_fit import least_sigma_K
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.live.estimator import LiveEstimator, LiveOptions, default_prior
+from sim_heating.live.estimator import Innovation, LiveEstimator, LiveOptions, default_prior
 from sim_heating.live.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
@@ -174,7 +174,7 @@ def test_doubled_samples_change_nothing_and_are_counted(in_order):
     assert not doubled.messages
 
 
-def test_samples_that_come_again_with_other_values_are_told_once():
+def test_samples_that_come_again_with_other_values_are_told_at_once_and_then_why():
     # a clock that went back by 3 s, with a frame a second: too few lie outside the window to make a new clock
     each_second = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
     e, flown = estimator(), [s for s in each_second if s.time_s < BEGIN_S + 20.0]
@@ -182,8 +182,9 @@ def test_samples_that_come_again_with_other_values_are_told_once():
     feed(e, flown)
     for sample in wrong:
         e.add(sample)
-    (line,) = [m for m in e.messages if "again with other values" in m]
-    assert "a clock that went back" in line
+    first, then = [m for m in e.messages if "again with other values" in m]
+    assert "a clock that went back, or two sources" in first
+    assert "the clock went back by about 3 s, from 870 to 867 s" in then
 
 
 def test_in_order_the_estimate_is_that_of_the_batch_filter(in_order):
@@ -268,6 +269,127 @@ def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
     assert e.time_s == pytest.approx(END_S + by_s)
     a, b = e.estimates()[e.names[0]], in_order.estimates()[in_order.names[0]]
     assert abs(a.surface_K - b.surface_K) < 4.0 * b.surface_sigma_K + 1.0
+
+
+def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> list[Sample]:
+    """The samples by a clock that jumps, of all or of one sensor."""
+    return [
+        replace(s, time_s=s.time_s + by_s)
+        if s.time_s >= since_s and (sensor is None or (isinstance(s, Reading) and s.sensor == sensor)) else s
+        for s in samples()
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("by_s", "late_s"), [(-1.0, 0.0), (-3.0, 0.0), (-3.0, 1.5), (-2.9, 1.5), (-1.6, 0.0)])
+def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_used(by_s, late_s):
+    whole, rng = samples(), np.random.default_rng(3)
+    delay = [rng.uniform(0.0, late_s) if s.time_s > BEGIN_S else 0.0 for s in whole]
+    arriving = np.argsort([s.time_s + d for s, d in zip(whole, delay, strict=True)], kind="stable")
+    given = stamped(by_s)
+    e = feed(estimator(), [given[k] for k in arriving])
+    assert e.counts.jumps == 1
+    assert e.jump is not None
+    assert e.jump.by_s == pytest.approx(by_s, abs=0.6)
+    assert sum(("clock" in m and "back by about" in m) or "jumped back" in m for m in e.messages) == 1
+    assert e.time_s == pytest.approx(END_S + by_s)
+    found = e.estimates()[e.names[0]]
+    (value, sigma), (alpha, alpha_sigma) = (found.parameters[n] for n in NAMES)
+    assert abs(value - 0.05) < 3.0 * sigma
+    assert abs(alpha) < 3.0 * alpha_sigma
+
+
+@pytest.mark.parametrize("late_s", [0.0, 1.5])
+def test_a_sensor_whose_own_clock_goes_back_is_left_out_from_there(late_s):
+    name, rng = record().used_sensors[0].name, np.random.default_rng(4)
+    delay = [rng.uniform(0.0, late_s) if s.time_s > BEGIN_S else 0.0 for s in samples()]
+    arriving = np.argsort([s.time_s + d for s, d in zip(samples(), delay, strict=True)], kind="stable")
+    given = stamped(-1.5, sensor=name)
+    e = feed(estimator(), [given[k] for k in arriving])
+    ((point, sensor, since_s, why),) = e.failed_clocks
+    assert (point, sensor) == (e.names[0], name)
+    assert since_s == pytest.approx(878.6, abs=0.6)
+    assert "its clock went back" in why
+    known = estimator()
+    known.leave_out(point, name, since_s)
+    feed(known, samples())
+    a, b = (x.estimates()[point].parameters["ratio.scale"] for x in (e, known))
+    assert a == pytest.approx(b, rel=1e-9)
+
+
+def test_two_sources_of_one_quantity_are_no_jump():
+    twice = [x for s in samples() for x in (s, replace(s, values={**s.values, "alpha_deg": s.values["alpha_deg"] + 0.1})
+             if isinstance(s, Frame) else replace(s, value_K=s.value_K + 1.0))]  # fmt: skip
+    e = feed(estimator(), twice)
+    assert e.counts.jumps == 0
+    assert [m.rpartition(": ")[2] for m in e.messages[1:]] == ["two sources of one quantity"]
+
+
+def test_a_single_sample_that_came_again_with_another_value_changes_nothing(in_order):
+    given = list(samples())
+    at = next(k for k, s in enumerate(given) if isinstance(s, Reading) and s.time_s > 870.0)
+    given.insert(at + 8, replace(given[at], value_K=given[at].value_K + 5.0))
+    e = feed(estimator(), given)
+    assert e.counts.jumps == 0
+    assert not e.failed_clocks
+    assert_same_bits(e, in_order)
+
+
+SPIKE_S = 872.1
+
+
+def spiked(by_K: float = 40.0, until_s: float = SPIKE_S) -> list[Sample]:
+    """The samples with one reading that is far off, or all readings of its sensor up to a time."""
+    name = record().used_sensors[1].name
+    return [
+        replace(s, value_K=s.value_K + by_K)
+        if isinstance(s, Reading) and s.sensor == name and SPIKE_S - 0.01 < s.time_s < until_s + 0.01 else s
+        for s in samples()
+    ]  # fmt: skip
+
+
+def left_out(e: LiveEstimator, given) -> list[Innovation]:
+    found = []
+    for sample in given:
+        e.add(sample)
+        e.advance()
+        found += [read for read in e.innovations() if read.is_left_out]
+    return found
+
+
+@pytest.mark.parametrize("by_K", [-40.0, 15.0])
+def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
+    e, lost = estimator(), estimator()
+    (read,) = left_out(e, spiked(by_K))
+    assert (read.time_s, read.sensor) == (SPIKE_S, record().used_sensors[1].name)
+    assert read.innovation_K == pytest.approx(by_K, abs=6.0)
+    feed(lost, [s for s, t in zip(samples(), spiked(by_K), strict=True) if s == t])
+    for a, b in zip(final(e), final(lost), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_a_spike_in_it_the_estimate_has_the_same_bits_in_any_order(seed):
+    rng = np.random.default_rng(seed)
+    arrive = [s.time_s + (rng.uniform(0.0, 1.9) if s.time_s > BEGIN_S else 0.0) for s in samples()]
+    given = spiked()
+    late = feed(estimator(), [given[k] for k in np.argsort(arrive, kind="stable")])
+    assert_same_bits(late, feed(estimator(), given))
+
+
+def test_readings_that_go_up_and_stay_are_used_although_nothing_explains_them():
+    assert left_out(estimator(), spiked(40.0, END_S)) == []
+
+
+def test_a_reading_that_is_expected_is_used_however_far_from_its_neighbours(in_order):
+    # between two readings that are wrong together it is the right one that looks like a spike
+    name = record().used_sensors[1].name
+    wrong = {round(SPIKE_S - 0.5, 3), round(SPIKE_S + 0.5, 3)}
+    given = [
+        replace(s, value_K=s.value_K + 40.0)
+        if isinstance(s, Reading) and s.sensor == name and round(s.time_s, 3) in wrong else s
+        for s in samples()
+    ]  # fmt: skip
+    assert {round(read.time_s, 3) for read in left_out(estimator(), given)} == wrong
 
 
 def test_a_sensor_that_is_left_out_is_predicted_and_not_used():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -81,3 +82,42 @@ def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path
     assert [line for line in last.link.messages if line.startswith(DIED)] == [f"{DIED} (3 times)"]
     assert last.points
     assert not engine.weighing.busy
+
+
+def test_a_record_that_has_grown_since_the_alarm_is_weighed_again_and_the_page_tells_its_time(tmp_path):
+    record = part_of_record(PRACTICE / "p09", 0.0, 240.0, tmp_path / "longer")
+    data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
+    made = make_link(data, record.parent / "link.toml")
+    journal = Journal(tmp_path / NAME, made.declared.model_dump(mode="json", exclude_unset=True), made.path)
+    engine = LinkEngine(made, journal)
+    ends: list[str] = []
+    try:
+        for message in messages_of(made):
+            engine.take(message)
+            engine.advance()
+            if engine.weigh():  # the flight waits for it here
+                state = state_when(engine, lambda s: not engine.weighing.busy)
+                ends.append(state.missing.text)
+    finally:
+        engine.stop()
+        journal.close(is_end=True)
+    assert engine.test.alarm is not None
+    until = [float(text.rpartition("on the record up to ")[2].partition(" s")[0]) for text in ends]
+    alarm_s = engine.test.alarm.time_s
+    assert len(until) >= 2
+    assert until[1] - alarm_s >= 60.0 - 1.0
+    assert all(b - alarm_s >= 2.0 * (a - alarm_s) - 1.0 for a, b in pairwise(until[1:]))
+
+
+def test_a_step_at_the_surface_alone_is_no_drift_of_the_thermocouple_there(tmp_path):
+    record = part_of_record(PRACTICE / "p04", 800.0, 1215.0, tmp_path / "step")
+    data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
+    engine = LinkEngine(make_link(data, record.parent / "link.toml"))
+    for message in messages_of(engine.link):
+        engine.take(message)
+        engine.advance()
+    state = engine.state()
+    assert state.missing.alarm
+    assert state.removed == []
+    assert "undecided whether" in state.missing.text
+    assert any("LS_surface" in line and "undecided" in line for line in state.link.messages)

@@ -26,7 +26,7 @@ import sim_heating as sh
 from sim_heating import cli
 from sim_heating.base import parallel as batches
 from sim_heating.planning.study import load_study
-from tests.support.browser import assert_harmless, hostile, needs_browser
+from tests.support.browser import assert_fits, assert_harmless, hostile, needs_browser
 from tests.support.json_output import run_json
 from tests.support.studies import entry_3dof
 from tests.support.systems import posix
@@ -148,6 +148,12 @@ def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study
     assert surface["mean_K"] == pytest.approx(np.mean(peaks), abs=1e-9)
     assert surface["quantiles"][0]["value"] == np.sort(peaks)[23]
     assert set(surface["sobol_indices"]) == {"entry.gamma_deg", "stack.emissivity_factor", "ratio tables"}
+
+
+@needs_browser
+def test_the_page_of_a_study_fits_a_screen_a_telephone_and_paper(by_a_fresh_process):
+    study, _ = by_a_fresh_process
+    assert_fits(study.parent / "out" / "report.html")
 
 
 def test_the_hash_changes_with_the_study(study, tmp_path):

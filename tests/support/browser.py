@@ -45,7 +45,7 @@ followed that leads to no other file."""
 CONTENT = {
     "html", "head", "meta", "title", "style", "body", "main", "header", "h1", "h2", "p", "div", "strong", "nav", "a",
     "section", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "figure", "img", "figcaption",
-    "footer", "noscript", "script", "span", "wbr",
+    "footer", "noscript", "script", "span", "wbr", "code",
 }  # fmt: skip
 ATTRIBUTES = {
     "lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv",
@@ -79,22 +79,27 @@ PRINTABLE_PX = 717
 """Width [CSS pixels] of what is printed on A4 between the browser's margins."""
 
 
-def assert_fits(page: Path) -> None:
+def assert_fits(*pages: Path) -> None:
     """On a screen, a telephone and paper nothing of a page is cut off, and no section or table of it is empty.
 
     What is wider than the screen lies in something that scrolls; on paper nothing scrolls.
     """
     with Browser() as browser:
-        for width in (1280, 390):
-            opened = browser.open(page, width)
-            assert opened.evaluate("document.documentElement.scrollWidth") <= width
-            assert opened.evaluate(WIDER_THAN_THE_SCREEN) == []
-            assert opened.evaluate(WITHOUT_CONTENT) == []
-        opened.resize(PRINTABLE_PX)
-        opened.call("Emulation.setEmulatedMedia", media="print")
-        assert opened.evaluate(WIDER_THAN_THE_SCREEN) == []
-        assert not opened.evaluate("[...document.querySelectorAll('canvas, .tools')].some((e) => e.offsetParent)")
-        assert opened.complaints() == []
+        for page in pages:
+            _fits(browser, page)
+
+
+def _fits(browser: Browser, page: Path) -> None:
+    for width in (1280, 390):
+        opened = browser.open(page, width)
+        assert opened.evaluate("document.documentElement.scrollWidth") <= width, page
+        assert opened.evaluate(WIDER_THAN_THE_SCREEN) == [], page
+        assert opened.evaluate(WITHOUT_CONTENT) == [], page
+    opened.resize(PRINTABLE_PX)
+    opened.call("Emulation.setEmulatedMedia", media="print")
+    assert opened.evaluate(WIDER_THAN_THE_SCREEN) == [], page
+    assert not opened.evaluate("[...document.querySelectorAll('canvas, .tools')].some((e) => e.offsetParent)"), page
+    assert opened.complaints() == [], page
 
 
 def shown(page: Path) -> str:

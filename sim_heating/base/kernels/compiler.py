@@ -1,13 +1,17 @@
 """Compilation of all kernels in one way: strict IEEE arithmetic, no exceptions, cached where a cache can be written.
 
+Where several processes need a kernel that nobody has compiled, one compiles it and the others load what it made.
+
 numba and the compiled operations take half a second to import: the decorators of jit.py import this module when the
 first kernel is called.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +23,11 @@ from sim_heating.base.kernels.numba_private import (
     CFunctionCompiler,
     KernelCompiler,
     array_data,
+    c_function_is_cached,
     call_dispatcher_at,
     call_effect_at,
     call_step_at,
+    compile_within,
     mantissa_and_exponent_bits,
     power_of_two_bits,
 )
@@ -41,10 +47,34 @@ _ARITHMETIC: Mapping[str, Any] = {"fastmath": False, "error_model": "numpy"}
 """Options of every kernel that decide its bits: no reassociation, no contraction, numpy's division by zero."""
 
 
+COMPILATION_WAIT_S = 120.0
+"""Longest wait [s] for another process that compiles the same kernel; it is then compiled here as well."""
+
+
+@contextmanager
+def compiled_by_one_process(function: Any) -> Iterator[None]:
+    """Wait until no other process compiles a function; where the folder takes no locks, there is no waiting.
+
+    A kernel is compiled with those that it calls, each under its own lock. Calls have no circle, so neither have the
+    processes that wait for each other.
+    """
+    from filelock import FileLock, Timeout  # costs 25 ms, which only a first compilation pays
+
+    name = f"{function.__module__}.{function.__qualname__}:{function.__code__.co_firstlineno}"
+    digest = hashlib.sha256(f"{function.__code__.co_filename} {name}".encode()).hexdigest()[:16]
+    lock = FileLock(CACHE / f"{digest}.lock", timeout=COMPILATION_WAIT_S, is_singleton=True)
+    with suppress(Timeout, OSError, NotImplementedError):
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
 def kernel(function: Any, inline: bool) -> Any:
     """numba's dispatcher of a kernel; `inline` as in jit.njit."""
     made = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
-    return made(function)
+    return compile_within(compiled_by_one_process, made(function))
 
 
 def inlined_kernel(function: Any) -> Any:
@@ -54,7 +84,11 @@ def inlined_kernel(function: Any) -> Any:
 
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
-    return numba.cfunc(signature, cache=cache, pipeline_class=CFunctionCompiler, **_ARITHMETIC)(function)
+    made = numba.cfunc(signature, cache=cache, pipeline_class=CFunctionCompiler, **_ARITHMETIC)
+    if not cache or c_function_is_cached(signature, function):
+        return made(function)
+    with compiled_by_one_process(function):
+        return made(function)
 
 
 @numba.extending.overload(pointer, inline="always")

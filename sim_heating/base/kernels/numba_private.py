@@ -1,19 +1,24 @@
 """Parts of numba that its documentation does not promise, all in this file.
 
-Compilers with Python's garbage collection off and without entry points that nobody calls, LLVM code for pointers, bits
-and calls through addresses, and the LLVM module behind a compiled function. tests/base/test_numba_private.py has a test
-for each: after a change of numba its name states what no longer works.
+Compilers with Python's garbage collection off and without entry points that nobody calls, a compilation that something
+surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module behind a compiled function.
+tests/base/test_numba_private.py has a test for each: after a change of numba its name states what no longer works.
 """
 
 from __future__ import annotations
 
 import gc
 import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import llvmlite.ir
 import numba
+import numba.core.caching
 import numba.core.compiler
+import numba.core.compiler_lock
+import numba.core.registry
 import numba.core.sigutils
 import numba.extending
 
@@ -47,6 +52,38 @@ class KernelCompiler(CFunctionCompiler):
         flags = self.state.flags
         flags.no_cfunc_wrapper = True
         flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
+
+
+def _is_cached(cache: Any, signature: Any) -> bool:
+    """Whether numba's cache of a function has it compiled for a signature, or a tuple of types of its arguments."""
+    key = cache._index_key(signature, numba.core.registry.cpu_target.target_context.codegen())
+    return key in cache._cache_file._load_index()
+
+
+def c_function_is_cached(signature: Any, function: Any) -> bool:
+    """Whether numba's cache has a function compiled as a C function of a signature, or of its text."""
+    return _is_cached(numba.core.caching.FunctionCache(function), signature_of(signature))
+
+
+def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], dispatcher: Any) -> Any:
+    """The dispatcher, which now enters a context before it compiles its function, and not where it loads it.
+
+    surrounding : gives the context of a Python function
+    """
+    compile_now = dispatcher.compile
+
+    def compile_(signature: Any) -> Any:
+        # numba's lock first: a thread that waits for another process holds nothing that a thread here waits for.
+        with numba.core.compiler_lock.global_compiler_lock:
+            if tuple(numba.core.sigutils.normalize_signature(signature)[0]) in dispatcher.overloads:
+                return compile_now(signature)
+            if _is_cached(dispatcher._cache, signature):
+                return compile_now(signature)
+            with surrounding(dispatcher.py_func):
+                return compile_now(signature)
+
+    dispatcher.compile = compile_
+    return dispatcher
 
 
 # LLVM code within kernels --------------------------------------------------------------------------------------------
@@ -141,8 +178,8 @@ def _module(function: Any) -> Any:
     return function._library._get_module_for_linking()
 
 
-def signature_of(text: str) -> Any:
-    """Signature that a text such as `float64(int64)` states."""
+def signature_of(text: Any) -> Any:
+    """Signature that a text such as `float64(int64)` states; a signature is one already."""
     arguments, result = numba.core.sigutils.normalize_signature(text)
     return result(*arguments)
 

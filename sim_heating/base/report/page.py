@@ -4,8 +4,9 @@
 
 The file is complete: style, figures and scripts are embedded, nothing is loaded. Every text is escaped, and the page's
 own policy forbids addresses elsewhere and all scripts but ours, by their digests: names in it come from input files,
-and other people open it. A page has a script only for its charts (`chart.js` and uPlot) and for its sortable tables
-(`table.js`); without scripts it shows pictures and all rows.
+and other people open it. What a text has between backticks, as messages have names and keys, is set as code. A page has
+a script only for its charts (`chart.js` and uPlot) and for its sortable tables (`table.js`); without scripts it shows
+pictures and all rows.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ WHOLE = re.compile(r"((?:\+- )?[-+]?\b\d+(?:\.\d+)?e[-+]\d+\b|\+- [\d.]+)")
 LONG_NAME = re.compile(r"[\w.\-/]{16,}")
 """Names that a table may break where one of its parts ends."""
 AFTER_A_PART = re.compile(r"(?<=[._/])(?=\w)")
+CODE = re.compile(r"`([^`\n]+)`")
+"""Names, keys and commands in a text, which messages mark by backticks."""
 PALETTE = 200
 """Colours of a picture of pixels on a page."""
 RASTER_DPI = 80
@@ -193,13 +196,21 @@ def _template() -> jinja2.Template:
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
         finalize=lambda value: printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value,
     )  # fmt: skip
-    environment.filters["breakable"] = _breakable
+    environment.filters["prose"] = partial(_with_code, shown=escape)
+    environment.filters["breakable"] = partial(_with_code, shown=_breakable)
     return environment.get_template(TEMPLATE)
+
+
+def _with_code(text: str, shown: Callable[[str], Markup]) -> Markup:
+    """A text whose names, keys and commands are set as code; `shown` makes Markup of each part of it."""
+    parts = CODE.split(printable(text))
+    pieces = [Markup("<code>{}</code>").format(shown(p)) if i % 2 else shown(p) for i, p in enumerate(parts)]
+    return Markup("").join(pieces)
 
 
 def _breakable(cell: str) -> Markup:
     """The text of a cell: a long name may break after a dot or underscore, a number and its exponent stay whole."""
-    parts = WHOLE.split(printable(cell))
+    parts = WHOLE.split(cell)
     parts[1::2] = [Markup('<span class="whole">{}</span>').format(number) for number in parts[1::2]]
     parts[::2] = [LONG_NAME.sub(_with_breaks, str(escape(text))) for text in parts[::2]]
     return Markup("".join(parts))

@@ -263,7 +263,11 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     found = summary(designed)
     bounds = replace(bounds_table(designed, designed.planner.design.flights), title="One standard deviation.")
     columns = [Column("instruments"), Column("what", is_text=True), *(Column(n, format=".3g") for n in designed.wanted)]
-    rows = [[v["kind"], v["what"], *v["sigma"].values()] for v in found["instruments"]]
+    base = designed.instruments[0].sigma
+    rows = [
+        [v.kind, v.what, *(_bound(sigma, of) for sigma, of in zip(v.sigma, base, strict=True))]
+        for v in designed.instruments
+    ]
     instruments = Table("One standard deviation.", columns, rows)
     count = f"{found['tried']} designs tried, {found['kept_limits']} keep the limits."
     pictures = {
@@ -278,6 +282,15 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     ]
     subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
     return Page(designed.scenario.title, subtitle, sections)
+
+
+NOT_IDENTIFIED = 1000.0
+"""Bound over that with the declared instruments from which a parameter is called not identified."""
+
+
+def _bound(sigma: float, declared: float) -> float | str:
+    """A bound, or in words that there is none."""
+    return float(sigma) if sigma < NOT_IDENTIFIED * declared else "not identified"
 
 
 PLANNED, OPTIMAL = "tab:orange", "tab:blue"
@@ -377,8 +390,12 @@ def draw_instruments(path: Path, designed: DesignResult) -> None:
         shown = np.where(ratio[:, k] < highest, ratio[:, k], highest)
         axes[0].barh(rows - k * height, shown, height, color=f"C{k}", label=name)
         for row, value, at in zip(rows, ratio[:, k], shown, strict=True):
-            text = f"{value:.2f}" if value < 1000.0 else "not identified"
-            axes[0].text(at, row - k * height, f" {text}", va="center", fontsize=7.5)
+            text = f"{value:.2f}" if value < NOT_IDENTIFIED else "not identified"
+            # over the line at 1, which would cross it
+            paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+            axes[0].annotate(
+                text, (at, row - k * height), (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=paper
+            )
     axes[0].axvline(1.0, color="0.3", linewidth=0.9)
     axes[0].set_xlim(0.0, 1.2 * highest)
     axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)

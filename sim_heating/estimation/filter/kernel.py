@@ -504,8 +504,8 @@ def _store_covariances(
 def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, taken: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
     copy_matrix(gains.P[step.lane], state.P[step.lane])
-    copy_matrix(gains.cross[step.lane, :step.number], taken.cross[:step.number])
-    copy_matrix(gains.covariance[step.lane, :step.number], taken.covariance[:step.number])
+    copy_matrix(gains.cross[step.lane, : step.number], taken.cross[: step.number])
+    copy_matrix(gains.covariance[step.lane, : step.number], taken.covariance[: step.number])
 
 
 @njit

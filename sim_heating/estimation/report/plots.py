@@ -25,9 +25,9 @@ from sim_heating.base.report.figure import (
 )
 from sim_heating.base.report.page import Picture, SavedPicture
 from sim_heating.estimation.trend import Trend
-from sim_heating.inputs.record import Record, pooled_rmse_K
+from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
-from sim_heating.simulation.report.charts import ModelCurve, record_chart, residual_limits, shown_span
+from sim_heating.simulation.report.charts import ModelCurve, record_chart, residual_limits, shown_span, with_rmse
 
 BEFORE, AFTER = "tab:orange", "tab:blue"
 DRAWN_ABOVE_DEG = 0.5
@@ -64,9 +64,7 @@ def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) ->
         upper.plot(t, record.temperatures_K()[i][shown], label="measured", rasterized=True, **MEASURED)
         for prediction, color, name in curves:
             residual = prediction.residual_K[i]
-            found = pooled_rmse_K(residual, fitted)
-            error = "" if found is None else f", RMSE {found['rmse_K']:.2f} K"
-            label = legend_label(f"{name}{error}")
+            label = legend_label(with_rmse(name, residual, fitted))
             upper.plot(t, prediction.indicated_K[i][shown], color=color, linewidth=1.3, label=label)
             lower.plot(t, residual[shown], ".", color=color, markersize=2.5, rasterized=True)
         lower.axhline(0.0, color="0.3", linewidth=0.8)
@@ -98,11 +96,7 @@ def fit_chart(
     curves       : as `fit_figure` takes them;  picture : in its place on paper
     temperatures : whether these are drawn, or the residuals alone
     """
-    models = []
-    for prediction, color, name in curves:
-        found = prediction.segment_errors()["fit"]
-        label = name if found is None else f"{name}, RMSE {found['rmse_K']:.2f} K"
-        models.append(ModelCurve(label, color, prediction.indicated_K, prediction.residual_K))
+    models = [ModelCurve(name, color, p.indicated_K, p.residual_K) for p, color, name in curves]
     return record_chart(record, models, picture, scale=1 if len(curves) > 2 else 0, temperatures=temperatures)
 
 

@@ -87,10 +87,17 @@ class SensorChecks:
         self.sensors, self.wait_s = dict(sensors), lateness_s + 1.0
         self.failures: list[Failure] = []
         self._recent: dict[tuple[str, str], _Recent] = {}
+        self.undecided: dict[tuple[str, str], str] = {}
         self._failed: set[tuple[str, str]] = set()
 
-    def take(self, read: Innovation) -> Failure | None:
-        """Take the next reading; the failure of its sensor, where this reading told it."""
+    def take(self, read: Innovation, model_is_doubted: bool = False) -> Failure | None:
+        """Take the next reading; the failure of its sensor, where this reading told it.
+
+        model_is_doubted : whether the model is known not to agree with the readings: what it lacks can take one sensor
+                           away from the others, as at the surface, and move what is expected of one that stays. None
+                           is taken out for a drift then, nor as stuck where it was away before it stayed; such a one
+                           is `undecided`, with the reason, as long as it looks like that
+        """
         key = read.point, read.sensor
         if key in self._failed:
             return None
@@ -100,14 +107,36 @@ class SensorChecks:
         recent.take((read.time_s, read.read_K, read.predicted_K, score, sigma_K))
         why = self._stuck(key, recent) or self._flickers(recent)
         drift = "" if why else self._drifts(key, recent)
+        if model_is_doubted and (drift or not why or self._was_away(key, recent)):
+            self._doubt(key, recent, why or drift)
+            return None
         if not (why or drift):
             return None
-        self._failed.add(key)
         looked_at = recent.equal if why and recent.equal >= STUCK_READINGS else FLICKER_OF if why else DRIFT_OF
         wrong_s = list(recent.rows)[-looked_at:][0][0]
         from_s = read.time_s + self.wait_s
-        self.failures.append(Failure(*key, read.time_s, from_s, why or drift, wrong_s, bool(drift)))
+        self.take_out(Failure(*key, read.time_s, from_s, why or drift, wrong_s, bool(drift)))
         return self.failures[-1]
+
+    def _was_away(self, key: tuple[str, str], recent: _Recent) -> bool:
+        """Whether a sensor that stays was away from what is expected before."""
+        if recent.equal < STUCK_READINGS:
+            return False
+        _, read_K, expected_K, _, sigma_K = list(recent.rows)[-recent.equal :][0]
+        return abs(read_K - expected_K) > self.sensors[key].lsb_K + AGREES_SIGMAS * max(FLOOR_SIGMA_K, sigma_K)
+
+    def _doubt(self, key: tuple[str, str], recent: _Recent, why: str) -> None:
+        """Note a sensor that looks as if it failed, and forget one that does not any more."""
+        if why:
+            self.undecided.setdefault(key, why)
+        elif key in self.undecided and abs(recent.mean_over(DRIFT_OF) or 0.0) < NEIGHBOUR_SIGMAS:
+            del self.undecided[key]
+
+    def take_out(self, failure: Failure) -> None:
+        """Enter the failure of a sensor, such as one that is told elsewhere; it is checked no more."""
+        self._failed.add((failure.point, failure.sensor))
+        self.undecided.pop((failure.point, failure.sensor), None)
+        self.failures.append(failure)
 
     def has_failed(self, point: str, sensor: str) -> bool:
         """Whether a sensor has failed."""

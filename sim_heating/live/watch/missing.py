@@ -21,6 +21,8 @@ from sim_heating.live.state import Candidate
 
 NICE = 10
 """By how much the other process steps back behind the link's own."""
+AGAIN_S = 60.0
+"""Flight time after an alarm from which on candidates are weighed again, and again whenever it has doubled [s]."""
 MOST_DEATHS = 3
 """Processes that may die before no other one is begun."""
 
@@ -47,18 +49,30 @@ class Weighing:
     """Closes the loop on the journal of a link, in a process of its own; one record at a time.
 
     last : what was found, None before that;  deaths : how often the process ended by itself, as for want of memory
+    problem : why a later record could not be weighed, after one was; "" where it could
+
+    What is found on an earlier record stays until a later one is weighed.
     """
 
     def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
         self._running: Future[Weighed] | None = None
         self.last: Weighed | None = None
-        self.deaths = 0
+        self.deaths, self.problem = 0, ""
+        self._due_s = 0.0
 
-    @property
-    def begun(self) -> bool:
-        """Whether a record was or is being weighed."""
-        return self._running is not None or self.last is not None
+    def is_due(self, since_alarm_s: float) -> bool:
+        """Whether a record is to be weighed: the first one, and one of which the time since the alarm has doubled.
+
+        since_alarm_s : flight time since the alarm [s]
+        """
+        if self._running is not None or self.deaths >= MOST_DEATHS:
+            return False
+        return self.last is None or since_alarm_s >= self._due_s
+
+    def weighed_from(self, since_alarm_s: float) -> None:
+        """Note how long after the alarm a record ends that is being weighed [s]; from double that on another one is."""
+        self._due_s = max(2.0 * since_alarm_s, AGAIN_S)
 
     @property
     def busy(self) -> bool:
@@ -90,15 +104,19 @@ class Weighing:
             return None
         running, self._running = self._running, None
         try:
-            self.last = running.result()
+            found = running.result()
         except BrokenProcessPool:
             self._pool, self.deaths = None, self.deaths + 1
             if self.deaths < MOST_DEATHS:
                 return None
             text = f"their process died {self.deaths} times; `close-loop` weighs candidates on the record"
-            self.last = Weighed("", float("nan"), "", (), text)
+            found = Weighed("", float("nan"), "", (), text)
         except Exception as error:  # the link goes on, whatever a record does to the search
-            self.last = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
+            found = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
+        if self.last is not None and self.last.finding and not found.finding:
+            self.problem = found.text
+        else:
+            self.last, self.problem = found, ""
         return self.last
 
     def stop(self) -> None:

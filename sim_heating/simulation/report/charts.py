@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.report.chart import COLORS, Chart, Curve, Panel, Span, distinct_styles
 from sim_heating.base.report.figure import ANGLES, MANOEUVRE_NAMES
 from sim_heating.base.report.page import Picture, SavedPicture
-from sim_heating.inputs.record import Record
+from sim_heating.inputs.record import Record, pooled_rmse_K
 from sim_heating.march.history import PointHistory
 from sim_heating.simulation.report.plots import HOT_STRUCTURE, LIMITS_SHOWN
 from sim_heating.trajectory.flight import Window
@@ -30,7 +31,7 @@ SHADES = "Shaded: blue fitted, grey held out."
 
 @dataclass(frozen=True, eq=False)
 class ModelCurve:
-    """Temperatures of a record's sensors by one model.
+    """Temperatures of a record's sensors by one model, whose name is the label.
 
     indicated_K, residual_K : (sensor, sample) indicated, and measured minus indicated [K]
     """
@@ -39,6 +40,15 @@ class ModelCurve:
     color: str
     indicated_K: FloatArray
     residual_K: FloatArray
+
+
+def with_rmse(name: str, residual_K: FloatArray, fitted: NDArray[np.bool_]) -> str:
+    """A name and the RMSE [K] of one sensor over the fitted samples, for keys and legends; the name where it has none.
+
+    residual_K : (sample,) measured minus predicted [K];  fitted : (sample,) whether it is fitted
+    """
+    found = pooled_rmse_K(residual_K, fitted)
+    return name if found is None else f"{name}, RMSE {found['rmse_K']:.2f} K"
 
 
 def shown_span(record: Record) -> tuple[float, float]:
@@ -83,10 +93,13 @@ def record_chart(
     for i in used or range(len(record.sensors)):
         name = record.sensors[i].name
         curves = [Curve("measured", t, read_K[i], MEASURED, points=True)]
-        curves += [Curve(m.label, t, m.indicated_K[i], m.color) for m in models]
+        labels = [with_rmse(m.label, m.residual_K[i], fitted) for m in models]
+        curves += [Curve(label, t, m.indicated_K[i], m.color) for label, m in zip(labels, models, strict=True)]
         if temperatures:
             panels.append(Panel(f"{name}, indicated, K", curves))
-        residuals = [Curve(m.label, t, m.residual_K[i], m.color, points=True) for m in models]
+        residuals = [
+            Curve(label, t, m.residual_K[i], m.color, points=True) for label, m in zip(labels, models, strict=True)
+        ]
         limits = residual_limits(models[scale].residual_K[i][fitted])
         panels.append(Panel(f"{name}, measured minus predicted, K", residuals, 0.6, zero=True, limits=limits))
     view = shown_span(record)
