@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.stats import binom, kstest
+from scipy.special import ndtri
+from scipy.stats import binom, kstest, shapiro
 
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.inference.bounds import ChannelResiduals, CramerRaoBounds, cramer_rao_bounds
@@ -314,6 +315,20 @@ def test_normality_distinguishes_gaussian_from_uniform_and_thins_long_series() -
     assert normality(rng.normal(size=300)).p_value > 0.01
     assert normality(rng.uniform(size=300)).p_value < 1e-4
     assert normality(rng.normal(size=12_000)).dof == 4000
+
+
+@pytest.mark.parametrize("samples", [8, 11, 12, 40, 5000])
+@pytest.mark.parametrize("draw", ["normal", "uniform", "standard_cauchy"])
+def test_normality_is_that_of_scipy_for_small_and_large_samples(samples: int, draw: str) -> None:
+    values = getattr(np.random.default_rng(29), draw)(size=samples)
+    found, expected = normality(values), shapiro(values)
+    assert (found.statistic, found.p_value) == approx((expected.statistic, expected.pvalue), abs=1e-6)
+
+
+def test_a_sample_that_is_as_normal_as_can_be_has_the_largest_p_value() -> None:
+    samples = 30
+    values = ndtri((np.arange(1, samples + 1) - 0.375) / (samples + 0.25))
+    assert normality(values).p_value == approx(1.0, abs=1e-3)
 
 
 def test_chi_square_rejects_noise_declared_too_small_and_too_large() -> None:

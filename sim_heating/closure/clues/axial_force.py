@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.record import Record
@@ -83,7 +83,7 @@ def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
     found: list[AxialStep] = []
     for F, dof, size, at in sorted(scanned, key=lambda s: -s[0]):
         if all(abs(at - s.time_s) > HALF_WINDOW_S for s in found):
-            single = float(fisher.sf(F, 1, dof))
+            single = float(fdtrc(1, dof, F))
             found.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
             )

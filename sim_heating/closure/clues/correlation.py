@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE
@@ -292,7 +292,7 @@ def _autocorrelation(x: FloatArray) -> FloatArray:
 def _correlation_p_value(r: float, n: float) -> float:
     """Two-sided p-value of a correlation r of n effective points."""
     r = min(abs(r), 1.0 - 1e-12)
-    return float(2.0 * student.sf(r * math.sqrt((n - 2.0) / (1.0 - r * r)), n - 2.0))
+    return float(2.0 * stdtr(n - 2.0, -r * math.sqrt((n - 2.0) / (1.0 - r * r))))
 
 
 def active_spans(residual: ResidualHeating, ratio: FloatArray | None = None) -> list[ActiveSpan]:

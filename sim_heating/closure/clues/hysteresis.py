@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
@@ -88,7 +88,7 @@ def hysteresis_loops(residual: ResidualHeating, variables: Mapping[str, FloatArr
         others = [u[knots] for n, u in angles.items() if n != name and np.ptp(u[knots]) > 0.5 * MIN_EXCURSION_DEG]
         z, dof = _rate_term(t[knots], v[knots], others, d[knots], covariance[knots, knots])
         box = float(np.ptp(v[knots]) * np.ptp(d[knots]))
-        single = float(2.0 * student.sf(abs(z), dof)) if dof > 0 else 1.0
+        single = float(2.0 * stdtr(dof, -abs(z))) if dof > 0 else 1.0
         corrected = sidak_p_value(single, len(spans))
         begin, end = float(t[knots][0]), float(t[knots][-1])
         loops.append(HysteresisLoop(name, begin, end, area, sigma, area / box if box > 0.0 else 0.0, z, corrected))

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
@@ -143,12 +143,12 @@ def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int 
         return 1.0
     z2 = (columns[:, resolved].T @ draws) ** 2 / power[resolved, np.newaxis]
     median = float(np.median(np.max(z2, axis=0)))
-    return max(float(np.log(0.5) / np.log(chi2.cdf(median, 1))), 1.0)
+    return max(float(np.log(0.5) / np.log(chdtr(1, median))), 1.0)
 
 
 def p_value(z: float, trials: float) -> float:
     """Probability of a |z| as large from noise alone in a number of independent trials."""
-    single = float(chi2.sf(z * z, 1))
+    single = float(chdtrc(1, z * z))
     return sidak_p_value(single, trials)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -109,7 +109,7 @@ class TableChange:
     @property
     def p_value(self) -> float:
         """Probability [-] of a larger chi-square if sigma and bounds are right; docs/theory/equations.md, 17."""
-        return float(chi2.sf(self.chi_square, self.freedom))
+        return float(chdtrc(self.freedom, self.chi_square))
 
     def changed_nodes(self) -> dict[str, list[float]]:
         """The nodes with another ratio or sigma: the five variables, ratio and sigma before and after, one entry a

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import read_json
@@ -99,7 +99,7 @@ def true_statistics() -> FloatArray:
 def false_alarm_statement() -> str:
     """The chance of a false alarm with its calibration, in one line."""
     named, records = int(calibration()["named"]), int(calibration()["records"])
-    limit = float(beta.ppf(CONFIDENCE_LEVEL, named + 1, records - named))
+    limit = float(betaincinv(named + 1, records - named, CONFIDENCE_LEVEL))
     return (
         f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
         f"{limit:.1%} with {CONFIDENCE_LEVEL:.0%} confidence on such records"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.search.search import SearchResult
@@ -134,7 +134,7 @@ def _evidence_of(
         ]  # fmt: skip
         if member and common:
             lost = max(own.fit.log_likelihood - best.by_record[i].fit.log_likelihood, 0.0)
-            agreement = float(chi2.sf(2.0 * lost / scale, len(common)))
+            agreement = float(chdtrc(len(common), 2.0 * lost / scale))
         if at_common is not None:
             for_cause = 2.0 * (at_common.fit.log_likelihood - none.by_record[i].fit.log_likelihood) / scale
     return Evidence(

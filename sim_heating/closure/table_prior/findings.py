@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import MODEL
@@ -85,7 +85,7 @@ def _combination(estimates: Mapping[str, tuple[float, float]], z: FloatArray, S:
     sigma = np.sqrt(np.diag(S))
     eigenvalues, vectors = np.linalg.eigh(S / np.outer(sigma, sigma))
     off = (vectors.T @ z) / np.sqrt(np.maximum(eigenvalues, 0.0) + INDEPENDENT)
-    p_value = float(chi2.sf(float(off @ off), len(off)))
+    p_value = float(chdtrc(len(off), float(off @ off)))
     if p_value > math.erfc(MOST_SIGMA / math.sqrt(2.0)):
         return []
     k = int(np.argmax(np.abs(off)))

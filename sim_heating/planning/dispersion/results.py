@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -174,7 +174,7 @@ class FirstOrder:
 
     def quantile(self, q: float) -> FloatArray:
         """(quantity, point) quantile of a normal distribution [K]."""
-        return np.asarray(self.mean + norm.ppf(q) * self.sigma)
+        return np.asarray(self.mean + ndtri(q) * self.sigma)
 
     def share(self, columns: list[int]) -> FloatArray:
         """(quantity, point) share of the variance due to some dimensions [-]."""
