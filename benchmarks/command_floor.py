@@ -51,7 +51,7 @@ def _time_kernels(watch: Stopwatch) -> None:
         kernel._call = watch.timed(made, lambda: len(made.overloads))
         return kernel._call(*given)
 
-    Kernel._first_call = first_call  # type: ignore[method-assign]
+    Kernel._first_call = first_call  # type: ignore[method-assign, assignment]
 
 
 def _time_jsbsim(watch: Stopwatch) -> None:

@@ -145,13 +145,12 @@ def _shapiro_wilk(x: FloatArray) -> HypothesisTest:
     missing = max((length - along) * (length + along) / length**2, 0.0)
     if missing == 0.0:
         return HypothesisTest(1.0, float(n), 1.0)
+    at, y, mean, spread = math.log(n), math.log(missing), Polynomial(_MEAN), Polynomial(_SPREAD)
     if n <= SMALL_SAMPLE:
-        at, least = float(n), Polynomial(_LEAST)(float(n))
-        y = -math.log(least - math.log(missing)) if math.log(missing) < least else math.inf
-        mean, spread = _SMALL_MEAN, _SMALL_SPREAD
-    else:
-        at, y, mean, spread = math.log(n), math.log(missing), _MEAN, _SPREAD
-    z = (y - Polynomial(mean)(at)) / math.exp(Polynomial(spread)(at))
+        at, mean, spread = float(n), Polynomial(_SMALL_MEAN), Polynomial(_SMALL_SPREAD)
+        above = float(Polynomial(_LEAST)(at)) - y
+        y = -math.log(above) if above > 0.0 else math.inf
+    z = float((y - mean(at)) / np.exp(spread(at)))
     return HypothesisTest(1.0 - missing, float(n), float(ndtr(-z)))
 
 
