@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -23,7 +24,19 @@ FloatArray = NDArray[np.float64]
 POINTS, NODES, ROUNDS = 512, 24, 9
 PORTION = 64
 """Points timed together: short enough that both sides meet the same state of the machine."""
+THREADED_POINTS = 1000
 AGREEMENT_K = 1e-9
+PEERS = {
+    "strict": STRICT,
+    "fast": FAST,
+    "narrow": (*STRICT, "-mno-avx512f"),
+    "wide": (*STRICT, "-mprefer-vector-width=512", "-DWIDTH=8"),
+}
+"""The C by the flags that it is compiled with; the last two only show which width of vectors is its limit."""
+TEXTS = {
+    "strict": "strict", "fast": "-Ofast", "narrow": "strict without AVX-512",
+    "wide": "strict, vectors of 512 bits",
+}  # fmt: skip
 HEATED = (FILM, RECOVERY, ADDED, PCOL, PFRAC)
 """Rows of the surface, in the order in which the C library reads them."""
 
@@ -75,30 +88,47 @@ def run(rounds: int = ROUNDS) -> list[Figure]:
     apart: dict[str, float] = {"strict": 0.0, "fast": 0.0}
     entries, thermals = [], []
     with tempfile.TemporaryDirectory() as folder, one_thread():
-        libraries = {name: compile_peer(Path(folder), name, f) for name, f in (("strict", STRICT), ("fast", FAST))}
+        libraries = {name: compile_peer(Path(folder), name, flags) for name, flags in PEERS.items()}
         for first in range(0, POINTS, PORTION):
             ensemble = ensemble_of(models[first : first + PORTION], NODES)
             peers = {name: Peer(library, ensemble) for name, library in libraries.items()}
-            for name, peer in peers.items():
-                apart[name] = max(apart[name], _apart(ensemble, peer, time_s, history))
+            for name in apart:
+                apart[name] = max(apart[name], _apart(ensemble, peers[name], time_s, history))
             entries.append(_time_entry(ensemble, peers, time_s, history, rounds))
-            thermals.append(_time_thermal(ensemble, peers, time_s, history, rounds))
+            thermals.append(_time_thermal(ensemble, {n: peers[n] for n in apart}, time_s, history, rounds))
     figures = [
         Figure("C strict and numba apart, all nodes of 512 points after 1500 s", apart["strict"], "K", AGREEMENT_K),
         Figure("C -Ofast and numba apart", apart["fast"], "K"),
-        Figure("entry, 512 x 24: numba / C strict", _ratio(entries, "strict"), "", 1.3),
-        Figure("entry, 512 x 24: numba / C -Ofast (limit)", _ratio(entries, "fast"), ""),
-        Figure("thermal step alone: numba / C strict", _ratio(thermals, "strict"), "", 1.3),
+        Figure("entry, 512 x 24: numba / C strict", _ratio(entries, "strict"), "", 1.1),
+        Figure("entry, 512 x 24: numba / C -Ofast (limit)", _ratio(entries, "fast"), "", 1.15),
+        Figure("thermal step alone: numba / C strict", _ratio(thermals, "strict"), "", 1.1),
         Figure("thermal step alone: numba / C -Ofast (limit)", _ratio(thermals, "fast"), ""),
     ]
-    names = {"numba": "numba", "strict": "C strict", "fast": "C -Ofast"}
+    names = {"numba": "numba", **{name: f"C {text}" for name, text in TEXTS.items()}}
     total = {name: sum(times.best(name) for times in entries) for name in names}
     per_step = 1e9 / (POINTS * (len(time_s) - 1))
     figures += [Figure(f"entry: {text}, per point and step", total[n] * per_step, "ns") for n, text in names.items()]
     figures.append(Figure("entry, 512 x 24: numba, one thread", total["numba"], "s"))
+    figures.append(_two_threads(time_s, history, rounds))
     rounds_s = {"entry": [t.seconds for t in entries], "thermal": [t.seconds for t in thermals]}
     save("c_loop", figures, {"portions_rounds_s": rounds_s})
     return figures
+
+
+def _two_threads(time_s: FloatArray, history: FloatArray, rounds: int) -> Figure:
+    """Gain of two threads for many points in one march, on a machine of two cores or more."""
+    ensemble = ensemble_of(points(THREADED_POINTS), NODES)
+
+    def alone() -> None:
+        with one_thread():
+            ensemble.march(time_s, history, keep=NOTHING)
+
+    def together() -> None:
+        ensemble.march(time_s, history, keep=NOTHING)
+
+    times = in_turn({"one": alone, "all": together}, rounds, {"one": ensemble.reset, "all": ensemble.reset})
+    what = f"entry, {THREADED_POINTS} x {NODES}: one thread / one for each core"
+    return Figure(what, times.ratio("one", "all"), "", 1.9, True, f"{os.cpu_count()} cores")
 
 
 def _ratio(portions: list[Times], name: str) -> float:

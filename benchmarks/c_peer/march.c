@@ -12,7 +12,12 @@
 #include <string.h>
 
 #define L 8
-#define LANES _Pragma("omp simd simdlen(4)") for (int l = 0; l < L; l++)
+#ifndef WIDTH
+#define WIDTH 4 /* lanes of one vector: 256 bits */
+#endif
+#define PRAGMA(text) _Pragma(#text)
+#define SIMD(width) PRAGMA(omp simd simdlen(width))
+#define LANES SIMD(WIDTH) for (int l = 0; l < L; l++)
 #define VARIABLES 5
 #define CORNERS 32
 #define PROPERTIES 9
@@ -96,7 +101,7 @@ static void gather_lane(const group *G, node *x, const long *offsets, row *into,
 /* At an interface foot and top are those that hold for both materials: the narrower segment. */
 static void refresh(const group *G, node *x) {
     int outside = 0;
-#pragma omp simd simdlen(4) reduction(| : outside)
+#pragma omp simd simdlen(WIDTH) reduction(| : outside)
     for (int l = 0; l < L; l++) outside |= !((x->t[l] >= x->foot[l]) & (x->t[l] < x->top[l]));
     if (!outside) return;
     for (int l = 0; l < L; l++) {
@@ -502,7 +507,7 @@ static void gather_corners(group *G, row *x, int l) {
 static void heat(group *G, int stage, row *x) {
     cell *R = &G->ratio;
     int outside = 0;
-#pragma omp simd simdlen(4) reduction(| : outside)
+#pragma omp simd simdlen(WIDTH) reduction(| : outside)
     for (int l = 0; l < L; l++)
         for (int a = 0; a < VARIABLES; a++) outside |= !((x[a][l] >= R->low[a][l]) & (x[a][l] < R->high[a][l]));
     if (outside)
