@@ -14,7 +14,8 @@ NAMES = (
     "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "switched_off",
-    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "practice", "closure", "campaign",
+    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
+    "closure", "campaign",
     "live", "mutants", "kills", "concurrency", "pages", "credibility", "live_page",
     "live_picture", "waiting",
 )  # fmt: skip

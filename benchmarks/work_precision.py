@@ -224,7 +224,7 @@ def run() -> list[Figure]:
         Figure(f"this scheme at {DEFAULT_STEP_S:g} s: error of time integration", own.error_K, "K", 0.2),
         Figure("the same with undivided steps", undivided.error_K, "K"),
         Figure("jump of heating onto bare insulation: error of time integration", jump[STEP_TOLERANCE_K], "K", 0.1),
-        Figure("the same with undivided steps", jump[NOT_CONTROLLED_K], "K"),
+        Figure("jump of heating onto bare insulation: undivided steps", jump[NOT_CONTROLLED_K], "K"),
         Figure("one point, a whole entry", own.time_s * 1e3, "ms", note="7 of 8 lanes idle"),
     ]
     ratios = {
