@@ -209,7 +209,7 @@ def campaign_points(results: Results) -> str:
     return markdown_table(("control point", "manoeuvres", "tables before, K", "revised, K", "noise floor, K"), rows)
 
 
-# Design, ground test, clocks, starts, resolution, covariance -----------------------------------------------------------
+# Design, ground test, clocks, starts, resolution, covariance --------------------------------------------------------
 
 DESIGNED = (("design_popu", "ratio.d_alpha"), ("design_flap", "ratio.d_elevon"), ("design_flap", "ratio.d_bodyflap"))
 INSTRUMENTS = (
@@ -264,7 +264,7 @@ def ground_step_fluxes(results: Results) -> str:
         )
         rows.append([
             flux, f"{f.noted(coating, 'hottest thermocouple')} K",
-            *(f"{f.noted(what, '')} +- {f.value(what):.{n}f}" for what, n in ((coating, 3), (conductivity, 4), (clock, 3))),
+            *(f"{f.noted(w, '')} +- {f.value(w):.{n}f}" for w, n in ((coating, 3), (conductivity, 4), (clock, 3))),
             f"{f.value(f'{flux}: {skew}'):.2f}",
         ])  # fmt: skip
     head = ("absorbed flux", "hottest reading", "coating factor", "conductivity factor", "skew, s", skew)
@@ -339,7 +339,8 @@ def covariance_kinds(results: Results) -> str:
         "gains frozen after 30 s": ("held", "with gains held, over it"),
         "of every step, in dense products about a plain march": ("whole, linear", ""),
         "propagated over ten steps at once": ("every tenth step", ""),
-        "of the upper nodes alone, wall adiabatic behind them, deeper readings left out (the paper's)": ("upper nodes", ""),
+        "of the upper nodes alone, wall adiabatic behind them, deeper readings left out (the paper's)": (
+            "upper nodes", ""),
         "six largest directions of 14": ("rank 6", ""),
         "three largest directions": ("rank 3", ""),
         "none: output error": ("none", "no covariance, temperatures and sensitivities alone, over it"),
@@ -348,7 +349,7 @@ def covariance_kinds(results: Results) -> str:
     for title, (kind, cost) in kinds.items():
         apart = [f"{f.value(f'{kind}: {w}'):.2f}" for w in (_APART, _STATED)] if kind != "whole" else ["", ""]
         paid = f"{f.value(cost):.2f}" if len(cost) > 1 else cost
-        rows.append([title, paid, *apart, f"{f.value(f'{kind}: error of the estimates over the sigma stated, rms'):.2f}"])
+        rows.append([title, paid, *apart, f"{f.value(f'{kind}: {_ERROR}'):.2f}"])
     dense = f.value("covariance differenced and dense, no sensitivities, over it")
     rows.append(["differenced node by node, dense products", f"{dense:.0f}", "", "", ""])
     head = ("covariance", "cost", "difference of estimates, sigma", "bound / bound of the whole covariance",
@@ -357,6 +358,7 @@ def covariance_kinds(results: Results) -> str:
 
 
 _APART, _STATED = "estimates apart from those of the whole, rms", "sigma stated over that of the whole"
+_ERROR = "error of the estimates over the sigma stated, rms"
 
 
 # A board under a lamp ------------------------------------------------------------------------------------------------
@@ -404,7 +406,7 @@ def kaowool_mechanisms(results: Results) -> str:
     return markdown_table(head, rows)
 
 
-# Findings on shipped records -------------------------------------------------------------------------------------------
+# Findings on shipped records ----------------------------------------------------------------------------------------
 
 LEAST_P_VALUE = 1e-6
 
