@@ -33,7 +33,7 @@ def run() -> list[Figure]:
         out = os.environ.get(KEPT, folder)
         command = [sys.executable, "-m", "sim_heating", "close-loop", *map(str, records), "--out", out]
         subprocess.run(command, check=True)
-        summary = json.loads((Path(out) / "summary.json").read_text())
+        summary = json.loads((Path(out) / "summary.json").read_text())["records"]
         closures = {r["record"]: json.loads((Path(out) / r["record"] / "closure.json").read_text()) for r in summary}
     truths = read_toml_dict(PRACTICE / "answers.toml")
     rows = {r["record"]: _row(r, closures[r["record"]], truths.get(r["record"], {}).get("effect", "")) for r in summary}
@@ -54,7 +54,6 @@ def _row(summary: dict[str, Any], closure: dict[str, Any], true: str) -> dict[st
         **{k: summary[k] for k in keys},
         **errors,
         "noise_floors": math.sqrt(chi2),
-        "declared_noise_floors": summary["before_fit_rmse_K"] / summary["noise_floor_K"],
         "most_remains": worst,
         "noise_floors_there": math.sqrt(adequacy["by_phase"][worst]),
         "note": f"{summary['finding']}: {summary['named'] or 'nothing'}" + (f"; true: {true}" if true else ""),

@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.end_to_end import Result, counted_of
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
+from sim_heating.closure.statement import LEAST_P_VALUE
 
 TILES = ("468", "480", "597", "730")
 MISSED = 0.4
@@ -408,8 +409,6 @@ def kaowool_mechanisms(results: Results) -> str:
 
 # Findings on shipped records ----------------------------------------------------------------------------------------
 
-LEAST_P_VALUE = 1e-6
-
 
 def findings_practice(results: Results) -> str:
     """Finding, probability and errors of each practice record, beside its true effect."""
@@ -417,7 +416,7 @@ def findings_practice(results: Results) -> str:
     for name, r in results["rows"].items():
         if not r["true"]:
             continue
-        added = bool(r["effects"] or r["not_effects"])
+        added = r["finding"] in ("found", "one of")
         named = f"`{r['finding']}`" + (f": {r['named']}" if r["named"] else "")
         errors = [
             ", ".join(f"{r[f'{when}_{what}_rmse_K']:.2f}" for when in ("before", "after")[: 1 + added])
@@ -441,7 +440,7 @@ def findings_tiles(results: Results) -> str:
 
 
 def _p_value(row: Mapping[str, Any]) -> str:
-    return f"{row['p_value']:.2f}" if row["p_value"] >= LEAST_P_VALUE else f"below {LEAST_P_VALUE:g}"
+    return f"{row['p_value']:.2f}" if row["p_value"] >= LEAST_P_VALUE else "below 1e-6"
 
 
 TABLES: Mapping[str, Callable[[Results], str]] = {
