@@ -10,11 +10,12 @@ import click
 from benchmarks.measure import Figure, table
 
 NAMES = (
-    "verification", "c_loop", "work_precision", "frames", "coupling", "fmu", "optimal", "envelope",
+    "verification", "c_loop", "work_precision", "after_a_jump", "frames", "coupling", "fmu", "optimal", "envelope",
     "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "switched_off",
-    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "practice", "closure", "campaign",
+    "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
+    "closure", "campaign",
     "live", "mutants", "kills", "concurrency", "pages", "credibility", "live_page",
     "live_picture", "waiting",
 )  # fmt: skip

@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.end_to_end import Result, counted_of
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
+from sim_heating.closure.statement import LEAST_P_VALUE
 
 TILES = ("468", "480", "597", "730")
 MISSED = 0.4
@@ -47,8 +48,12 @@ class Figures:
         """Value of a figure."""
         return float(self._of[what]["value"])
 
+    def note(self, what: str) -> str:
+        """Note of a figure."""
+        return str(self._of[what]["note"])
+
     def noted(self, what: str, before: str) -> str:
-        """Number that follows these words in the note of a figure."""
+        """Number that follows these words in the note of a figure; its first word where there are none."""
         found = re.search(rf"{re.escape(before)}\s*(\S+?)(?:[,;]|\s|$)", self._of[what]["note"])
         if found is None:
             raise ValueError(f"{what!r}: no {before!r} in the note {self._of[what]['note']!r}")
@@ -191,11 +196,269 @@ def dispersed_peaks(results: Results) -> str:
     return markdown_table(head, rows)
 
 
+# Campaign ------------------------------------------------------------------------------------------------------------
+
+
+def campaign_points(results: Results) -> str:
+    """Medians of the errors of all manoeuvres at each control point, with the tables before and after."""
+    errors = results["report"]["errors"]
+    rows = []
+    for point in dict.fromkeys(e["control_point"] for e in errors):
+        mine = [e for e in errors if e["control_point"] == point]
+        medians = (float(np.median([e[k] for e in mine])) for k in ("before_K", "after_K", "noise_floor_K"))
+        rows.append([point, len(mine), *(f"{m:.2f}" for m in medians)])
+    return markdown_table(("control point", "manoeuvres", "tables before, K", "revised, K", "noise floor, K"), rows)
+
+
+# Design, ground test, clocks, starts, resolution, covariance --------------------------------------------------------
+
+DESIGNED = (("design_popu", "ratio.d_alpha"), ("design_flap", "ratio.d_elevon"), ("design_flap", "ratio.d_bodyflap"))
+INSTRUMENTS = (
+    ("10 bits", "word: 10 bits", "word: 10 bits"),
+    ("12 bits", "word: 12 bits", "word: 12 bits"),
+    ("5 Hz", "rate: 5 Hz", "rate: 5 Hz"),
+    ("10 Hz", "rate: 10 Hz", "rate: 10 Hz"),
+    ("clock within 0.1 s", "clock: within 0.1 s", "clock: within 0.1 s"),
+    ("clock within 0.01 s", "clock: within 0.01 s", "clock: within 0.01 s"),
+    ("clock within 1 s", "clock: within 1 s", "clock: within 1 s"),
+    ("surface pressure measured to 2 %", "pressure: measured to 2%", "pressure: measured to 2%"),
+    ("an extra thermocouple 4 mm below the coating", "", "extra sensor: 4 mm below the coating"),
+    ("a thermocouple at the bondline", "extra sensor: bondline", ""),
+    ("without the outermost thermocouple", "without: V09T9527", "without: BODYFLAP_surface"),
+    ("without the second", "without: V07T9528", ""),
+    ("without the third", "without: V07T9529", ""),
+    ("without the fourth", "without: V07T9530", ""),
+    ("without the fifth", "without: V07T9531", ""),
+    ("the outermost alone", "without: all but V09T9527", "without: BODYFLAP_bondline"),
+)
+"""Row of the table, and what varies at the plug and at the body flap; nothing where that is as declared."""
+NOT_IDENTIFIED = 1e3
+"""Bound over the declared one above which a parameter is not identified."""
+
+
+def design_instruments(results: Results) -> str:
+    """Bounds with other instruments over those with the declared ones."""
+    f = Figures(results)
+
+    def cell(design: str, parameter: str, varied: str) -> str:
+        if not varied:
+            return "-"
+        bound = f.value(f"{design}: {varied}, {parameter}")
+        return "not identified" if bound > NOT_IDENTIFIED else f"{bound:.2f}"
+
+    rows = [
+        [title, *(cell(*d, plug if d[0] == "design_popu" else flap) for d in DESIGNED)]
+        for title, plug, flap in INSTRUMENTS
+    ]
+    return markdown_table(("", "`d_alpha`, plug", "`d_elevon`, body flap", "`d_bodyflap`, body flap"), rows)
+
+
+def ground_step_fluxes(results: Results) -> str:
+    """Estimates and bounds of a step test by the flux absorbed."""
+    f = Figures(results)
+    skew = "correlation of skew and coating"
+    rows = []
+    for flux in (what.partition(":")[0] for what in f.names() if what.endswith(skew)):
+        coating, conductivity, clock = (
+            f"{flux}: sigma of {name}"
+            for name in ("stack.coating.thickness_factor", "stack.rsi.conductivity_factor", "clock.skew")
+        )
+        rows.append([
+            flux, f"{f.noted(coating, 'hottest thermocouple')} K",
+            *(f"{f.noted(w, '')} +- {f.value(w):.{n}f}" for w, n in ((coating, 3), (conductivity, 4), (clock, 3))),
+            f"{f.value(f'{flux}: {skew}'):.2f}",
+        ])  # fmt: skip
+    head = ("absorbed flux", "hottest reading", "coating factor", "conductivity factor", "skew, s", skew)
+    return markdown_table(head, rows)
+
+
+def skew_coatings(results: Results) -> str:
+    """What a second of skew is worth in coating, and the lead at which none is left."""
+    f = Figures(results)
+    second = ": one second of skew"
+    rows = []
+    for name in (what.removesuffix(second) for what in f.names() if what.endswith(second)):
+        coating, _, surface = name.partition(" at ")
+        zero = f.value(f"{name}: lead at which the coating found is none")
+        rows.append([coating, surface, f"{f.value(name + second):.1f} mil", f"{zero:.1f} s"])
+    head = ("coating", "surface", "a second of skew is worth", "estimated coating is zero at a lead of")
+    return markdown_table(head, rows)
+
+
+def segments_starts(results: Results) -> str:
+    """Coverage of consecutive segments by their start."""
+    f = Figures(results)
+    starts = {
+        "record begins at 450 s": "record begins late", "`profile:450`": "profile start",
+        "`circuit:450`": "circuit start", "`filter:450`": "filter start",
+    }  # fmt: skip
+    rows = []
+    for title, start in starts.items():
+        row = [title]
+        for which in ("first segment", "first segment after the gap"):
+            what = f"{start}, {which}: coverage of 95% bounds"
+            row += [f"{f.value(what):.3f}", f.noted(what, "RMS error"), f"{f.noted(what, '; sigma')} %"]
+        row.append(f"{f.value(f'{start}, all segments: coverage of 95% bounds'):.3f}")
+        row.append(f"{f.value(f'{start}: chi-square of all segments jointly with p < 0.05'):.3f}")
+        rows.append(row)
+    head = ("", "first segment", "RMS", "sigma of the ratio", "first after the gap", "RMS", "sigma of the ratio", "all",
+            "chi-square of all jointly below p = 0.05")  # fmt: skip
+    return markdown_table(head, rows)
+
+
+def initial_starts(results: Results) -> str:
+    """Errors of two practice flights by their start, over the bounds from entry interface and over their own."""
+    f = Figures(results)
+    error, flights = ": RMS error over the bounds of declared", ("p06", "p07")
+    first = f"{flights[0]}, "
+    starts = [w.removeprefix(first).removesuffix(error) for w in f.names() if w.startswith(first) and w.endswith(error)]
+    rows = []
+    for start in starts:
+        whats = [f"{flight}, {start}{error}" for flight in flights]
+        cells = ((f"{f.value(w):.1f}", f"{float(f.noted(w, 'over its own bounds')):.1f}") for w in whats)
+        rows.append([start.removesuffix(" before"), *(c for pair in cells for c in pair)])
+    return markdown_table(("", "p06", "own", "p07", "own"), rows)
+
+
+def residual_resolution(results: Results) -> str:
+    """Frequency that comes back at half its amplitude, by depth and by recorder."""
+    f = Figures(results)
+    depths = {"at the inner face of the coating": 0, "2 mm deeper": 2, "5 mm deeper": 5}
+    recorders = ("0.3 K noise", "1 K noise", "1 K noise, 8 bits over 1378 K")
+    rows = [
+        [title, *(f"{f.value(f'half amplitude, {mm} mm below the coating, {r}'):.2f} Hz" for r in recorders)]
+        for title, mm in depths.items()
+    ]
+    return markdown_table(("thermocouple", *recorders), rows)
+
+
+def covariance_kinds(results: Results) -> str:
+    """Cost and accuracy of a filter by what is done of its covariance."""
+    f = Figures(results)
+    kinds = {
+        "of every step (default)": ("whole", "1"),
+        "gains frozen after 30 s": ("held", "with gains held, over it"),
+        "of every step, in dense products about a plain march": ("whole, linear", ""),
+        "propagated over ten steps at once": ("every tenth step", ""),
+        "of the upper nodes alone, wall adiabatic behind them, deeper readings left out (the paper's)": (
+            "upper nodes", ""),
+        "six largest directions of 14": ("rank 6", ""),
+        "three largest directions": ("rank 3", ""),
+        "none: output error": ("none", "no covariance, temperatures and sensitivities alone, over it"),
+    }  # fmt: skip
+    rows = []
+    for title, (kind, cost) in kinds.items():
+        apart = [f"{f.value(f'{kind}: {w}'):.2f}" for w in (_APART, _STATED)] if kind != "whole" else ["", ""]
+        paid = f"{f.value(cost):.2f}" if len(cost) > 1 else cost
+        rows.append([title, paid, *apart, f"{f.value(f'{kind}: {_ERROR}'):.2f}"])
+    dense = f.value("covariance differenced and dense, no sensitivities, over it")
+    rows.append(["differenced node by node, dense products", f"{dense:.0f}", "", "", ""])
+    head = ("covariance", "cost", "difference of estimates, sigma", "bound / bound of the whole covariance",
+            "error / bound, rms")  # fmt: skip
+    return markdown_table(head, rows)
+
+
+_APART, _STATED = "estimates apart from those of the whole, rms", "sigma stated over that of the whole"
+_ERROR = "error of the estimates over the sigma stated, rms"
+
+
+# A board under a lamp ------------------------------------------------------------------------------------------------
+
+MECHANISMS = {
+    "plain conduction, published properties, adiabatic back": "plain conduction, adiabatic back",
+    "as declared, on its stand": "declared, on its stand",
+    "**and convection in front**": "convection",
+    "with convection, one at a time: conductivity": "conductivity",
+    "heat capacity": "heat capacity",
+    "emittance": "emittance",
+    "flux 3.2 % less": "flux 0.968 times",
+    "flux 3.2 % more": "flux 1.032 times",
+    "cooling behind the stand": "cooling behind the stand",
+    "contact to the stand": "contact to the stand",
+    "radiation in depth": "radiation in depth",
+    "gap flow": "gap flow",
+    "depths of the joints, each free": "depths of the joints",
+    "specific heat falling as silica fibres'": "specific heat as silica fibres'",
+    "conductivity of gas, solid and radiation": "conductivity of gas, solid, radiation",
+    "both of these, and a factor of conductivity": "both, and a factor of conductivity",
+    "moisture boils, its vapour leaves": "moisture boils",
+    "moisture boils, heat given off about a temperature": "moisture boils, given off at a temperature",
+    "vapour diffuses inward": "vapour diffuses inward",
+    "**conductivity of gas, solid, radiation, and vapour**": "conductivity of gas, solid, radiation; vapour",
+}
+"""Row of the table -> mechanism of the benchmark."""
+JOINTS = ("5.72 mm", "11.44 mm", "17.16 mm")
+
+
+def kaowool_mechanisms(results: Results) -> str:
+    """Errors at the three joints and the values found, by what is added to plain conduction."""
+    f = Figures(results)
+    rows = []
+    for title, mechanism in MECHANISMS.items():
+        whats = [f"{mechanism}: RMSE {joint}" for joint in JOINTS]
+        values = f.note(whats[0]).partition("; ")[2].removeprefix("d0 ")
+        rows.append([
+            title, ", ".join(f"{f.value(w):.1f}" for w in whats),
+            ", ".join(f.noted(w, "") for w in whats),
+            ", ".join(f"{round(float(f.noted(w, 'mean late'))) or 0:+d}".replace("+0", "0") for w in whats),
+            re.sub(r" \+- 0(?![.\d])", " (bound)", values),
+        ])  # fmt: skip
+    head = ("model", "whole", "first 150 s", "late", "convection, then what else is found")
+    return markdown_table(head, rows)
+
+
+# Findings on shipped records ----------------------------------------------------------------------------------------
+
+
+def findings_practice(results: Results) -> str:
+    """Finding, probability and errors of each practice record, beside its true effect."""
+    rows = []
+    for name, r in results["rows"].items():
+        if not r["true"]:
+            continue
+        added = r["finding"] in ("found", "one of")
+        named = f"`{r['finding']}`" + (f": {r['named']}" if r["named"] else "")
+        errors = [
+            ", ".join(f"{r[f'{when}_{what}_rmse_K']:.2f}" for when in ("before", "after")[: 1 + added])
+            for what in ("fit", "holdout")
+        ]
+        probability = "-" if r["probability"] is None else f"{r['probability']:.2f}"
+        rows.append([name, r["true"], named, f"{probability}, {_p_value(r)}", *errors, f"{r['noise_floor_K']:.2f}"])
+    head = ("record", "true effect", "finding", "probability, p-value", "RMSE before, after, K", "held out, K",
+            "noise floor, K")  # fmt: skip
+    return markdown_table(head, rows)
+
+
+def findings_tiles(results: Results) -> str:
+    """Finding of each measured tile, and where most of its residual remains."""
+    rows = []
+    for tile in TILES:
+        r = results["rows"][f"sts96_{tile}"]
+        most = f"{r['most_remains']}, {r['noise_floors_there']:.1f} noise floors"
+        rows.append([tile, f"`{r['finding']}`: {r['named']}", f"{r['noise_floors']:.1f}, {_p_value(r)}", most])
+    return markdown_table(("tile of STS-96", "finding", "noise floors held out, p", "most remains"), rows)
+
+
+def _p_value(row: Mapping[str, Any]) -> str:
+    return f"{row['p_value']:.2f}" if row["p_value"] >= LEAST_P_VALUE else "below 1e-6"
+
+
 TABLES: Mapping[str, Callable[[Results], str]] = {
     "sts96, tiles": sts96_tiles,
     "sts96, entries": sts96_entries,
     "end_to_end, truths": end_to_end_truths,
     "end_to_end, scenarios": end_to_end_scenarios,
     "dispersed_entry, peaks": dispersed_peaks,
+    "campaign, points": campaign_points,
+    "design, instruments": design_instruments,
+    "ground_step, fluxes": ground_step_fluxes,
+    "skew, coatings": skew_coatings,
+    "segments, starts": segments_starts,
+    "initial, starts": initial_starts,
+    "residual, resolution": residual_resolution,
+    "covariance, kinds": covariance_kinds,
+    "kaowool, mechanisms": kaowool_mechanisms,
+    "findings, practice": findings_practice,
+    "findings, tiles": findings_tiles,
 }
 """What stands behind `results of` on a page -> the function that writes it."""

@@ -6,14 +6,13 @@ reduced, for docs/how_to/figures.md; what was found is saved with the times.
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.measure import Figure, save
+from benchmarks.measure import Figure, save, spent_by_children_s
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.report.figure import picture_file
 from sim_heating.campaign.figures.paper import DRAWINGS, draw_figures
@@ -31,9 +30,9 @@ def run() -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "sim_heating", "figures", *SCENARIOS, "--out", folder]
         for _ in range(2):
-            start, before = time.perf_counter(), _processor_s()
+            start, before = time.perf_counter(), spent_by_children_s()
             subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-            seconds, processor_s = time.perf_counter() - start, _processor_s() - before
+            seconds, processor_s = time.perf_counter() - start, spent_by_children_s() - before
     found = draw_figures([ROOT / s for s in SCENARIOS])
     for figure in found.drawn:
         picture = picture_file(figure.figure, "png", dpi=REDUCED_DPI)
@@ -45,9 +44,3 @@ def run() -> list[Figure]:
     ]
     save("paper_figures", figures, {"found": found.summary()})
     return figures
-
-
-def _processor_s() -> float:
-    """Processor time of all finished processes that this one started [s]."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime

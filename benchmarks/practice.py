@@ -7,7 +7,6 @@ report, on one core where the system can bind them to it; shortest times count. 
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from benchmarks.measure import Figure, save
+from benchmarks.measure import Figure, save, spent_by_children_s
 
 RECORDS = Path("scenarios") / "records" / "practice"
 ROUNDS = 3
@@ -81,14 +80,8 @@ def command_s(folder: Path, rounds: int = ROUNDS) -> float:
     times = []
     for _ in range(rounds):
         with tempfile.TemporaryDirectory() as out:
-            begun = spent_s()
+            begun = spent_by_children_s()
             command = [sys.executable, "-m", "sim_heating", "close-loop", str(folder), "--out", f"{out}/closed"]
             subprocess.run(command, check=True, capture_output=True)
-            times.append(spent_s() - begun)
+            times.append(spent_by_children_s() - begun)
     return min(times)
-
-
-def spent_s() -> float:
-    """Processor time of all children that have ended."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime

@@ -14,14 +14,12 @@ from benchmarks import cvodes
 from benchmarks.measure import RESULTS, Figure, one_thread, save
 from benchmarks.ode import FloatArray, System, arguments, jacobian, rate, rate_in_numpy, system_of
 from benchmarks.problems import entry, mesh_of, plug, prescribed
-from sim_heating.base.kernels.block import CONDITION_COLUMNS, H_REF, P_SURFACE, RECOVERY_ENTHALPY, TIME
+from sim_heating.base.kernels.block import TIME
 from sim_heating.march.ensemble import Ensemble
-from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.assembly import SHARE
 from sim_heating.thermal.frame import NOT_CONTROLLED_K, STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
-from sim_heating.thermal.stack import Construction, Layer, Stack
 
 NODES = 24
 OUTPUT_S = 20.0
@@ -40,8 +38,6 @@ REFERENCE_TOLERANCE = 1e-10
 OWN = "TR-BDF2 (this), undivided steps"
 CONTROLLED = "TR-BDF2 (this), steps of 1 s divided to a tolerance"
 STEP_TOLERANCES_K = (0.1, STEP_TOLERANCE_K, 0.005, 0.001)
-JUMP_FILM_KG_M2_S, JUMP_H_R_J_KG, JUMP_S = 0.02, 6e6, 60.0
-"""A film that stands over bare insulation from the first instant, for a minute."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,7 @@ def _timed(call: Callable[[], FloatArray], repeats: int) -> tuple[FloatArray, fl
     return result, best
 
 
-def _march(
+def marched(
     model: PointModel,
     mesh: Mesh,
     history: FloatArray,
@@ -84,7 +80,7 @@ def _march(
     return run, round(OUTPUT_S / (samples[1] - samples[0]))
 
 
-def _scipy(system: System, method: str, tolerance: float, outputs_s: FloatArray, compiled: bool = True) -> FloatArray:
+def by_scipy(system: System, method: str, tolerance: float, outputs_s: FloatArray, compiled: bool = True) -> FloatArray:
     """(output, node) temperatures by a method of scipy; compiled gives it a compiled right-hand side and matrix."""
     given = arguments(system)
     function = (lambda t, T: rate(t, T, given)) if compiled else rate_in_numpy(system)
@@ -109,22 +105,22 @@ def _in_time() -> tuple[dict[str, list[Run]], float]:
     mesh = mesh_of(model, NODES)
     system = system_of(model, mesh, driven)
     outputs_s = np.arange(1, round(time_s[-1] / OUTPUT_S) + 1) * OUTPUT_S
-    reference = _scipy(system, "LSODA", REFERENCE_TOLERANCE, outputs_s)
-    again = _scipy(system, "BDF", 1e-8, outputs_s)
+    reference = by_scipy(system, "LSODA", REFERENCE_TOLERANCE, outputs_s)
+    again = by_scipy(system, "BDF", 1e-8, outputs_s)
     runs: dict[str, list[Run]] = {OWN: []}
     for step_s in STEPS_S:
-        march, every = _march(model, mesh, driven, step_s)
+        march, every = marched(model, mesh, driven, step_s)
         out, seconds = _timed(march, 30)
         runs[OWN].append(Run(step_s, float(np.max(np.abs(out[every::every] - reference))), seconds))
     runs[CONTROLLED] = []
     for tolerance in STEP_TOLERANCES_K:
-        march, every = _march(model, mesh, driven, DEFAULT_STEP_S, tolerance_K=tolerance)
+        march, every = marched(model, mesh, driven, DEFAULT_STEP_S, tolerance_K=tolerance)
         out, seconds = _timed(march, 30)
         runs[CONTROLLED].append(Run(tolerance, float(np.max(np.abs(out[every::every] - reference))), seconds))
     for name, (method, compiled, tolerances) in SCIPY.items():
         runs[name] = []
         for tolerance in tolerances:
-            out, seconds = _timed(partial(_scipy, system, method, tolerance, outputs_s, compiled), 1)
+            out, seconds = _timed(partial(by_scipy, system, method, tolerance, outputs_s, compiled), 1)
             runs[name].append(Run(tolerance, float(np.max(np.abs(out - reference))), seconds))
     if cvodes.casadi is not None:
         runs |= _cvodes(system, outputs_s, reference)
@@ -144,27 +140,6 @@ def _cvodes(system: System, outputs_s: FloatArray, reference: FloatArray) -> dic
     return runs
 
 
-def _after_a_jump() -> dict[float, float]:
-    """Largest error of time integration at any node [K] by tolerance [K]: a jump of heating onto bare insulation."""
-    base = plug()
-    tile = base.construction.materials["li900"].model_copy(update={"emissivity": [[300.0, 0.85]]})
-    stack = Stack(layer=[Layer(material="li900", thickness_m=0.05)], initial_K=300.0, back="adiabatic")
-    construction = Construction(stack=stack, materials={"li900": tile})
-    model = PointModel("bare", construction, (0.004,), wall_enthalpy=base.wall_enthalpy, parameters={"ratio.d0": 1.0})
-    mesh = choose_meshes([model], DEFAULT_STEP_S)[0][0]
-    time_s = np.arange(0.0, JUMP_S + 0.5 * DEFAULT_STEP_S, DEFAULT_STEP_S)
-    history = np.zeros((1, len(time_s), len(CONDITION_COLUMNS)))
-    history[0, :, [TIME]] = time_s
-    for column, value in ((H_REF, JUMP_FILM_KG_M2_S), (RECOVERY_ENTHALPY, JUMP_H_R_J_KG), (P_SURFACE, 1000.0)):
-        history[..., column] = value
-    reference = _scipy(system_of(model, mesh, history), "LSODA", REFERENCE_TOLERANCE, time_s[1:])
-    found = {}
-    for tolerance in (NOT_CONTROLLED_K, STEP_TOLERANCE_K):
-        march, _ = _march(model, mesh, history, DEFAULT_STEP_S, tolerance_K=tolerance)
-        found[tolerance] = float(np.max(np.abs(march()[1:] - reference)))
-    return found
-
-
 def _in_space_and_time() -> dict[str, list[Run]]:
     """Errors of this scheme at surface and sensors, space and time together, against a fine mesh at fine steps."""
     _, history = entry(1.0)
@@ -172,7 +147,7 @@ def _in_space_and_time() -> dict[str, list[Run]]:
 
     def at_depths(nodes: int, step_s: float) -> tuple[Callable[[], FloatArray], int]:
         mesh = mesh_of(model, nodes)
-        return _march(model, mesh, driven, step_s, [0, mesh.bondline, *mesh.sensors])
+        return marched(model, mesh, driven, step_s, [0, mesh.bondline, *mesh.sensors])
 
     fine, every = at_depths(FINE_NODES, 1.0 / 16.0)
     reference = fine()[every::every]
@@ -216,15 +191,12 @@ def run() -> list[Figure]:
     with one_thread():
         in_time, apart = _in_time()
         in_both = _in_space_and_time()
-        jump = _after_a_jump()
     own = next(r for r in in_time[CONTROLLED] if r.setting == STEP_TOLERANCE_K)
     undivided = next(r for r in in_time[OWN] if r.setting == DEFAULT_STEP_S)
     figures = [
         Figure("two references (LSODA 1e-10, BDF 1e-8) apart", apart, "K", 0.01),
         Figure(f"this scheme at {DEFAULT_STEP_S:g} s: error of time integration", own.error_K, "K", 0.2),
         Figure("the same with undivided steps", undivided.error_K, "K"),
-        Figure("jump of heating onto bare insulation: error of time integration", jump[STEP_TOLERANCE_K], "K", 0.1),
-        Figure("the same with undivided steps", jump[NOT_CONTROLLED_K], "K"),
         Figure("one point, a whole entry", own.time_s * 1e3, "ms", note="7 of 8 lanes idle"),
     ]
     ratios = {
