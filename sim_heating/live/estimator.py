@@ -494,13 +494,18 @@ class LiveEstimator:
         """Go over to a new clock: a gap where it is a little ahead, else the state is taken over as it is."""
         jump = self.timeline.jump
         assert jump is not None
+        between = f"from {jump.from_s:g} to {jump.to_s:g} s"
         if 0.0 < jump.by_s <= BRIDGED_S:
-            self._tell(f"no frames from {jump.from_s:g} to {jump.to_s:g} s: a gap or a jump of the clock; bridged")
+            self._tell(
+                f"the clock jumped ahead {between}: the conditions hardly changed; bridged as a gap"
+                if jump.is_gap is False
+                else f"no frames {between}: a gap{'' if jump.is_gap else ' or a jump of the clock'}; bridged"
+            )
             self.timeline.follow(True)
             return
         way = "back" if jump.by_s < 0.0 else "ahead"
         self._tell(
-            f"the clock jumped {way} from {jump.from_s:g} to {jump.to_s:g} s; the state is taken over as it was, "
+            f"the clock jumped {way} {between}; the state is taken over as it was, "
             "readings on the old clock are not used"
         )
         self.advance()

@@ -250,8 +250,8 @@ def test_a_gap_is_bridged_and_the_bounds_grow(in_order):
         if isinstance(sample, Frame) and sample.time_s == 890.5:
             assert before is not None
             assert e.estimates()[e.names[0]].surface_sigma_K > 1.5 * before
-    assert "bridged" in e.messages[-1]
-    assert e.counts.jumps == 1
+    assert e.messages[-1] == "no frames from 880 to 890 s: a gap; bridged"
+    assert e.counts.jumps == 0
     value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
     assert abs(value - 0.05) < 4.0 * sigma
 
@@ -269,6 +269,26 @@ def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
     assert e.time_s == pytest.approx(END_S + by_s)
     a, b = e.estimates()[e.names[0]], in_order.estimates()[in_order.names[0]]
     assert abs(a.surface_K - b.surface_K) < 4.0 * b.surface_sigma_K + 1.0
+
+
+def test_a_clock_that_jumps_ahead_by_little_is_told_from_a_gap_by_the_conditions():
+    e = feed(estimator(), stamped(8.0))
+    assert e.messages[-1] == (
+        "the clock jumped ahead from 879.75 to 888 s: the conditions hardly changed; bridged as a gap"
+    )
+    assert e.counts.jumps == 1
+    value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
+    assert abs(value - 0.05) < 4.0 * sigma
+
+
+def test_a_few_lost_frames_of_a_slow_link_are_no_jump_and_nothing_read_meanwhile_is_lost():
+    """A frame a second, three lost; the readings of that time, sent apart from them, are used."""
+    slow = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
+    e = feed(estimator(), [s for s in slow if isinstance(s, Reading) or not 870.0 < s.time_s < 874.0])
+    assert e.messages == []
+    assert e.counts.jumps == e.counts.off_clock == 0
+    read = sum(len(step.words) for step in e._past)
+    assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e._past[-1].frame.time_s)
 
 
 def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> list[Sample]:
