@@ -188,9 +188,7 @@ def _stretched(flight_s: float) -> Iterator[Frame]:
         yield Frame(t, {n: frame.values[n] for n in known})
 
 
-def _sampled(
-    minutes: int, link: int, tab: int, page_port: int, shown: OpenPage
-) -> Iterator[dict[str, float]]:
+def _sampled(minutes: int, link: int, tab: int, page_port: int, shown: OpenPage) -> Iterator[dict[str, float]]:
     """Memory of link and tab, and how far the page has come, after each minute."""
     begun, busy = time.monotonic(), _busy_s(link)
     for minute in range(1, minutes + 1):

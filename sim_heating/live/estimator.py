@@ -314,8 +314,8 @@ class LiveEstimator:
         # from number `_log_from` on
         self._log: list[_Logged] = []
         self._log_from = 0
-        # time of the first suspected reading of a sensor whose next one has not come, by its number
-        self._undecided: dict[int, float] = {}
+        # times of suspected readings of a sensor whose next ones have not come, by its number
+        self._undecided: dict[int, set[float]] = {}
         self._given_until = -math.inf
         self.steps = 0
 
@@ -401,12 +401,20 @@ class LiveEstimator:
         self.timeline.late_sensors.clear()
 
     def _judge_repeated(self) -> None:
-        """Tell why times came again, once that is known: the clock of all went back, or that of some sensors."""
-        found = self.timeline.repeated_until_now()
+        """Tell that times come again, and then why, once that is known: the clock of all went back, or of some."""
+        now, found = self.timeline.repeated, self.timeline.repeated_until_now()
         if found is None:
             if self.timeline.is_two_sources:
                 self._tell("samples go on coming again with other values: two sources of one quantity")
+            elif now is not None and now.samples >= CONFIRMED_BY and not self._told_conflict:
+                self._told_conflict = True
+                self._tell(
+                    f"samples come for times from {now.first_s:g} s on that have come already: a clock that went back, "
+                    "or two sources of one quantity; which of them is told once that has ended"
+                )
             return
+        if found.samples >= CONFIRMED_BY:  # the next such event is told again
+            self._told_conflict, self.timeline.conflict_s = False, None
         if found.samples >= CONFIRMED_BY and self.timeline.is_of_frames(found):
             self._follow_back(found)
             return
@@ -473,12 +481,17 @@ class LiveEstimator:
         return NEAR_S if self.timeline.differs_s else 0.0
 
     def _decide(self, sample: Reading) -> None:
-        """Filter a suspected reading again, once the one after it has come."""
+        """Filter suspected readings again, once one after them has come."""
         number = self._sensors.numbers[sample.point, sample.sensor]
-        at_s = self._undecided.get(number, math.inf)
-        if at_s < sample.time_s <= at_s + NEAR_S:
+        waiting = self._undecided.get(number)
+        if not waiting:
+            return
+        decided = {at_s for at_s in waiting if at_s < sample.time_s <= at_s + NEAR_S}
+        self._dirty = (self._dirty[0], min([self._dirty[1], *decided]))
+        reached_s = self.timeline.newest_s - self.options.lateness_s - NEAR_S
+        self._undecided[number] = {at_s for at_s in waiting - decided if at_s > reached_s}
+        if not self._undecided[number]:
             del self._undecided[number]
-            self._dirty = (self._dirty[0], min(self._dirty[1], at_s))
 
     def _unknown(self, point: str, sensor: str) -> str:
         if point not in self._of_point:
@@ -650,7 +663,7 @@ class LiveEstimator:
             for k, (t, n, _) in enumerate(words):
                 found[k, 3] = (t, n) in spikes
                 if not spikes.get((t, n), True):
-                    self._undecided[n] = t
+                    self._undecided.setdefault(n, set()).add(t)
         return found
 
     def _take(

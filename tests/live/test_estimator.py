@@ -318,6 +318,21 @@ def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_use
     assert abs(alpha) < 3.0 * alpha_sigma
 
 
+def test_a_clock_that_goes_back_is_told_with_the_third_sample_of_it_and_judged_when_that_has_ended():
+    """Also where its frames lie between those of the flight so far, so that none has the time of another."""
+    e, told_s = estimator(), {}
+    for sample in stamped(-1.6):
+        e.add(sample)
+        e.advance()
+        for message in e.messages:
+            told_s.setdefault(message, sample.time_s)
+    first, then = told_s
+    assert "that have come already: a clock that went back, or two sources" in first
+    assert re.match("the clock went back by about 1.[56] s, from ", then)
+    assert told_s[first] < 880.0 - 1.6 + 0.8
+    assert 880.0 < told_s[then] < 880.0 + 2.5
+
+
 @pytest.mark.parametrize("late_s", [0.0, 1.5])
 def test_a_sensor_whose_own_clock_goes_back_is_left_out_from_there(late_s):
     name, rng = record().used_sensors[0].name, np.random.default_rng(4)
@@ -385,6 +400,30 @@ def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
     feed(lost, [s for s, t in zip(samples(), spiked(by_K), strict=True) if s == t])
     for a, b in zip(final(e), final(lost), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("first_K", "second_K"), [(40.0, 40.0), (-40.0, -60.0), (40.0, -40.0)])
+def test_two_readings_in_a_row_that_are_far_off_are_left_out_as_if_they_had_been_lost(first_K, second_K):
+    first, both = spiked(first_K), spiked(second_K, SPIKE_S + 0.5)
+    given = [a if a != s else b for s, a, b in zip(samples(), first, both, strict=True)]
+    e, lost = estimator(), estimator()
+    assert [read.time_s for read in left_out(e, given)] == pytest.approx([SPIKE_S, SPIKE_S + 0.5])
+    feed(lost, [s for s, t in zip(samples(), given, strict=True) if s == t])
+    for a, b in zip(final(e), final(lost), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+def test_three_readings_in_a_row_that_are_far_off_are_the_record_s():
+    assert left_out(estimator(), spiked(40.0, SPIKE_S + 1.0)) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_two_spikes_in_a_row_the_estimate_has_the_same_bits_in_any_order(seed):
+    rng = np.random.default_rng(seed)
+    arrive = [s.time_s + (rng.uniform(0.0, 1.9) if s.time_s > BEGIN_S else 0.0) for s in samples()]
+    given = spiked(40.0, SPIKE_S + 0.5)
+    late = feed(estimator(), [given[k] for k in np.argsort(arrive, kind="stable")])
+    assert_same_bits(late, feed(estimator(), given))
 
 
 @pytest.mark.parametrize("seed", range(3))

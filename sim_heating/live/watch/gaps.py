@@ -16,7 +16,7 @@ from sim_heating.live.types import Frame
 FRAMES = 40
 """Frames before it that a rate of change is taken from."""
 STEADY = 0.05
-"""Root mean square of what a column leaves a straight line by, over its change along it, to be counted as steady [-]."""
+"""Root mean square of what a steady column leaves a straight line by, over its change along that line, at most [-]."""
 LONGEST_OVER = 30.0
 """Time over which a rate is taken to last, over the time in which it was found [-]."""
 OF_GAP, OF_JUMP = 0.6, 0.3
