@@ -76,9 +76,9 @@ def spent_by_children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def resident_kB() -> float:
-    """Memory of this process that is in use [kB]; NaN where /proc does not tell."""
-    path = Path("/proc/self/status")
+def resident_kB(process: int | str = "self") -> float:
+    """Memory of a process, this one by default, that is in use [kB]; NaN where /proc does not tell."""
+    path = Path(f"/proc/{process}/status")
     lines = path.read_text().splitlines() if path.exists() else []
     return next((float(line.split()[1]) for line in lines if line.startswith("VmRSS")), float("nan"))
 

@@ -256,9 +256,8 @@ class Journal:
             self._sync()
 
     def _refused(self, error: OSError) -> None:
-        self.problem = (
-            f"journal {display_path(self.path)}: {os_error_reason(error)}; {len(self._waiting)} messages wait in memory"
-        )
+        count = f"{len(self._waiting)} " if len(self._waiting) > 1 else ""
+        self.problem = f"journal {display_path(self.path)}: {os_error_reason(error)}; {count}messages wait in memory"
         self._retry_at = time.monotonic() + RETRY_S
         try:
             os.ftruncate(self._file, self._size)

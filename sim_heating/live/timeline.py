@@ -2,7 +2,8 @@
 
 What is kept does not depend on the order in which samples of the window came in. A sample that is older than the
 newest frame by more than the window is too late. A frame far ahead of the clock, or behind it by more than the window,
-is a damaged time or a new clock: the third of such frames in a row, in order among themselves, is a new clock.
+is a damaged time or a new clock: the third of such frames in a row, in order among themselves, is a new clock, or the
+end of a gap. What is ahead by no more than a few lost frames is not far.
 
 A clock that goes back by less looks like late samples, but for one thing: its samples come at times that are taken
 already, with other values. Those times, from the first to the last, are as long as the jump, however late the samples
@@ -19,6 +20,7 @@ from enum import Enum
 from itertools import pairwise
 
 from sim_heating.live.types import Frame, Reading, Sample
+from sim_heating.live.watch.gaps import is_gap
 
 CONFIRMED_BY = 3
 """Number of frames in a row that make a new clock."""
@@ -34,6 +36,8 @@ MOST_APART = 1.5
 """Usual times between frames by which two may be apart without another one between them [-]."""
 RECENT_FRAMES = 40
 """Frames over which the usual time between them is found."""
+MOST_LOST = 4
+"""Frames lost in a row behind which the next one is not far ahead."""
 
 LONGEST_NUMBER = math.inf
 """Larger than the number of any sensor."""
@@ -55,10 +59,14 @@ class Placed(Enum):
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of the clock: from the last frame on the old one to the first on the new one [s]."""
+    """A jump of the clock: from the last frame on the old one to the first on the new one [s].
+
+    is_gap : whether the frames between are missing instead, as the conditions tell; None where they do not
+    """
 
     from_s: float
     to_s: float
+    is_gap: bool | None = False
 
     @property
     def by_s(self) -> float:
@@ -72,7 +80,7 @@ class Counts:
 
     late, too_late, doubled, lost : readings and frames that came behind others, after the window, twice, as no number
     off_clock                     : samples on another clock that was not confirmed, or of an old one
-    jumps                         : jumps of the clock
+    jumps                         : jumps of the clock, and gaps that may be one
     lateness_s                    : largest lateness of a sample that was still used [s]
     """
 
@@ -225,7 +233,9 @@ class Timeline:
         if not all(map(math.isfinite, (t, *frame.values.values()))):
             return Placed.LOST
         if self.frames and not self.newest_s - self.lateness_s <= t <= self.newest_s + self.jump_s:
-            return self._suspect(frame)
+            if not self._is_behind_lost_ones(frame):
+                return self._suspect(frame)
+            self._take_waiting(t)
         self._drop_suspects()
         if not self.frames or t > self.newest_s:
             self.frames_s.append(t)
@@ -342,10 +352,29 @@ class Timeline:
             self._drop_suspects()
         self._suspects.append(frame)
         if len(self._suspects) >= CONFIRMED_BY:
-            self.counts.jumps += 1
-            self.jump = Jump(self.newest_s, self._suspects[0].time_s)
+            first = self._suspects[0]
+            missing = False if first.time_s < self.newest_s else is_gap(self.frames, first)
+            self.counts.jumps += not missing
+            self.jump = Jump(self.newest_s, first.time_s, missing)
             return Placed.JUMPED
         return Placed.TOO_LATE if behind else Placed.WAITING
+
+    def _is_behind_lost_ones(self, frame: Frame) -> bool:
+        """Whether a few frames before this one are lost, and nothing tells that the clock jumped instead."""
+        t = frame.time_s
+        if not self.newest_s < t <= self.newest_s + (MOST_LOST + MOST_APART) * self.every_s:
+            return False
+        goes_on = bool(self._suspects) and 0.0 < t - self._suspects[-1].time_s <= self.jump_s
+        return not goes_on and is_gap(self.frames, frame) is not False
+
+    def _take_waiting(self, until_s: float) -> None:
+        """Take the readings that wait for frames, as far as a frame at a time reaches [s]."""
+        waiting, self._aside = self._aside, []
+        for word in waiting:
+            if self.newest_s < word[0] <= until_s + self.jump_s:
+                self._insert(word)
+            else:
+                self._aside.append(word)
 
     def _drop_suspects(self) -> None:
         if self._suspects or self._aside:

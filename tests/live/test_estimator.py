@@ -250,8 +250,8 @@ def test_a_gap_is_bridged_and_the_bounds_grow(in_order):
         if isinstance(sample, Frame) and sample.time_s == 890.5:
             assert before is not None
             assert e.estimates()[e.names[0]].surface_sigma_K > 1.5 * before
-    assert "bridged" in e.messages[-1]
-    assert e.counts.jumps == 1
+    assert e.messages[-1] == "no frames from 880 to 890 s: a gap; bridged"
+    assert e.counts.jumps == 0
     value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
     assert abs(value - 0.05) < 4.0 * sigma
 
@@ -269,6 +269,26 @@ def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
     assert e.time_s == pytest.approx(END_S + by_s)
     a, b = e.estimates()[e.names[0]], in_order.estimates()[in_order.names[0]]
     assert abs(a.surface_K - b.surface_K) < 4.0 * b.surface_sigma_K + 1.0
+
+
+def test_a_clock_that_jumps_ahead_by_little_is_told_from_a_gap_by_the_conditions():
+    e = feed(estimator(), stamped(8.0))
+    assert e.messages[-1] == (
+        "the clock jumped ahead from 879.75 to 888 s: the conditions hardly changed; bridged as a gap"
+    )
+    assert e.counts.jumps == 1
+    value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
+    assert abs(value - 0.05) < 4.0 * sigma
+
+
+def test_a_few_lost_frames_of_a_slow_link_are_no_jump_and_nothing_read_meanwhile_is_lost():
+    """A frame a second, three lost; the readings of that time, sent apart from them, are used."""
+    slow = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
+    e = feed(estimator(), [s for s in slow if isinstance(s, Reading) or not 870.0 < s.time_s < 874.0])
+    assert e.messages == []
+    assert e.counts.jumps == e.counts.off_clock == 0
+    read = sum(len(step.words) for step in e._past)
+    assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e._past[-1].frame.time_s)
 
 
 def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> list[Sample]:
@@ -296,6 +316,21 @@ def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_use
     (value, sigma), (alpha, alpha_sigma) = (found.parameters[n] for n in NAMES)
     assert abs(value - 0.05) < 3.0 * sigma
     assert abs(alpha) < 3.0 * alpha_sigma
+
+
+def test_a_clock_that_goes_back_is_told_with_the_third_sample_of_it_and_judged_when_that_has_ended():
+    """Also where its frames lie between those of the flight so far, so that none has the time of another."""
+    e, told_s = estimator(), {}
+    for sample in stamped(-1.6):
+        e.add(sample)
+        e.advance()
+        for message in e.messages:
+            told_s.setdefault(message, sample.time_s)
+    first, then = told_s
+    assert "that have come already: a clock that went back, or two sources" in first
+    assert re.match("the clock went back by about 1.[56] s, from ", then)
+    assert told_s[first] < 880.0 - 1.6 + 0.8
+    assert 880.0 < told_s[then] < 880.0 + 2.5
 
 
 @pytest.mark.parametrize("late_s", [0.0, 1.5])
@@ -365,6 +400,30 @@ def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
     feed(lost, [s for s, t in zip(samples(), spiked(by_K), strict=True) if s == t])
     for a, b in zip(final(e), final(lost), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("first_K", "second_K"), [(40.0, 40.0), (-40.0, -60.0), (40.0, -40.0)])
+def test_two_readings_in_a_row_that_are_far_off_are_left_out_as_if_they_had_been_lost(first_K, second_K):
+    first, both = spiked(first_K), spiked(second_K, SPIKE_S + 0.5)
+    given = [a if a != s else b for s, a, b in zip(samples(), first, both, strict=True)]
+    e, lost = estimator(), estimator()
+    assert [read.time_s for read in left_out(e, given)] == pytest.approx([SPIKE_S, SPIKE_S + 0.5])
+    feed(lost, [s for s, t in zip(samples(), given, strict=True) if s == t])
+    for a, b in zip(final(e), final(lost), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+def test_three_readings_in_a_row_that_are_far_off_are_the_record_s():
+    assert left_out(estimator(), spiked(40.0, SPIKE_S + 1.0)) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_two_spikes_in_a_row_the_estimate_has_the_same_bits_in_any_order(seed):
+    rng = np.random.default_rng(seed)
+    arrive = [s.time_s + (rng.uniform(0.0, 1.9) if s.time_s > BEGIN_S else 0.0) for s in samples()]
+    given = spiked(40.0, SPIKE_S + 0.5)
+    late = feed(estimator(), [given[k] for k in np.argsort(arrive, kind="stable")])
+    assert_same_bits(late, feed(estimator(), given))
 
 
 @pytest.mark.parametrize("seed", range(3))

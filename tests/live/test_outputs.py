@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 import socket
+import subprocess
 import time
+from dataclasses import replace
 from urllib.error import HTTPError
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
@@ -20,12 +23,14 @@ from benchmarks.served import Loop, Served, served
 from sim_heating.base.errors import InputError
 from sim_heating.live.outputs.display import Display, table_curve
 from sim_heating.live.outputs.history import History
-from sim_heating.live.outputs.lines import LARGEST_DATAGRAM, lines_to
+from sim_heating.live.outputs.lines import LARGEST_DATAGRAM, datagrams, lines_to
 from sim_heating.live.outputs.published import Published
 from sim_heating.live.outputs.server import PageServer, is_loopback
-from sim_heating.live.state import State, plain
+from sim_heating.live.state import RemovedSensor, State, plain
 
 NOTHING = Display("nothing", {})
+PROMTOOL = shutil.which("promtool")
+"""Prometheus's own check of its text format; None where it is not installed."""
 
 
 class _NoRedirect(HTTPRedirectHandler):
@@ -246,6 +251,62 @@ def test_a_display_that_comes_late_and_restarts_gets_the_lines(state):
     assert received[-1]["points"]["OE"]["surface_K"] == state.points["OE"].surface_K
 
 
+class AsPlotJuggler:
+    """Series as PlotJuggler's parser of JSON makes them with `timestamp` as its field of time.
+
+    From the first message on in which that is no number, it takes the time of arrival instead.
+    """
+
+    def __init__(self):
+        self.series, self._has_stamp = {}, True
+
+    def take(self, message, arrived_s):
+        found = json.loads(message)
+        stamp = found.get("timestamp")
+        self._has_stamp = self._has_stamp and isinstance(stamp, int | float)
+        for path, value in flat(found).items():
+            if isinstance(value, int | float):
+                self.series.setdefault(path, []).append((stamp if self._has_stamp else arrived_s, value))
+
+
+def test_a_display_like_plotjuggler_has_flight_times_from_the_first_line_on(flown, state):
+    """It listens from before the first sample on; nothing that it gets lacks a time."""
+    states = [State(0, None, 0.1), State(1, None, 0.2), *flown.states(flown.popu_s, flown.popu_s + 0.5)]
+    wanted = [(s.time_s, s.points["OE"].surface_K) for s in states[2:]]
+    by_udp, by_socket = AsPlotJuggler(), AsPlotJuggler()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as display, Loop() as loop:
+        display.bind(("127.0.0.1", 0))
+        display.settimeout(0.5)
+        lines = lines_to(f"udp://127.0.0.1:{display.getsockname()[1]}")
+        loop.run(lines.start())
+        for published in states:
+            Served(loop, lines).publish(published)
+        for _ in range(sum(len(datagrams(Published(s))) for s in states[2:])):
+            by_udp.take(display.recv(2048), 1e9)  # as much of a datagram as it reads
+        loop.run(lines.stop())
+
+    async def by_web_socket():
+        async def take(connection):
+            async for message in connection:
+                by_socket.take(message, 1e9)
+
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            port = probe.getsockname()[1]
+        async with serve(take, "127.0.0.1", port):
+            lines = lines_to(f"ws://127.0.0.1:{port}")
+            await lines.start()
+            for published in states:
+                lines.publish(Published(published))
+                await asyncio.sleep(0.05)
+            while len(by_socket.series.get("points/OE/surface_K", ())) < 1:
+                await asyncio.sleep(0.05)
+            await lines.stop()
+
+    asyncio.run(asyncio.wait_for(by_web_socket(), 30))
+    assert by_udp.series["points/OE/surface_K"] == wanted
+    assert set(by_socket.series["points/OE/surface_K"]) <= set(wanted)
+
+
 @pytest.mark.parametrize("address", ["127.0.0.1:9870", "http://127.0.0.1:9870", "udp://127.0.0.1", "udp://h:99999"])
 def test_an_address_that_is_none_of_a_display_is_told(address):
     with pytest.raises(InputError, match=r"^lines: .*give udp://HOST:PORT, ws://HOST:PORT"):
@@ -273,6 +334,17 @@ def test_metrics_are_those_of_the_latest_state(state):
     assert samples["sim_heating_parameter", scale] == point.parameters["ratio.scale"].value
     future = (("future", "planned"), ("point", "OE"))
     assert samples["sim_heating_ahead_limit_probability", future] == point.ahead["planned"].probability
+
+
+@pytest.mark.skipif(PROMTOOL is None, reason="needs promtool of Prometheus, which is not installed")
+def test_prometheus_s_own_check_has_no_complaint_of_the_metrics(state):
+    removed = RemovedSensor("OE", "OE_surface", 12.0, 'stuck at "1\\n"')
+    with served(NOTHING) as (server, page):
+        page.publish(replace(state, removed=[removed], missing=replace(state.missing, threshold=None)))
+        status, headers, text = ask(f"{server.url}metrics")
+    assert (status, headers.get_content_type()) == (200, "text/plain")
+    checked = subprocess.run([PROMTOOL, "check", "metrics"], input=text, capture_output=True, text=True, timeout=60)
+    assert (checked.returncode, checked.stdout + checked.stderr) == (0, "")
 
 
 def test_the_past_is_bounded_and_its_latest_part_whole(state):

@@ -9,7 +9,7 @@ from dataclasses import replace
 from benchmarks.browser import Browser
 from benchmarks.served import served
 from sim_heating.live.state import LinkState, RemovedSensor
-from tests.support.browser import hostile, needs_browser
+from tests.support.browser import PRINTABLE_PX, hostile, needs_browser
 
 pytestmark = needs_browser
 
@@ -147,6 +147,24 @@ def test_without_a_cursor_the_keys_of_the_strip_charts_show_the_latest_values(fl
         assert keys["surface"] == f"{point.surface_K:.1f}"
         assert keys["LS_surface measured"] == f"{point.sensors['LS_surface'].measured_K:.1f}"
         assert keys["limit 1533 K"] == ""  # it says it by its name
+
+
+def test_on_paper_all_charts_are_drawn_and_nothing_is_wider(flown):
+    """Also those that are not on the screen, which are not drawn there."""
+    with served(flown.display) as (server, page), Browser() as browser:
+        for state in flown.states(flown.popu_s, flown.popu_s + 5.0):
+            page.publish(state)
+        shown = browser.open(server.url, 390, 700)
+        wait_until(shown, DRAWN, lambda n: n >= 49)
+        drawn = "(() => { const c = document.querySelector('#ratio canvas'); return c ? c.toDataURL() : ''; })()"
+        before = shown.evaluate(drawn)
+        shown.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        wait_until(shown, drawn, lambda picture: picture != before)
+        shown.resize(PRINTABLE_PX)
+        shown.call("Emulation.setEmulatedMedia", media="print")
+        assert shown.evaluate("[...document.querySelectorAll('.chart canvas')].every((c) => c.offsetParent)")
+        assert shown.evaluate("document.documentElement.scrollWidth") <= PRINTABLE_PX
+        assert shown.complaints() == []
 
 
 def test_texts_of_a_link_are_shown_as_texts(flown):

@@ -91,6 +91,47 @@ def test_three_frames_in_a_row_on_another_clock_are_a_jump(to_s):
     assert line.put(frame(to_s + 0.3)) is Placed.TAKEN
 
 
+@pytest.mark.parametrize(("lost", "is_taken"), [(3, True), (4, True), (9, False)])
+def test_a_few_frames_lost_at_a_low_rate_are_no_new_clock(lost, is_taken):
+    line = Timeline(SENSORS)
+    for t in range(11):
+        line.put(frame(float(t)))
+    line.put(reading(10.5 + lost))
+    placed = line.put(frame(11.0 + lost))
+    assert (placed is Placed.TAKEN) == is_taken
+    assert line.words == ([(10.5 + lost, 0, 500.0)] if is_taken else [])
+    assert line.counts.jumps == line.counts.off_clock == 0
+
+
+@pytest.mark.parametrize(("passed_s", "is_gap"), [(20.0, True), (0.1, False)])
+def test_the_conditions_tell_a_gap_from_a_clock_that_jumped_ahead(passed_s, is_gap):
+    line = flown()
+    for k in range(3):
+        line.put(Frame(30.0 + 0.1 * k, frame(10.0 + passed_s + 0.1 * k).values))
+    assert line.jump is not None
+    assert line.jump.is_gap is is_gap
+    assert line.counts.jumps == (not is_gap)
+
+
+def test_conditions_that_stay_do_not_tell_a_gap_from_a_jump():
+    line = Timeline(SENSORS)
+    for t in (*np.arange(0.0, 10.05, 0.1), 30.0, 30.1, 30.2):
+        line.put(Frame(float(t), {"alpha_deg": 40.0}))
+    assert line.jump is not None
+    assert line.jump.is_gap is None
+    assert line.counts.jumps == 1
+
+
+def test_a_jump_ahead_by_a_few_frames_of_a_low_rate_is_one_where_the_conditions_tell():
+    line = Timeline(SENSORS)
+    for t in range(11):
+        line.put(frame(float(t)))
+    placed = [line.put(Frame(14.0 + k, frame(11.0 + k).values)) for k in range(3)]
+    assert placed[-1] is Placed.JUMPED
+    assert line.jump is not None
+    assert line.jump.is_gap is False
+
+
 def test_after_a_jump_back_readings_on_the_old_clock_are_kept_out():
     line = flown()
     for k in range(3):

@@ -4,8 +4,9 @@
     ws://HOST:PORT     its `WebSocket Server`, by default port 9871: the display listens, the link connects to it
 
 Messages hold numbers by their path in the state, such as `points/V09T9527/surface_K`, without the time histories of the
-look-ahead, and the flight time as `timestamp`, which PlotJuggler takes as time where it is told to. The whole state is
-served by `server.PageServer` at `/lines`.
+look-ahead, and the flight time as `timestamp`, which PlotJuggler takes as time where it is told to. A message in which
+that is no number would make it go over to the time of arrival for good: none is sent before the first flight time. The
+whole state is served by `server.PageServer` at `/lines`.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ class UdpLines:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def publish(self, published: Published) -> None:
-        """Send the state; what the network does not take at once is dropped."""
-        if self._socket is None:
+        """Send the state, where it has a flight time; what the network does not take at once is dropped."""
+        if self._socket is None or published.state.time_s is None:
             return
         for datagram in datagrams(published):
             try:
@@ -101,8 +102,9 @@ class WebSocketLines:
         self._task = asyncio.create_task(self._run())
 
     def publish(self, published: Published) -> None:
-        """Give the state to the display, when it takes it."""
-        self._latest.put(published)
+        """Give the state to the display, when it takes it; none before the first flight time."""
+        if published.state.time_s is not None:
+            self._latest.put(published)
 
     async def stop(self) -> None:
         """Close the connection."""

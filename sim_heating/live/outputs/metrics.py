@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 POINT = {
     "surface_kelvin": ("surface_K", "temperature of the outer surface"),
-    "surface_sigma_kelvin": ("surface_sigma_K", "its standard deviation"),
+    "surface_sigma_kelvin": ("surface_sigma_K", "standard deviation of the surface temperature"),
     "bondline_kelvin": ("bondline_K", "temperature of the bondline"),
-    "bondline_sigma_kelvin": ("bondline_sigma_K", "its standard deviation"),
+    "bondline_sigma_kelvin": ("bondline_sigma_K", "standard deviation of the bondline temperature"),
     "heating_ratio": ("ratio", "estimated heating ratio"),
-    "heating_ratio_sigma": ("ratio_sigma", "its standard deviation"),
+    "heating_ratio_sigma": ("ratio_sigma", "standard deviation of the heating ratio"),
     "heating_ratio_declared": ("ratio_declared", "heating ratio of the declared model"),
     "margin_kelvin": ("margin_K", "least present distance to a limit"),
     "knock_off_by_seconds": ("knock_off_by_s", "flight time until which stopping the manoeuvre keeps the limits"),
@@ -27,7 +27,7 @@ SENSOR = {
     "sensor_measured_kelvin": ("measured_K", "latest reading"),
     "sensor_predicted_kelvin": ("predicted_K", "predicted reading"),
     "sensor_sigma_kelvin": ("sigma_K", "standard deviation of the predicted reading"),
-    "sensor_used": ("used", "whether it updates the estimate"),
+    "sensor_used": ("used", "whether the sensor updates the estimate"),
 }
 FUTURE = {
     "ahead_peak_surface_kelvin": ("peak_surface_K", "highest surface temperature ahead"),
@@ -95,16 +95,19 @@ class Metrics:
         parameters = {
             (p, name, own.unit): own for p, point in state.points.items() for name, own in point.parameters.items()
         }
-        about = {"parameter": ("value", "estimated parameter"), "parameter_sigma": ("sigma", "its standard deviation")}
+        about = {
+            "parameter": ("value", "estimated parameter"),
+            "parameter_sigma": ("sigma", "standard deviation of it"),
+        }
         yield from _gauges(about, parameters, "point", "parameter", "unit")
         futures = {(p, name): own for p, point in state.points.items() for name, own in point.ahead.items()}
         yield from _gauges(FUTURE, futures, "point", "future")
         removed = {(own.point, own.sensor): own.since_s for own in state.removed}
-        yield _gauge("sensor_removed_since_seconds", "flight time since which it is out", removed, "point", "sensor")
+        yield _gauge("sensor_removed_since_seconds", "flight time since when it is out", removed, "point", "sensor")
         missing = state.missing
         yield _gauge("missing_effect_alarm", "whether the test for a missing effect has fired", {(): missing.alarm})
-        yield _gauge("missing_effect_statistic", "its statistic", {(): missing.statistic})
-        yield _gauge("missing_effect_threshold", "where it fires", {(): missing.threshold})
+        yield _gauge("missing_effect_statistic", "statistic of the test for a missing effect", {(): missing.statistic})
+        yield _gauge("missing_effect_threshold", "where the test for a missing effect fires", {(): missing.threshold})
         candidates = {(own.what,): own.probability for own in missing.candidates}
         yield _gauge("missing_effect_probability", "what could be missing", candidates, "effect")
 

@@ -450,7 +450,7 @@
       connect();
     }
   };
-  const paint = () => {
+  const paint = (whole = false) => {  // whole: what is not on the screen, too
     if (!dirty || state === null || document.hidden) return;
     dirty = false;
     paintFacts();
@@ -462,7 +462,7 @@
     paintFutures();
     paintRatioText();
     if (past === null || !past.time_s || !past.time_s.length || !charts.strips) return;
-    for (const [id, work] of [["strips", paintStrips], ["ahead", paintAhead], ["ratio", paintRatio]]) if (visible.has($(id))) work();
+    for (const [id, work] of [["strips", paintStrips], ["ahead", paintAhead], ["ratio", paintRatio]]) if (whole || visible.has($(id))) work();
     document.documentElement.dataset.drawn = String(state.sequence);
   };
   const visible = new Set();
@@ -490,6 +490,7 @@
   head($("parameters-head"), [["parameter"], ["value"], ["sigma"], ["unit", "words"]]);
   for (const id of ["strips", "ahead", "ratio"]) observer.observe($(id));
   document.addEventListener("visibilitychange", () => { dirty = true; });
+  window.addEventListener("beforeprint", () => { dirty = true; paint(true); });
   setInterval(() => { paintPhase(); paint(); }, TICK_MS);
   setInterval(() => { if (!document.hidden) fetchCurve().then(() => { dirty = true; }, () => {}); }, CURVE_MS);
   connect();
