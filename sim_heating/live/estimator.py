@@ -59,6 +59,8 @@ LARGEST_RATIO = 1.0
 """Heating ratio of which WIDE is a part where there is no table [-]."""
 BRIDGED_S = 60.0
 """Longest time without frames [s] that is bridged; after a longer one the state is taken over as it was."""
+TOGETHER = 32
+"""Frames that are looked at together, whether they lie on a straight line."""
 AGAIN = 4
 """Steps of the past that are filtered again with each new one."""
 LONGEST_AGAIN_S = 7200.0
@@ -159,8 +161,8 @@ class Innovation(NamedTuple):
     is_left_out: bool = False
 
 
-_Logged = tuple[float, int, float, float, float, float, float, bool]
-"""What is logged of a reading: time [s], number of its sensor, then as Innovation from innovation_K on."""
+_LOGGED = 8
+"""Columns of what is logged of a reading: time [s], number of its sensor, then as Innovation from innovation_K on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,7 @@ class _Kept:
     """State of all filters after a step.
 
     time_s    : end of the step [s];  decided_s : time of the last frame that the choice of its end depended on [s]
-    innovations : number of innovations until then;  past : number of steps until then that are kept
+    logged : number of steps until then;  past : number of steps until then that are kept to be taken again
     """
 
     time_s: float
@@ -176,20 +178,20 @@ class _Kept:
     values: FloatArray
     vectors: FloatArray
     filters: tuple[FilterSnapshot, ...]
-    innovations: int
+    logged: int
     past: int
 
 
 class _Past(NamedTuple):
     """A step that was taken, as it is to be taken again.
 
-    frame     : at its end;  decided_s, innovations : as of _Kept;  vectors : (point, condition) at its end
+    frame     : at its end;  decided_s, logged : as of _Kept;  vectors : (point, condition) at its end
     words     : (reading, 4) its readings;  at : estimates of the parameters after it, where they serve to begin again
     """
 
     frame: Frame
     decided_s: float
-    innovations: int
+    logged: int
     vectors: FloatArray
     words: FloatArray
     at: tuple[FloatArray, ...] | None
@@ -306,10 +308,10 @@ class LiveEstimator:
         self._kept: list[_Kept] = []
         self._provisional, self._changed = False, False
         # frames since the last step, all on one straight line
-        self._passed: list[tuple[Frame, FloatArray]] = []
+        self._passed: list[Frame] = []
         self._dirty = (math.inf, math.inf)
-        # from number `_log_from` on
-        self._log: list[_Logged] = []
+        # (reading, _LOGGED) of each step, in order of time and sensor, from step number `_log_from` on
+        self._log: list[FloatArray] = []
         self._log_from = 0
         # times of suspected readings of a sensor whose next ones have not come, by its number
         self._undecided: dict[int, set[float]] = {}
@@ -464,7 +466,7 @@ class LiveEstimator:
             return
         frame, reading = self._dirty
         if isinstance(sample, Frame):
-            if self._passed and sample.time_s < self._passed[-1][0].time_s:
+            if self._passed and sample.time_s < self._passed[-1].time_s:
                 self._passed = []
             if sample.time_s <= self._now.decided_s:
                 self._dirty = (min(frame, sample.time_s), reading)
@@ -599,36 +601,55 @@ class LiveEstimator:
         """Filter the frames since the last step; where filters take over that have taken the flight again, a second
         call goes on from there."""
         assert self._now is not None
-        last = self._passed[-1][0].time_s if self._passed else self._now.time_s
-        for frame in self.timeline.frames_after(last):
-            values = self._values(frame)
-            if self._passed and not self._on_line(frame, values):
-                self._commit(self._passed[-1][0], frame.time_s)
-            self._passed.append((frame, values))
-            if frame.time_s - self._now.time_s >= self.options.wait_s - 1e-9:
-                self._commit(frame, frame.time_s)
+        new = self.timeline.frames_after((self._passed or [self._now])[-1].time_s)
+        frames, first, at = [*self._passed, *new], len(self._passed), 0
+        time_s, columns = np.array([f.time_s for f in frames]), self.source.columns
+        values = np.array([[f.values[c] for c in columns] for f in frames])
+        while first < len(frames):
+            # the first one that has waited is the end of a step, where those before it lie on a straight line
+            waited = time_s[first:] - self._now.time_s >= self.options.wait_s - 1e-9
+            stop = first + int(np.argmax(waited)) if np.any(waited) else len(frames)
+            last = min(stop + 1, first + TOGETHER, len(frames))
+            bent = at + self._first_off_line(time_s[at:last], values[at:last], first - at)
+            if bent < last:
+                self._commit(frames[bent - 1], frames[bent].time_s)
+                at = first = bent
+            elif stop < last:
+                self._commit(frames[stop], frames[stop].time_s)
+                at = first = last
+            else:
+                first = last
+        self._passed = frames[at:]
         self._forget()
+
+    def _first_off_line(self, time_s: FloatArray, values: FloatArray, first: int) -> int:
+        """Number of the first frame, from number `first` on, to which no straight line leads from the last step; that
+        of frames for none.
+
+        time_s, values : (frame,), (frame, column) since the last step
+        """
+        assert self._now is not None
+        since, first = time_s - self._now.time_s, max(first, 1)  # a line to the first one has nothing beside it
+        if first >= len(since):
+            return len(since)
+        part = since[:, np.newaxis] / since[first:]
+        ends = values[first:] - self._now.values
+        away = (values - self._now.values)[:, np.newaxis] - part[..., np.newaxis] * ends
+        apart = (self._apart + self._share * np.abs(values))[:, np.newaxis]
+        before = np.arange(len(since))[:, np.newaxis] < np.arange(first, len(since))
+        off = ((np.abs(away) > apart).any(axis=2) & before).any(axis=0)
+        off |= since[first:] > self.options.wait_s + 1e-9
+        return first + int(np.argmax(off)) if np.any(off) else len(since)
 
     def _values(self, frame: Frame) -> FloatArray:
         return np.array([frame.values[c] for c in self.source.columns])
-
-    def _on_line(self, frame: Frame, values: FloatArray) -> bool:
-        """Whether the frames that were passed over lie on the straight line from the last step to a frame."""
-        assert self._now is not None
-        begin, span = self._now.time_s, frame.time_s - self._now.time_s
-        if span > self.options.wait_s + 1e-9:
-            return False
-        part = np.array([(f.time_s - begin) / span for f, _ in self._passed])
-        given = np.array([row for _, row in self._passed])
-        away = given - self._now.values - part[:, np.newaxis] * (values - self._now.values)
-        return bool((np.abs(away) <= self._apart + self._share * np.abs(given)).all())
 
     def _commit(self, frame: Frame, decided_s: float) -> None:
         """Filter up to a frame, and keep a snapshot where one is due."""
         assert self._now is not None
         last = self._now
         vectors, words = self._conditions(frame), self._words(last.time_s, frame.time_s)
-        self._log += self._take(self.filters, last.time_s, last.vectors, frame.time_s, vectors, words)
+        self._log.append(self._take(self.filters, last.time_s, last.vectors, frame.time_s, vectors, words))
         if self._begun_s is not None:
             due = self._again_due(last.time_s) < self._again_due(frame.time_s)
             at = tuple(e.values for f in self.filters for e in f.estimates()) if due else None
@@ -645,7 +666,7 @@ class LiveEstimator:
 
     @property
     def _logged(self) -> int:
-        """Number of innovations so far."""
+        """Number of steps whose innovations are, or were, logged."""
         return self._log_from + len(self._log)
 
     def _words(self, after_s: float, until_s: float) -> FloatArray:
@@ -654,9 +675,10 @@ class LiveEstimator:
         found = np.zeros((len(words), 4))
         if words:
             found[:, :3] = words
-        if self.timeline.differs_s:
+        jumping = {n for t, n in self.timeline.jumps if after_s < t <= until_s}
+        if jumping:
             near = self.timeline.words_between(after_s - NEAR_S, until_s + NEAR_S)
-            spikes = suspected(near, after_s, self._gate_K)
+            spikes = suspected([w for w in near if w[1] in jumping], after_s, self._gate_K)
             for k, (t, n, _) in enumerate(words):
                 found[k, 3] = (t, n) in spikes
                 if not spikes.get((t, n), True):
@@ -666,11 +688,11 @@ class LiveEstimator:
     def _take(
         self, filters: Sequence[OnlineFilter], begin: float, before: FloatArray, end: float, vectors: FloatArray,
         words: FloatArray, linearise: bool = True,
-    ) -> list[_Logged]:  # fmt: skip
+    ) -> FloatArray:  # fmt: skip
         """Take a step from one time to another with its readings, in parts of `longest_step_s` at most.
 
         before, vectors : (point, condition) at both ends
-        returns         : what is logged of the readings
+        returns         : (reading, _LOGGED) what is logged of the readings
         """
         steps = max(1, math.ceil((end - begin) / self.options.longest_step_s - 1e-9))
         part = np.arange(1, steps + 1) / steps
@@ -680,7 +702,7 @@ class LiveEstimator:
         histories[:, -1] = vectors
         # conditions are known at the ends of a gap alone
         unknown = min(GAP_ERROR_1_S * (end - begin), LARGEST_GAP_ERROR) if steps > 1 else 0.0
-        log: list[_Logged] = []
+        log: list[FloatArray] = []
         for k, f in enumerate(filters):
             first = k * LANES
             given, numbers, doubtful = self._sensors.readings(words, first, f, self._out)
@@ -703,10 +725,11 @@ class LiveEstimator:
                 variance = np.where(is_out, found.variance_K2, variance)
             read = np.isfinite(innovation)
             columns = given.time_s, numbers, innovation, variance, found.predicted_K, found.variance_K2, read_K, is_out
-            log += zip(*(column[read].tolist() for column in columns), strict=True)
+            log.append(np.column_stack(columns)[read])
         if linearise:
             self._linearise(filters, begin, end)
-        return log
+        logged = np.concatenate(log)
+        return logged[np.lexsort((logged[:, 1], logged[:, 0]))]
 
     def _without_spikes(
         self, f: OnlineFilter, filtered: Callable[[PointReadings], Innovations], given: PointReadings,
@@ -806,7 +829,7 @@ class LiveEstimator:
         """Go on with the second filters from the last step that they took; what came after it is taken again."""
         last = self._past[second.taken - 1]
         self._spare, self.filters, self._second = self.filters, second.filters, None
-        del self._past[second.taken :], self._log[last.innovations - self._log_from :]
+        del self._past[second.taken :], self._log[last.logged - self._log_from :]
         self._now = self._snapshot(last.frame.time_s, last.decided_s, self._values(last.frame), last.vectors)
         self._kept, self._passed, self._provisional, self._changed = [self._now], [], False, True
 
@@ -853,7 +876,7 @@ class LiveEstimator:
     def _return_to(self, kept: _Kept) -> None:
         for f, snapshot in zip(self.filters, kept.filters, strict=True):
             f.restore(snapshot)
-        del self._log[kept.innovations - self._log_from :], self._past[kept.past :]
+        del self._log[kept.logged - self._log_from :], self._past[kept.past :]
         self._now, self._provisional, self._passed = kept, False, []
 
     def _forget(self) -> None:
@@ -987,18 +1010,26 @@ class LiveEstimator:
         until = min(self.timeline.newest_s - self.options.lateness_s, self.timeline.held_s)
         if self._now is None or until <= self._given_until:
             return []
-        final = sorted(r for r in self._log if self._given_until < r[0] <= min(until, self._now.time_s))
+        final = self._logged_between(self._given_until, min(until, self._now.time_s))
         self._given_until = min(until, self._now.time_s)
         # those that no snapshot goes back to are needed no more
-        gone = self._kept[0].innovations - self._log_from
-        if self._log[:gone] and self._log[gone - 1][0] <= self._given_until:
+        gone = self._kept[0].logged - self._log_from
+        if all(step[-1, 0] <= self._given_until for step in self._log[:gone] if len(step)):
             del self._log[:gone]
             self._log_from += gone
-        place = self._sensors.place
-        return [
-            Innovation(t, *place[n], nu, S, predicted, of_it, read, is_out)
-            for t, n, nu, S, predicted, of_it, read, is_out in final
-        ]
+        numbers, place = final[:, 1].astype(int).tolist(), self._sensors.place
+        columns = [final[:, k].tolist() for k in range(2, _LOGGED - 1)]
+        points, sensors = [place[n][0] for n in numbers], [place[n][1] for n in numbers]
+        return list(map(Innovation, final[:, 0].tolist(), points, sensors, *columns, (final[:, -1] > 0.0).tolist()))
+
+    def _logged_between(self, after_s: float, until_s: float) -> FloatArray:
+        """(reading, _LOGGED) what is logged later than one time and up to another [s], in order of time and sensor."""
+        found: list[FloatArray] = []
+        for step in reversed(self._log):
+            if len(step) and step[-1, 0] <= after_s:
+                break
+            found.append(step[(step[:, 0] > after_s) & (step[:, 0] <= until_s)])
+        return np.concatenate([np.zeros((0, _LOGGED)), *reversed(found)])
 
     @property
     def diverged(self) -> list[str]:

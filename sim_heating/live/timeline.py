@@ -39,6 +39,8 @@ RECENT_FRAMES = 40
 MOST_LOST = 4
 """Frames lost in a row behind which the next one is not far ahead."""
 
+NOTHING_BEFORE = -math.inf, math.nan
+"""Time [s] and value [K] of the reading before the first one of a sensor."""
 LONGEST_NUMBER = math.inf
 """Larger than the number of any sensor."""
 LONGEST_S = 1e300
@@ -137,7 +139,8 @@ class Timeline:
     lateness_s : window [s]: how far behind the newest frame a sample may come
     jump_s     : how far ahead of the newest frame one may come [s], beyond which a new clock is suspected
     gate_K     : by sensor, by how much one reading may differ from the last that came, more than which is noted in
-                 `differs_s`, the times [s]; None for no such notes
+                 `differs_s`, the times [s]; twice as much from the one before it in time is noted in `jumps`, as time
+                 [s] and number of the sensor; None for no such notes
     frames_s, frames : times [s] and frames of the window in order;  words : readings in order
 
     `counts` and `jump`, the last jump of the clock, tell what happened. conflict_s : time of the first sample that came
@@ -158,13 +161,14 @@ class Timeline:
     repeated: Repeated | None = None
     is_two_sources: bool = False
     differs_s: list[float] = field(default_factory=list)
+    jumps: list[tuple[float, int]] = field(default_factory=list)
     late_sensors: list[tuple[int, float, bool]] = field(default_factory=list)
     _in_time_s: dict[int, float] = field(default_factory=dict)
     _late: dict[int, list[float]] = field(default_factory=dict)
     _behind: tuple[float, float] = (math.inf, -math.inf)
     _suspects: list[Frame] = field(default_factory=list)
     _aside: list[Word] = field(default_factory=list)
-    _last_word_s: dict[int, float] = field(default_factory=dict)
+    _last_word: dict[int, tuple[float, float]] = field(default_factory=dict)
     _last_K: dict[int, float] = field(default_factory=dict)
 
     def put(self, sample: Sample) -> Placed:
@@ -187,26 +191,32 @@ class Timeline:
         after_s : time [s] behind which they have to be
         returns : number of readings that were taken, as `put` would have; the next one is for `put`
         """
-        words, last_s, sensors = self.words, self._last_word_s, self.sensors
+        words, last, sensors = self.words, self._last_word, self.sensors
         first_s = max(after_s, self.newest_s - self.lateness_s)
         until_s = self.newest_s + self.jump_s if self.frames else LONGEST_S
-        before = words[-1][:2] if words else (-math.inf, -1)
+        behind_s, behind = words[-1][:2] if words else (-math.inf, -1)
         gate_K, last_K = self.gate_K, self._last_K
         late_s, in_time_s = self.newest_s - 0.5 * self.lateness_s, self._in_time_s
         for taken, reading in enumerate(readings):
             t, value_K = reading.time_s, reading.value_K
             number = sensors.get((reading.point, reading.sensor), -1)
+            before_s, before_K = last.get(number, NOTHING_BEFORE)
             # No comparison holds of what is no number.
-            in_time = first_s < t <= until_s and -math.inf < value_K < math.inf
-            place = t, number
-            if not (in_time and number >= 0 and place > before and t > last_s.get(number, -math.inf)):
+            if not (
+                first_s < t <= until_s and t > before_s and number >= 0 and -math.inf < value_K < math.inf
+                and (t > behind_s or (t == behind_s and number > behind))
+            ):  # fmt: skip
                 return taken
             words.append((t, number, value_K))
             if gate_K is not None:
-                if abs(value_K - last_K.get(number, value_K)) > gate_K[number]:
-                    self.differs_s += last_s.get(number, t), t
+                gate = gate_K[number]
+                if abs(value_K - last_K.get(number, value_K)) > gate:
+                    self.differs_s += (t if before_s == -math.inf else before_s), t
+                if abs(value_K - before_K) > 2.0 * gate:
+                    self.jumps.append((t, number))
                 last_K[number] = value_K
-            last_s[number], before = t, place
+            last[number] = t, value_K
+            behind_s, behind = t, number
             if t > late_s:
                 in_time_s[number] = t
             else:
@@ -394,7 +404,7 @@ class Timeline:
         if not bridged:
             self.counts.off_clock += sum(1 for w in self.words if w[0] > self.newest_s)
             self.frames_s, self.frames, self.words = [], [], []
-            self._last_word_s = {}
+            self._last_word, self.jumps = {}, []
             self._in_time_s = {}
         self.newest_s = found[-1].time_s
         self.frames_s += [f.time_s for f in found]
@@ -441,36 +451,43 @@ class Timeline:
             self.late_sensors.append((number, since_s, is_too_late))
 
     def _insert(self, word: Word) -> Placed:
-        t, number, _ = word
+        t, number, value_K = word
         self._note_lateness(number, t)
-        words, last = self.words, self._last_word_s.get(number, -math.inf)
+        words, (last_s, last_K) = self.words, self._last_word.get(number, NOTHING_BEFORE)
         if not words or word[:2] > words[-1][:2]:
             words.append(word)
         else:
             at = bisect_left(words, (t, number, -math.inf))
             if at < len(words) and words[at][:2] == (t, number):
                 return self._again(t, words[at] == word, number)
-            if self._has_time_of_another(word, at):
+            before, after = self._neighbours(number, at)
+            if _has_time_of_another(word, before, after):
                 self._repeat(t, number)
+            self._note_jump(before, word)
+            self._note_jump(word, after)
             words.insert(at, word)
         if self.gate_K is not None:
-            if abs(word[2] - self._last_K.get(number, word[2])) > self.gate_K[number]:
-                self.differs_s += min(last, t), t
-            self._last_K[number] = word[2]
-        if t > last:
-            self._last_word_s[number] = t
+            if abs(value_K - self._last_K.get(number, value_K)) > self.gate_K[number]:
+                self.differs_s += min(last_s, t), t
+            self._last_K[number] = value_K
+        if t > last_s:
+            self._note_jump((last_s, number, last_K), word)
+            self._last_word[number] = t, value_K
         # readings of a step may come behind its frame without being late: only one that a step has passed is
-        return Placed.LATE if t <= self.newest_s and t < last else Placed.TAKEN
+        return Placed.LATE if t <= self.newest_s and t < last_s else Placed.TAKEN
 
-    def _has_time_of_another(self, word: Word, at: int) -> bool:
-        """Whether a late reading has the time of another of its sensor but for what a clock rounds, and differs."""
-        t, number, value_K = word
-        before = next((w for w in reversed(self.words[:at]) if w[1] == number), None)
-        after = next((w for w in self.words[at:] if w[1] == number), None)
-        if before is None or after is None:
-            return False
-        nearest = min(before, after, key=lambda w: abs(w[0] - t))
-        return abs(nearest[0] - t) < SAME_TIME * (after[0] - before[0]) and nearest[2] != value_K
+    def _neighbours(self, number: int, at: int) -> tuple[Word | None, Word | None]:
+        """The readings of a sensor before and after a place among the words; None where there is none."""
+        words = self.words
+        before = next((words[k] for k in range(at - 1, -1, -1) if words[k][1] == number), None)
+        return before, next((words[k] for k in range(at, len(words)) if words[k][1] == number), None)
+
+    def _note_jump(self, before: Word | None, after: Word | None) -> None:
+        """Note where two readings of a sensor, one after the other in time, are far apart."""
+        if self.gate_K is None or before is None or after is None:
+            return
+        if abs(after[2] - before[2]) > 2.0 * self.gate_K[after[1]]:
+            self.jumps.append((after[0], after[1]))
 
     def frames_after(self, time_s: float) -> list[Frame]:
         """Frames later than a time [s], in order."""
@@ -491,3 +508,14 @@ class Timeline:
             del self.words[:at]
         if self.differs_s:
             self.differs_s = [t for t in self.differs_s if t >= before_s - words_s]
+        if self.jumps:
+            self.jumps = [jump for jump in self.jumps if jump[0] >= before_s - words_s]
+
+
+def _has_time_of_another(word: Word, before: Word | None, after: Word | None) -> bool:
+    """Whether a late reading has the time of another of its sensor but for what a clock rounds, and differs."""
+    if before is None or after is None:
+        return False
+    t, _, value_K = word
+    nearest = min(before, after, key=lambda w: abs(w[0] - t))
+    return abs(nearest[0] - t) < SAME_TIME * (after[0] - before[0]) and nearest[2] != value_K

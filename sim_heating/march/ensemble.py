@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,7 +48,7 @@ from sim_heating.march.point import (
     kernel_effects,
     stack_values,
 )
-from sim_heating.thermal.elements import set_point, set_temperatures
+from sim_heating.thermal.elements import Elements, set_lanes, set_point, set_temperatures
 from sim_heating.thermal.frame import STEP_TOLERANCE_K, compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import BackFace, Material
@@ -109,6 +110,14 @@ class LaneOffsets:
         row : row of the block ahead of its nodes (base/kernels/block.py)
         """
         return self.start + row * LANES + self.lane
+
+
+class PointLanes(NamedTuple):
+    """Lanes of points of one wall: (point, 5) where the block of its group and the integers of that begin and end, and
+    the number of the lane in it; elements of the wall."""
+
+    places: IntArray
+    elements: Elements
 
 
 class Ensemble:
@@ -297,20 +306,22 @@ class Ensemble:
         B, J = self.block(place.group), self.integers(place.group)
         set_point(B, J, place.lane, place.end, elements, stack, heating)
 
-    def write_values(self, state: FloatArray, model: int, stack: FloatArray, heating: FloatArray) -> None:
-        """Write parameter values of a point into its own lane of a state of this ensemble, or of a copy of it.
+    def lanes_of(self, models: Sequence[int]) -> PointLanes:
+        """The own lanes of points of one wall, as `write_lanes` takes them."""
+        places = [(*self.groups[self.lane_offsets[i].group], self.lane_offsets[i].lane) for i in models]
+        return PointLanes(np.array(places, dtype=np.int64), self._elements[models[0]])
 
-        state  : (number,) as `state`, changed;  model : index of the point
-        stack, heating : as for `set_values`
+    def write_lanes(self, state: FloatArray, lanes: PointLanes, stack: FloatArray, heating: FloatArray) -> None:
+        """Write parameter values of points of one wall into their own lanes of a state of this ensemble, or of a copy.
 
-        Lanes that fill a group keep theirs, so that a march may go on: heat contents of the lane itself are to be
+        state : (number,) as `state`, changed;  lanes : as of `lanes_of`
+        stack, heating : (point, parameter), (point, N_PARAMETERS), each row as for `set_values`
+
+        Lanes that fill a group keep theirs, so that a march may go on: heat contents of the lanes themselves are to be
         evaluated again before the next step, and nobody would do so for those. Source:
         docs/theory/equations_thermal_step.md, eq. 8.
         """
-        place = self.lane_offsets[model]
-        start, end = self.groups[place.group, :2]
-        J = self.integers(place.group)
-        set_point(state[start:end], J, place.lane, place.lane + 1, self._elements[model], stack, heating)
+        set_lanes(state, self.ints, lanes.places, lanes.elements, stack, heating)
 
     # State -----------------------------------------------------------------------------------------------------------
 

@@ -215,6 +215,24 @@ def set_point(
 
 
 @njit
+def set_lanes(
+    state: FloatArray, ints: IntArray, places: IntArray, elements: Elements, stack: FloatArray, heating: FloatArray
+) -> None:
+    """Write parameters of one point into several lanes, each with its own values.
+
+    state, ints    : blocks of lane groups, one after the other, and their integers, changed
+    places         : (lane, 5) where the block of its group begins and ends, where the integers of that do, its number
+    elements       : elements of the point, lengths [m] and densities [kg/m3] among them
+    stack, heating : (lane, STACK_WIDTH), (lane, N_PARAMETERS), as for `set_point`
+
+    Source: docs/theory/equations_thermal_step.md, equation 8; docs/theory/equations.md, section 2.
+    """
+    for k in range(len(places)):
+        B, J = state[places[k, 0] : places[k, 1]], ints[places[k, 2] : places[k, 3]]
+        set_point(B, J, places[k, 4], places[k, 4] + 1, elements, stack[k], heating[k])
+
+
+@njit
 def set_temperatures(B: FloatArray, first: int, last: int, nodes: int, temperature_K: FloatArray) -> None:
     """Set the node temperatures of a point in its lanes, and forget the rate and curvature of its last step.
 

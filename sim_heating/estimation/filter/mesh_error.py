@@ -30,9 +30,11 @@ class MeshError:
         self._meshes, self._fine = tuple(meshes), tuple(halve_elements(mesh) for mesh in meshes)
         self._both = Ensemble([*models, *models], [*self._meshes, *self._fine])
         count = len(self._meshes)
-        same = [_same_nodes(mesh) for mesh in self._meshes]
-        self._coarse_at = [self._both.node_offsets(i) for i in range(count)]
-        self._fine_at = [self._both.node_offsets(count + i, nodes) for i, nodes in enumerate(same)]
+        most, same = max(mesh.nodes for mesh in self._meshes), [_same_nodes(mesh) for mesh in self._meshes]
+        coarse = [self._both.node_offsets(i) for i in range(count)]
+        fine = [self._both.node_offsets(count + i, nodes) for i, nodes in enumerate(same)]
+        # (mesh, point, node); points with fewer nodes repeat their last one
+        self._at = np.array([[[*of, *[of[-1]] * (most - len(of))] for of in both] for both in (coarse, fine)])
 
     def begin(self, models: Sequence[PointModel], initial_K: Sequence[FloatArray], conditions: FloatArray) -> None:
         """Start a march.
@@ -54,16 +56,16 @@ class MeshError:
         """March by dt [s] to conditions (point, condition) that are linear in between (docs/theory/filter.md)."""
         self._both.advance(np.concatenate([conditions, conditions]), dt)
 
-    def of_nodes(self, i: int) -> FloatArray:
-        """(node,) limit of fine meshes less the temperatures of a point's mesh [K]; 0 where a march failed.
+    def of_nodes(self) -> FloatArray:
+        """(point, node) limit of fine meshes less the temperatures of each point's mesh [K]; 0 where a march failed.
 
-        i : number of the point
-
-        Source: docs/theory/estimation_statistics.md, equation 31.
+        Points with fewer nodes than the largest one repeat their last one. Source:
+        docs/theory/estimation_statistics.md, equation 31.
         """
-        state = self._both.state
-        found = 4.0 / 3.0 * (state[self._fine_at[i]] - state[self._coarse_at[i]])
-        return found if np.all(np.isfinite(found)) else np.zeros(len(found))
+        coarse, fine = self._both.state[self._at]
+        found = 4.0 / 3.0 * (fine - coarse)
+        found[~np.isfinite(found).all(axis=1)] = 0.0
+        return found
 
     @property
     def state(self) -> FloatArray:

@@ -61,6 +61,7 @@ from sim_heating.estimation.filter.kernel import (
 )
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.mesh_error import MeshError
+from sim_heating.march.ensemble import PointLanes
 from sim_heating.march.frames import Flights
 from sim_heating.march.linearised import RATIO_ITSELF
 from sim_heating.march.point import PointModel, heating_vector, initial_temperatures, stack_values
@@ -245,6 +246,7 @@ class OnlineFilter(FilterMarch):
         for i, point in enumerate(own):
             self._declared[self._lane_of[i], : len(point.names)] = [point.model.value(n) for n in point.names]
         self._packed = [PackedModel.of(p.model, p.names) for p in own]
+        self._lanes_of = [self._written(i) for i in range(len(own))]
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
         self._mesh_error = MeshError([p.model for p in own], [p.mesh for p in own]) if corrects_mesh else None
@@ -366,15 +368,14 @@ class OnlineFilter(FilterMarch):
         """Readings of some steps as the mesh of their points shows them: their biases have its error at those times."""
         if self._mesh_error is None:
             return readings
-        step, bias, now_s = np.searchsorted(time_s, readings.time_s), readings.bias_K.copy(), self.now_s
+        step, error_K, now_s = np.searchsorted(time_s, readings.time_s), np.zeros(len(readings.node)), self.now_s
         for k, end_s in enumerate(time_s.tolist()):
             self._mesh_error.advance(conditions[:, k], end_s - now_s)
             now_s = end_s
-            for i in range(len(self.points)):
-                mine = (step == k) & (readings.point == i)
-                if np.any(mine):
-                    bias[mine] += readings.gain[mine] * self._mesh_error.of_nodes(i)[readings.node[mine]]
-        return readings._replace(bias_K=bias)
+            mine = step == k
+            if np.any(mine):
+                error_K[mine] = self._mesh_error.of_nodes()[readings.point[mine], readings.node[mine]]
+        return readings._replace(bias_K=readings.bias_K + readings.gain * error_K)
 
     def linearise_again(self, i: int, moved: float = MOVED) -> bool:
         """Linearise a point about its present estimate, where that has moved; whether it has.
@@ -407,17 +408,15 @@ class OnlineFilter(FilterMarch):
             self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._declared,
             self._stepped, found,
         )  # fmt: skip
-        return [self._estimate(i, found) for i in range(lanes)]
+        error_K = np.zeros((lanes, n)) if self._mesh_error is None else self._mesh_error.of_nodes()
+        return [self._estimate(i, found, error_K[i]) for i in range(lanes)]
 
-    def _estimate(self, i: int, found: Outlook) -> PointEstimate:
+    def _estimate(self, i: int, found: Outlook, error_K: FloatArray) -> PointEstimate:
         lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
         sigma = np.sqrt(np.maximum(found.variance[lane, : n + 1], 0.0))
         ratio, ratio_sigma, ratio_declared = found.ratio[lane].tolist()
-        temperature = found.z[lane, :n]
-        if self._mesh_error is not None:
-            temperature = temperature + self._mesh_error.of_nodes(i)
         return PointEstimate(
-            self.now_s, temperature, sigma[:n], float(found.z[lane, n]), float(sigma[n]),
+            self.now_s, found.z[lane, :n] + error_K[:n], sigma[:n], float(found.z[lane, n]), float(sigma[n]),
             ratio, ratio_sigma, ratio_declared, self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
             self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
         )  # fmt: skip
@@ -519,17 +518,23 @@ class OnlineFilter(FilterMarch):
         direct[(*at, slice(0, readings.direct.shape[1]))] = readings.direct
         return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
 
+    def _written(self, i: int) -> tuple[PointLanes, PointLanes, list[tuple[str, float]]]:
+        """Nominal and perturbed lanes of a point, and by how much which parameter is larger in each of all of them."""
+        assert self.perturbed is not None
+        mine = [k for k, perturbed in enumerate(self._lanes) if perturbed.track == i]
+        changes = [("", 0.0), *((self._lanes[k].name, self._lanes[k].by) for k in mine)]
+        return self.nominal.lanes_of([i]), self.perturbed.lanes_of(mine), changes
+
     def _write_model(self, i: int) -> None:
         """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
         lane, e = self._lane_of[i], self.perturbed
         at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
-        packed = self._packed[i]
-        self.nominal.write_values(self.nominal.state, i, *packed.values(at, d, "", 0.0))
-        for k, perturbed in enumerate(self._lanes):
-            if e is not None and perturbed.track == i:
-                values = packed.values(at, d, perturbed.name, perturbed.by)
-                for state in self._X:
-                    e.write_values(state, k, *values)
+        own, perturbed, changes = self._lanes_of[i]
+        stack, heating = self._packed[i].rows(at, d, changes)
+        self.nominal.write_lanes(self.nominal.state, own, stack[:1], heating[:1])
+        if e is not None:
+            for state in self._X:
+                e.write_lanes(state, perturbed, stack[1:], heating[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -576,6 +581,24 @@ class PackedModel:
                 stack[in_stack], heating[in_heating] = value, value
         heating[D0] += d
         return stack, heating
+
+    def rows(
+        self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(lane, value) of stack and heating as of `values`, of lanes that have one parameter each changed by so much."""
+        stack, heating = self.values(at, 0.0, "", 0.0)
+        stacks, heatings = np.tile(stack, (len(changes), 1)), np.tile(heating, (len(changes), 1))
+        known = dict(zip(self.names, at, strict=False))
+        is_entries = all(self.places[n] is not None for n in known)
+        for k, (name, by) in enumerate(changes):
+            place = self.places[name] if name and is_entries else None
+            if place is not None:
+                value = known.get(name, self.model.value(name)) + by
+                stacks[k, place[0]], heatings[k, place[1]] = value, value
+            elif name:
+                stacks[k], heatings[k] = self.values(at, 0.0, name, by)
+        heatings[:, D0] += d
+        return stacks, heatings
 
 
 def _no_samples() -> Samples:
