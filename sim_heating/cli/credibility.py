@@ -14,7 +14,7 @@ from sim_heating.cli.output import report_files, report_results
 if TYPE_CHECKING:
     from sim_heating.credibility.region import ValidationCase
 
-RESULTS = ("summary.json", "estimate.json", "closure.json", "study.json", "campaign.json")
+RESULTS = ("summary.json", "estimate.json", "closure.json", "study.json", "campaign.json", "design.json", "live.json")
 """Files that hold a credibility statement."""
 SHOW = "show"
 

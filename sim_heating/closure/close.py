@@ -37,11 +37,11 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_effects,
     fitted_values,
 )
-from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.table_prior.findings import table_error, table_findings
 from sim_heating.closure.table_prior.prior import table_prior
 from sim_heating.estimation.fit import FitResult, estimate
-from sim_heating.estimation.inference.newton import NewtonSettings
+from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.remarks import remarks
@@ -272,27 +272,35 @@ def _rivals(result: SearchResult) -> list[Hypothesis]:
     return list(rivals)
 
 
+def valued(found: Conclusion) -> list[str]:
+    """Names of a conclusion whose values no last fit has: all of a set, and what a record resembles."""
+    sets = [names for names in found.alternatives if len(names) > 1 or found.finding == PARTLY]
+    return [name for names in sets for name in names]
+
+
 def _alternative_values(result: SearchResult) -> dict[str, dict[str, ParameterEstimate]]:
-    """Estimates of each effect of a set: of the best hypothesis with it, as the search fitted it."""
-    names = [name for names in result.conclusion.alternatives if len(names) > 1 for name in names]
+    """Estimates of each of these by its name in the report: of the best hypothesis with it, as the search fitted it."""
+    named = [result.conclusion.best, *(h for h in result.hypotheses if h.admissible)]
     values = {}
-    for name in names:
-        found = next((h for h in (result.conclusion.best, *result.hypotheses) if name in h.effects), None)
-        if found is not None:
-            values[name] = _values_of(found, name)
+    for name in valued(result.conclusion):
+        found = next((h for h in named if name in h.names or name in h.effects), None)
+        if found is not None and (own := _values_of(found, name)):
+            values[_in_words(result, name)] = own
     return values
 
 
 def _values_of(found: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
-    """Estimates of an effect of a hypothesis by their names within it."""
-    last = found.last
-    estimated = {
-        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
-        for u, v, s in zip(last.problem.unknowns, last.fit.values, last.fit.sigma, strict=True)
-    }
-    if found.change is not None and found.change.change.effect == name:
+    """Estimates of a cause of a hypothesis by their names within it."""
+    estimated = estimates_of(found.last.problem, found.last.fit)
+    if found.change is not None and found.change.change.name == name:
         return change_parameters(found.change, estimated)
-    return effect_parameters(next(t for t in found.added if t.name == name), estimated)
+    return effect_parameters(next(t for t in found.trials if t.name == name), estimated)
+
+
+def estimates_of(problem: FitProblem, fit: Fit) -> dict[str, ParameterEstimate]:
+    """The estimates of a fit by label, with the bounds of its information."""
+    pairs = zip(problem.unknowns, fit.values, fit.sigma, strict=True)
+    return {u.label: ParameterEstimate(float(v), float(s), u.parameter.unit) for u, v, s in pairs}
 
 
 def _in_words(result: SearchResult, name: str) -> str:

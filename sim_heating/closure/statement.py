@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from sim_heating.base.parameters import AT
 from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy
 from sim_heating.closure.search.tell_apart import Experiment
 
@@ -51,10 +52,12 @@ def values_in_words(parameters: Mapping[str, ParameterEstimate]) -> str:
 
 
 def _value_in_words(name: str, p: ParameterEstimate) -> str:
-    if name.endswith(FACTOR) and p.unit == "1":
+    own, at, whose = name.partition(AT)
+    if own.endswith(FACTOR) and p.unit == "1":
         percent = 100.0 * (p.value - 1.0)
-        noun = NOUNS.get(name, name.removesuffix(FACTOR).replace("_", " "))
-        return f"{noun} {abs(percent):.2g} % {'higher' if percent > 0.0 else 'lower'}"
+        noun = NOUNS.get(own, own.removesuffix(FACTOR).replace("_", " "))
+        where = f" in {whose}" if at else ""
+        return f"{noun} {abs(percent):.2g} % {'higher' if percent > 0.0 else 'lower'}{where}"
     return f"{name} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}"
 
 
@@ -97,7 +100,8 @@ class Statement:
     not_effects  : causes that are no aerothermal effect
     converged    : whether the last fit converged
     would_tell_apart : measurements and manoeuvres that are expected to tell the alternatives apart, the best first
-    alternative_values : estimates of each effect of a set, fitted with it, by its name and theirs
+    alternative_values : estimates of each member of a set, or of what the residual resembles, each fitted without the
+                   others: by its name in `alternatives` and theirs
     experiment   : what may be repeated: "flight", or "test" of a record without flow
     """
 
@@ -146,7 +150,9 @@ class Statement:
         """What was found, the effects of a set with their values."""
 
         def shown(name: str, names: Sequence[str]) -> str:
-            values = values_in_words(self.alternative_values.get(name, {})) if len(names) > 1 else ""
+            # a cause in words has its value there
+            is_effect = len(names) > 1 and " " not in name
+            values = values_in_words(self.alternative_values.get(name, {})) if is_effect else ""
             return f"{name} ({values})" if values else name
 
         return " + ".join(" or ".join(shown(name, names) for name in names) for names in self.alternatives)

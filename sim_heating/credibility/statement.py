@@ -41,7 +41,7 @@ NO_READINGS = Answer(True, "no readings of its own")
 class Facts:
     """What is known about a result, from which its evidence follows.
 
-    kind         : `run`, `prediction`, `estimate`, `closed loop`, `study` or `campaign`
+    kind         : `run`, `prediction`, `estimate`, `closed loop`, `study`, `campaign`, `design` or `link`
     topics       : of the equations that it uses
     model        : what its model is built from;  conditions : what its flight conditions come from
     files        : what it was made from -> digest

@@ -235,7 +235,8 @@ FORMATS: tuple[FileFormat, ...] = (
             "effects": "all effects in the order in which they were added, where there is more than one",
             "finding": "`found`, `one of`, `partly`, `unknown` or `none`",
             "alternatives": "for each thing found, the names that this record cannot tell apart, the likeliest first",
-            "alternative_values": "estimates of each effect of a set, each fitted without the others, by names",
+            "alternative_values": "estimates of each member of a set, or of what the residual resembles, each fitted "
+            "without the others, by their names in `alternatives`",
             "adequacy": "whether the model with what was named explains the record: `p_value`, `chi2_fit`, "
                         "`chi2_holdout`, `lag1`",
             "probability": "calibrated probability that the named effect is missing; null where none is stated",

@@ -13,7 +13,8 @@ import pytest
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.cli import main
-from sim_heating.estimation.design.check import repeated_fits
+from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
+from sim_heating.estimation.design.credibility import credibility_of_design
 from sim_heating.estimation.design.information import (
     PRESSURE,
     Experiment,
@@ -251,6 +252,33 @@ def test_the_page_of_a_design_says_in_words_what_a_sensor_alone_does_not_identif
     page = (flap_design / "report.html").read_text().replace("<wbr>", "")
     (row,) = re.findall("<td>without</td><td[^>]*>BODYFLAP_surface</td>(.*)</tr>", page)
     assert re.sub("<[^>]*>", " ", row).split() == ["not", "identified", "not", "identified"]
+
+
+def test_a_design_states_what_supports_it(flap_design):
+    """Before a flight nothing is measured: the bounds come from the model, flown as the search flies it."""
+    block = json.loads((flap_design / "design.json").read_text())["credibility"]
+    assert block["factors"]["data_pedigree"]["level"] >= 1
+    assert "trajectory entry-3dof" in block["verification"]["topics"]
+    assert 0.0 <= block["region"]["inside"] <= 1.0
+    assert block["uncertainty"]["quantity"].startswith("heating ratio")
+    assert not block["evidence"]["uncertainty.consistent"]["met"]
+    assert "--repetitions" in block["evidence"]["uncertainty.consistent"]["finding"]
+    assert "two sigma" in block["evidence"]["robustness.holds"]["finding"]
+    assert ">Credibility</h2>" in (flap_design / "report.html").read_text()
+
+
+def test_simulated_fits_that_err_as_the_bounds_say_are_evidence_for_a_design(planner, planned, planned_experiment):
+    """Errors twice as large are not, nor are fits that failed."""
+    names = planned_experiment.names
+    fits = RepeatedFits(names, np.outer([-1.0, 1.0], planned_experiment.sigma(names)), failed=0)
+
+    def evidence(of: RepeatedFits) -> bool:
+        found = credibility_of_design(planner, planned, planned_experiment, (planned,), (of, planned_experiment))
+        return found.findings["uncertainty.consistent"].holds
+
+    assert evidence(fits)
+    assert not evidence(replace(fits, error=2.0 * fits.error))
+    assert not evidence(replace(fits, failed=1))
 
 
 @needs_browser

@@ -100,6 +100,31 @@ def test_the_report_of_a_link_holds_each_point_s_histories_and_ratio(replayed: P
     assert "What came" in page
 
 
+def test_the_end_of_a_link_states_what_supports_its_estimates(replayed: Path, capsys):
+    """A replayed record: its flight and its model are those of the record, and its readings are met as noise allows."""
+    block = read_json(replayed / "live.json")["credibility"]
+    assert {"record cut", "journal.bin"} <= set(block["files"])
+    assert block["region"]["inside"] < 1.0  # p06 is no measured flight
+    assert block["region"]["outside"]
+    assert "running filter" in block["verification"]["uncovered"]
+    assert block["evidence"]["uncertainty.consistent"]["met"]
+    assert "no control point has a temperature limit" in block["evidence"]["robustness.holds"]["finding"]
+    assert ">Credibility</h2>" in (replayed / "report.html").read_text()
+    assert main(["credibility", str(replayed)]) == 0
+    assert "live.json" in capsys.readouterr().out
+
+
+def test_telemetry_states_no_source_and_a_surface_near_its_limit_is_told(tmp_path):
+    """What flies beyond a socket is not known to the link; the vehicle and its limits are."""
+    link = of_vehicle(tmp_path)
+    assert main(["live", str(link), "--headless", "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    block = read_json(tmp_path / "out" / "live.json")["credibility"]
+    assert block["factors"]["input_pedigree"]["level"] == 1
+    assert "telemetry of source json-lines" in block["evidence"]["inputs.sources"]["finding"]
+    assert block["evidence"]["robustness.holds"]["met"]
+    assert "vehicle orbiter" in block["files"]
+
+
 def test_json_is_one_object_with_the_last_state(cut: Path, tmp_path, capsys):
     found = run_json(capsys, "live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(tmp_path / "o"))
     assert found["results"] == read_json(tmp_path / "o" / "live.json")

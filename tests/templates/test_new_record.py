@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from scipy.integrate import solve_ivp
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
@@ -17,14 +16,12 @@ from sim_heating.base.files.schema import schema_path
 from sim_heating.cli import cli, main
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import load_record
-from sim_heating.templates.materials import find_material, layer_input, material_library
+from sim_heating.templates.materials import find_material, layer_input
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, read_measured_csv
 from sim_heating.templates.quantities import quantity
 from sim_heating.thermal.stack import Material
 from tests.support.paths import AIRCRAFT, RECORDS
-
-SIGMA = 5.670374419e-8
-FLUX_W_M2, ON_S, OFF_S, ROOM_K = 18e3, 10.0, 130.0, 293.15
+from tests.support.plates import FLUX_W_M2, PLATE, plate_K, write_logger_file
 
 
 @pytest.fixture(autouse=True)
@@ -42,44 +39,6 @@ def refused(*arguments: str) -> str:
     assert isinstance(result.exception, InputError), result.output
     assert "\n" not in str(result.exception)
     return str(result.exception)
-
-
-def plate_K(time_s: np.ndarray, heat_capacity: float = 1.0, emittance: float = 0.8) -> np.ndarray:
-    """Temperature of a copper plate of 3 mm under a lamp: thin, so that it has one temperature.
-
-    rho c(T) L dT/dt = q - eps sigma (T^4 - T_room^4), integrated without this program
-    """
-    copper = material_library()["copper"]
-    T_table, c_table = np.array(copper.specific_heat_J_kgK).T
-
-    def rate(t: float, T: np.ndarray) -> np.ndarray:
-        q = np.interp(t, [ON_S, ON_S + 0.1, OFF_S, OFF_S + 0.1], [0.0, FLUX_W_M2, FLUX_W_M2, 0.0])
-        stored = copper.density_kg_m3 * heat_capacity * np.interp(T, T_table, c_table) * 3e-3
-        return (q - emittance * SIGMA * (T**4 - ROOM_K**4)) / stored
-
-    found = solve_ivp(rate, (0.0, time_s[-1]), [ROOM_K], t_eval=time_s, max_step=1.0, rtol=1e-8, atol=1e-6)
-    return found.y[0]
-
-
-def write_logger_file(path: Path, time_s: np.ndarray, T_K: np.ndarray) -> None:
-    """A spreadsheet of a Windows data logger: a line before the names, semicolons, decimal commas, degC in a line."""
-    rows = [f"{t:.1f};{T - 273.15:.2f};OK" for t, T in zip(time_s, T_K, strict=True)]
-    text = "\r\n".join(["Test 12, copper plate", "Time;TC 1;Status", "s;°C;", *rows]).replace(".", ",")
-    path.write_bytes(text.encode("cp1252"))
-
-
-PLATE = (
-    "--layer",
-    "copper 3 mm",
-    "--depth",
-    "TC 1=back",
-    "--lamp",
-    "18 kW/m2",
-    "--lit",
-    "10,130",
-    "--emissivity",
-    "0.8",
-)
 
 
 def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit() -> None:

@@ -26,6 +26,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.search.changes.flight_changes import contradicted_by_motion, flight_changes, motion_evidence
+from sim_heating.closure.search.changes.lamp_changes import lamp_changes
 from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
@@ -199,7 +200,8 @@ def _changes(
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
     changes = [
-        *flight_changes(record, discrepancies), *wall_changes(record), *shape_changes(record), *sensor_changes(base),
+        *flight_changes(record, discrepancies), *lamp_changes(record), *wall_changes(record), *shape_changes(record),
+        *sensor_changes(base),
     ]  # fmt: skip
     changes = [
         c for c in changes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +20,10 @@ from sim_heating.closure.close import (
     ClosedLoop,
     close_loop,
     effect_parameters,
+    estimates_of,
     refit_priors,
     rmse_K,
+    valued,
     write_closed_loop,
 )
 from sim_heating.closure.report import CandidateScore, Finding
@@ -203,6 +205,7 @@ def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult 
             not_effects=_not_effects(best, estimated) if search.explained else [],
             converged=fitted is None or fitted.fit.converged,
             would_tell_apart=_would_tell_apart(loops, conclusion.alternatives),
+            alternative_values=_alternative_values(search),
         ),
         candidates=_candidates(search, shares),
         parameters=estimated,
@@ -228,13 +231,27 @@ def _would_tell_apart(loops: Sequence[ClosedLoop], alternatives: Sequence[Sequen
     return sorted(best.values(), key=lambda e: -e.log_odds)
 
 
+def _alternative_values(search: JointSearch) -> dict[str, dict[str, ParameterEstimate]]:
+    """Estimates of each member of a set, or of what the records resemble: of the best joint hypothesis with it."""
+    named, values = [h for h in search.hypotheses if h.admissible], {}
+    for name in valued(search.conclusion):
+        found = next((h for h in named if name in h.names), None)
+        if found is None or found.model is None:
+            continue
+        if own := _parameters(found, name, estimates_of(found.model.problem, found.last.fit)):
+            values[name] = own
+    return values
+
+
 def _parameters(
-    best: JointHypothesis, effect: str, estimated: dict[str, ParameterEstimate]
+    best: JointHypothesis, cause: str, estimated: Mapping[str, ParameterEstimate]
 ) -> dict[str, ParameterEstimate]:
-    """The estimates of an effect by their names within it; a point's or a record's own as `name@owner`."""
+    """The estimates of a cause by their names within it; a point's or a record's own as `name@owner`."""
     assert best.model is not None
-    candidate = next(c for c in best.model.cause.candidates if c.name == effect)
-    trial, found = TrialFit(effect, candidate, best.last.problem, None, best.last.fit), {}
+    candidate = next((c for c in best.model.cause.candidates if c.name == cause), None)
+    if candidate is None:  # a change without a parameter, as another material
+        return {}
+    trial, found = TrialFit(cause, candidate, best.last.problem, None, best.last.fit), {}
     for label, estimate in estimated.items():
         name, at, whose = label.partition(AT)
         found.update({f"{short}{at}{whose}": e for short, e in effect_parameters(trial, {name: estimate}).items()})

@@ -112,6 +112,7 @@ class JointClosure:
         """What differs between the records, and faults of their data, a line each."""
         best = self.search.best
         lines = [f"{c.record.name}, by itself: {f.message}" for c in self.closures for f in c.faults]
+        lines += self._not_tried_in_common()
         if best.model is None or not self.search.explained:
             return lines
         for e in self.search.evidence:
@@ -127,6 +128,17 @@ class JointClosure:
             if len(own) > 1 and level != best.model.cause.widest[name]:
                 values = ", ".join(f"{p.value:.4g} +- {p.sigma:.2g} in {k.partition(AT)[2]}" for k, p in own.items())
                 lines.append(f"{name.rpartition('.')[2]} is not in common: {values}")
+        return lines
+
+    def _not_tried_in_common(self) -> list[str]:
+        """What explains a record by itself and was not fitted to all, as the flux of a lamp, a line each."""
+        tried = {name for h in self.search.hypotheses for name in h.names}
+        lines = []
+        for closure, alone in zip(self.closures, self.search.alone, strict=True):
+            sets = zip(alone.conclusion.alternatives, closure.statement.alternatives, strict=True)
+            words = [w for names, said in sets for n, w in zip(names, said, strict=True) if n not in tried]
+            if alone.explained and words:
+                lines.append(f"{closure.record.name}, by itself: {_listed(words)}, which was not tried in common")
         return lines
 
 

@@ -1,4 +1,4 @@
-"""A design from scenario to files: design.json, bounds.csv and pictures.
+"""A design from scenario to files: design.json, bounds.csv, pictures and a page.
 
 The pictures show the planned and the optimal manoeuvre, the bounds along each number, and those with other instruments.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,10 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import ANGLES, new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.report.table import Column, Table
+from sim_heating.credibility.section import credibility_section
+from sim_heating.credibility.statement import Statement
 from sim_heating.estimation.design.check import RepeatedFits, repeated_fits
+from sim_heating.estimation.design.credibility import credibility_of_design
 from sim_heating.estimation.design.information import PRESSURE, Experiment, design_criterion
 from sim_heating.estimation.design.instruments import InstrumentVariant, instrumentation
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
@@ -73,6 +77,13 @@ class DesignResult:
     def wanted(self) -> tuple[str, ...]:
         """Parameters that the manoeuvres are to estimate."""
         return self.planner.wanted
+
+    @cached_property
+    def credibility(self) -> Statement:
+        """What supports the design, factor by factor."""
+        best = self.found.best
+        flown = (best,) if self.checked is None else (best, self.checked.best)
+        return credibility_of_design(self.planner, best, self.found.best_experiment, flown, self.fitted)
 
 
 def design(
@@ -169,6 +180,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "fitted": _fit_summary(designed),
         "notes": notes(designed),
         "program": f"sim-heating {package_version()}",
+        "credibility": designed.credibility.as_json(),
     }
 
 
@@ -279,6 +291,7 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     sections = [
         Section("Bounds", [count], notes(designed), [bounds], shown[:2]),
         Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
+        credibility_section(found["credibility"]),
     ]
     subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
     return Page(designed.scenario.title, subtitle, sections)

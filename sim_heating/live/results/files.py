@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.inputs.record import write_record
+from sim_heating.inputs.record import Record, write_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.journal import NAME
 from sim_heating.live.state import State, plain
@@ -19,8 +20,8 @@ FORMAT = "live/1"
 RESULT, PAGE = "live.json", "report.html"
 
 
-def summary(engine: LinkEngine, state: State) -> dict[str, Any]:
-    """Contents of live.json: what came, the last state, all remarks."""
+def summary(engine: LinkEngine, state: State, credibility: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Contents of live.json: what came, the last state, all remarks, and what supports the estimates."""
     return {
         "format": FORMAT,
         "title": engine.link.title,
@@ -29,6 +30,7 @@ def summary(engine: LinkEngine, state: State) -> dict[str, Any]:
         "state": plain(state),
         "remarks": engine.remarks.lines(),
         "program": f"sim-heating {package_version()}",
+        "credibility": credibility,
     }
 
 
@@ -38,19 +40,28 @@ def write_results(engine: LinkEngine, state: State, out: str | os.PathLike[str])
     returns : names of the files and folders, and one line for each thing that could not be made
     """
     from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+    from sim_heating.live.results.credibility import credibility_of_link
     from sim_heating.live.results.report import live_page
 
     notes: list[str] = []
+    records: dict[str, Record] = {}
+    journal = Path(out) / NAME
     with output_directory(out, "live", inputs=[engine.link.path]) as folder:
-        write_json(folder / RESULT, summary(engine, state))
-        write_page(folder / PAGE, live_page(engine, state))
         try:
-            stretch, left_out = longest_stretch(samples_of(Path(out) / NAME, engine.link), engine.link)
+            stretch, left_out = longest_stretch(samples_of(journal, engine.link), engine.link)
             notes += left_out
-            for name, record in records_of(engine.link, stretch).items():
-                comment = "Made by sim-heating live of what came over a link."
-                write_record(record, folder / RECORDS / name, comment=comment)
+            records = records_of(engine.link, stretch)
         except InputError as error:
             notes += [f"no record: {line}" for line in error.problems]
+        supported = None
+        try:
+            supported = credibility_of_link(engine, state, records, {NAME: journal, "link": engine.link.path}).as_json()
+        except InputError as error:  # of a vehicle or a record that is no longer where it was
+            notes += [f"no credibility statement: {line}" for line in error.problems]
+        write_json(folder / RESULT, summary(engine, state, supported))
+        write_page(folder / PAGE, live_page(engine, state, supported))
+        for name, record in records.items():
+            comment = "Made by sim-heating live of what came over a link."
+            write_record(record, folder / RECORDS / name, comment=comment)
         names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
     return names, notes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.report.chart import COLORS, Chart, Curve, Panel, Span
 from sim_heating.base.report.page import Page, Section
 from sim_heating.base.report.table import Column, Table
+from sim_heating.credibility.section import credibility_section
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.state import PointState, State
 
@@ -20,10 +22,11 @@ BIN_DEG = 0.1
 """Angles of attack of which the latest estimate of the heating ratio is shown [deg]."""
 
 
-def live_page(engine: LinkEngine, state: State) -> Page:
+def live_page(engine: LinkEngine, state: State, credibility: Mapping[str, Any] | None) -> Page:
     """The report of a link.
 
-    engine : that followed it, with what it kept;  state : the last one
+    engine      : that followed it, with what it kept;  state : the last one
+    credibility : what supports the estimates, as live.json has it; None where it could not be told
     """
     warnings = [one.text for one in state.removed]
     remarks = [line for line in engine.remarks.lines() if line not in warnings]
@@ -35,6 +38,8 @@ def live_page(engine: LinkEngine, state: State) -> Page:
         more = len(remarks) - MOST_REMARKS
         text = [f"{more} more are in live.json."] if more > 0 else []
         sections.append(Section("Remarks", text, points=remarks[:MOST_REMARKS]))
+    if credibility is not None:
+        sections.append(credibility_section(credibility))
     when = "no estimate" if state.time_s is None else f"up to {state.time_s:.1f} s of flight"
     count = len(engine.link.names)
     subtitle = f"Link, {count} control point{'s' * (count != 1)}, {when}"

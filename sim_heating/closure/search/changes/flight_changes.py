@@ -65,13 +65,15 @@ HEATED = 0.15
 
 
 def motion_evidence(record: Record, fit: ChangeFit) -> float:
-    """What the motion of the flight says against a change of the record, in units of BIC; 0 for one of wall or sensors.
+    """What the motion of the flight says against a change of the record, in units of BIC; 0 where it says nothing.
 
     Negative where the motion follows from the forces better with the change. The heating alone hardly tells a layer of
     density from an error of the velocity; the drag does.
     record : the whole record, with all samples of its conditions
+
+    It says nothing of a change of wall or sensors, or of a test without flow.
     """
-    if fit.change.kind != "flight":
+    if fit.change.kind != "flight" or not record.has_flow:
         return 0.0
     changed = fit.change.apply(record, fit.value)
     return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
@@ -86,7 +88,7 @@ def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
     that deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the
     heating by a flight that was not flown.
     """
-    if fit.change.kind != "flight":
+    if fit.change.kind != "flight" or not record.has_flow:
         return []
     changed = fit.change.apply(record, fit.value).conditions
     return [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(record.conditions, changed)[:1]]
