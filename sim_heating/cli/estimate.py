@@ -301,6 +301,8 @@ def _estimate_trend(
 
 def _print_errors(found: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
+    from sim_heating.estimation.report.remarks import floor_in_words
+
     declared, innovations = (found.model_extra or {}).get("predicted", {}), found.innovations
     march = "" if innovations is None else ", plain march without readings"
     for what in ("fit", "holdout"):
@@ -314,8 +316,8 @@ def _print_errors(found: Any) -> None:
             f"RMSE, innovations, which the fit minimised: {innovations.rmse_K:.2f} K, "
             f"{innovations.normalised_rms:.2f} of what the filter expects ({innovations.n} samples)"
         )
-    if found.noise_floor_K is not None:
-        CONSOLE.print(f"Noise floor: {found.noise_floor_K:.2f} K")
+    if floor := floor_in_words(found):
+        CONSOLE.print(f"Noise floor: {floor}")
 
 
 @click.command()

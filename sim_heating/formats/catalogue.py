@@ -253,7 +253,7 @@ FORMATS: tuple[FileFormat, ...] = (
             "data_faults": "errors of the record itself: `kind`, `message`",
             "false_alarm": "chance of naming an effect where nothing is missing",
             "warnings": "on the fit and its residual",
-            "remarks": "estimates that nature does not have, or that mean less than their sigma says: `kind`, "
+            "remarks": "estimates that nature does not have, or that mean less than their sigma or errors say: `kind`, "
             "`parameters`, `message`, `meaning`",
             "program": "name and version of the program",
             "credibility": "self-assessment: the level of each factor with its reason, and what it was computed from",

@@ -200,13 +200,16 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         )
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
-    flux_W_m2 = float(f"{factor * quantity(lamp, 'W/m2', '--lamp', f'--lamp {FLUX_EXAMPLE}'):.12g}")
+    lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
+    flux_W_m2 = float(f"{factor * lamp_W_m2:.12g}")
+    part = f"{flux_W_m2:g} W/m2 absorbed{'' if absorptance is None else f', {absorptance:g} of {lamp_W_m2:g} W/m2'}"
     if lit_s is None:
         meaning = "flux that the surface absorbs, from the first row to the last"
         ends = {"time_s": times[[0, -1]]}
-        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{flux_W_m2:g} W/m2 throughout, {part}")
+        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{part}, throughout")
     clock, lit = _lit(times, lit_s)
-    note = f"{flux_W_m2:g} W/m2 from {lit_s[0]:g} to {lit_s[1]:g} s, {part}"
+    after = "" if lit_s[1] <= times[-1] else f", which is after the last reading, {times[-1]:g} s (--lit)"
+    note = f"{part}, from {lit_s[0]:g} to {lit_s[1]:g} s{after}"
     return Heat({"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}, (), "none", note)
 
 

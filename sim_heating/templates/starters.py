@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, suggestion, write_own_files, write_text_atomic
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
@@ -31,14 +32,34 @@ ENTRY = {"altitude_m": 120000.0, "velocity_m_s": 7450.0}
 VARIABLES: dict[str, tuple[str, float, float, float, float]] = {
     "mach": ("1", 12.0, 2.0, 1.0, 30.0),
     "alpha_deg": ("deg", 38.0, 3.0, -10.0, 60.0),
-    "beta_deg": ("deg", 0.0, 2.0, -20.0, 20.0),
+    "beta_deg": ("deg", 3.0, 1.5, -20.0, 20.0),
     "log10_re": ("1", 6.0, 0.5, 2.0, 9.0),
-    "elevon_deg": ("deg", 0.0, 5.0, -40.0, 40.0),
-    "bodyflap_deg": ("deg", 10.0, 5.0, -20.0, 30.0),
+    "elevon_deg": ("deg", 5.0, 3.0, -40.0, 40.0),
+    "bodyflap_deg": ("deg", 20.0, 3.0, -20.0, 30.0),
     "time_s": ("s", 600.0, 100.0, 0.0, 1e5),
     "wall_K": ("K", 1000.0, 100.0, 200.0, 3000.0),
 }
 """Variables of an effect: unit, centre, width, lowest and highest value that a file starts with."""
+MANOEUVRES: dict[str, tuple[str, dict[str, Any]]] = {
+    "alpha_deg": (
+        "a pushover-pullup, in which angle of attack changes quickly",
+        {"kind": "popu", "at_velocity_m_s": 6096.0, "down_deg": 5.0, "up_deg": 5.0},
+    ),
+    "beta_deg": (
+        "without it the flight has no sideslip, and nothing of the effect",
+        {"kind": "sideslip-doublet", "at_velocity_m_s": 5000.0, "amplitude_deg": 4.0, "rate_deg_s": 1.5, "hold_s": 8.0},
+    ),
+    "elevon_deg": (
+        "the elevons move apart from angle of attack and speed, out and back",
+        {"kind": "elevon-pulse", "at_velocity_m_s": 6000.0, "amplitude_deg": 6.0, "rate_deg_s": 3.0, "hold_s": 8.0,
+         "count": 2, "pause_s": 8.0, "alternate": True},
+    ),
+    "bodyflap_deg": (
+        "the body flap moves apart from angle of attack and speed, out and back",
+        {"kind": "bodyflap-pulse", "at_velocity_m_s": 5200.0, "amplitude_deg": 8.0, "rate_deg_s": 3.0, "hold_s": 8.0},
+    ),
+}  # fmt: skip
+"""Manoeuvres that move the variable of an effect: why, and the keys of the scenario."""
 
 
 def write_new_scenario(
@@ -176,7 +197,12 @@ def write_new_effect(
     if variable not in VARIABLES:
         assert set(VARIABLES) - {"wall_K"} <= set(CONDITION_COLUMNS)
         raise InputError(f"--variable {variable}: is not one{suggestion(variable, VARIABLES)}")
-    load_vehicle(vehicle).control_point(point)
+    flown = load_vehicle(vehicle)
+    flown.control_point(point)
+    if variable in SURFACES and variable not in flown.surfaces:
+        raise InputError(
+            f"--variable {variable}: {flown.name} has no such control surface; name another variable or --vehicle"
+        )
     unit, centre, width, lower, upper = VARIABLES[variable]
     size = "rise" if mode != "emittance" else "change"
     values: dict[str, Any] = {
@@ -193,8 +219,8 @@ def write_new_effect(
                  "emittance": "multiplies the emittance"}[mode],
         "read": "wall_K" if variable == "wall_K" else f"B[c + flight.{variable}]",
         "folder": folder.as_posix(), "vehicle": shown_place(vehicle, folder), "point": point,
-        "popu": variable == "alpha_deg" or "orbiter" in vehicle,
-        "gamma_deg": entry_angle_deg(load_vehicle(vehicle)),
+        "manoeuvre": _manoeuvre(variable, vehicle),
+        "gamma_deg": entry_angle_deg(flown),
         "truth": {"multiply": 0.25, "add": 0.1, "emittance": -0.2}[mode],
     }  # fmt: skip
     files = {
@@ -204,3 +230,9 @@ def write_new_effect(
     }
     write_own_files(folder, COMMAND, files)
     return [folder / n for n in files]
+
+
+def _manoeuvre(variable: str, vehicle: str) -> dict[str, Any] | None:
+    """The manoeuvre of an effect's practice flight: one that moves its variable; of the Orbiter one in any case."""
+    named = variable if variable in MANOEUVRES else "alpha_deg" if "orbiter" in vehicle else None
+    return None if named is None else dict(zip(("why", "stated"), MANOEUVRES[named], strict=True))

@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim_heating.estimation.fit import FitResult, estimate
@@ -16,9 +17,12 @@ from sim_heating.estimation.report.remarks import (
     MEANINGS,
     NEGATIVE_CONDUCTIVITY,
     NEGATIVE_RATIO,
+    NOISE,
     PRIOR,
+    RANGE_END,
     remarks,
 )
+from sim_heating.inputs.record import load_record
 from tests.support.json_output import run_json
 from tests.support.paths import BOARD, PRACTICE, TILE
 
@@ -60,6 +64,33 @@ def test_a_ratio_below_0_is_remarked_with_its_duration() -> None:
     remark = found[NEGATIVE_RATIO]
     assert remark.parameters == ["ratio.scale"]
     assert re.fullmatch(r"p06: the heating ratio is negative for [1-9]\d* s", remark.message)
+
+
+def test_a_misfit_is_not_taken_for_the_noise_of_a_sensor_without_being_told() -> None:
+    """p04 lacks a transition, which a fit of the magnitude leaves; p06 lacks nothing, and its noise is that found."""
+    found = {}
+    for name in ("p04", "p06"):
+        record = load_record(PRACTICE / name)
+        silent = record.with_sensors([s.model_copy(update={"noise_sigma_K": None}) for s in record.sensors])
+        found[name] = [r for r in remarks(estimate(silent, ["ratio.scale"])) if r.kind == NOISE]
+    assert found["p06"] == []
+    assert len(found["p04"]) == 3  # all but the bondline, which no heating has reached
+    assert "no noise is declared" in found["p04"][0].message
+
+
+def test_readings_at_the_end_of_their_range_are_counted_where_the_model_goes_on() -> None:
+    """A recorder whose span ends 60 K below the peak of p06: its readings there say no more than `at least`."""
+    record = load_record(PRACTICE / "p06")
+    first = record.used_sensors[0]
+    readings_K = record.temperatures_K([first])[0]
+    end_K = float(np.nanmax(readings_K)) - 60.0
+    short = first.model_copy(update={"bits": 10, "range_K": [first.range_K[0], end_K]})
+    others = [short if s.name == first.name else s for s in record.sensors]
+    (remark,) = remarks(estimate(record.with_sensors(others), ["ratio.scale"]))
+    clipped = int(np.count_nonzero(readings_K > end_K - short.lsb_K / 2.0))
+    assert (remark.kind, remark.parameters) == (RANGE_END, [])
+    assert f"{clipped} readings" in remark.message
+    assert f"upper end of its range, {end_K:.0f} K" in remark.message
 
 
 def test_a_good_fit_has_none() -> None:

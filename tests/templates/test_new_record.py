@@ -124,6 +124,16 @@ def test_samples_without_a_number_are_lost_samples_and_not_zeros() -> None:
     assert "2 lost samples (Open TC)" in column.reason
 
 
+def test_the_flux_of_a_lamp_is_told_as_absorbed_and_as_incident() -> None:
+    time_s = np.arange(0.0, 301.0, 5.0)
+    write_logger_file(Path("temps.csv"), time_s, plate_K(time_s))
+    plate = ["new", "record", "--csv", "temps.csv", *PLATE[:4], "--emissivity", "0.8", "--lamp", "20 kW/m2"]
+    shown = " ".join(run(*plate, "--lit", "10,130", "--absorptance", "0.9", "--out", "plate").output.split())
+    assert "heated by 18000 W/m2 absorbed, 0.9 of 20000 W/m2, from 10 to 130 s" in shown
+    shown = " ".join(run(*plate, "--lit", "10,500", "--out", "late").output.split())
+    assert "20000 W/m2 absorbed, from 10 to 500 s, which is after the last reading, 300 s (--lit)" in shown
+
+
 def test_a_lamp_may_be_a_column_of_the_file_or_a_file_of_its_own() -> None:
     Path("t.csv").write_text("time_s,TC_K,heat flux [kW/m2]\n0,300,0\n10,300,20\n20,310,20\n")
     arguments = (

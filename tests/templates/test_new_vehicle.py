@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,21 @@ def test_new_effects_are_found_checked_and_flown() -> None:
     assert "12 passed" in done.stdout
 
 
+@pytest.mark.parametrize("variable", ["alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg"])
+def test_the_practice_flight_of_a_new_effect_moves_its_variable(variable: str) -> None:
+    """Within half a minute from the effect's centre to where it is hardly there: nothing else is as quick."""
+    made("effect", "my-bell", "--variable", variable, "--out", "effects")
+    text = Path("effects/my_bell.toml").read_text()
+    without, truth = text.split("[[truth.effect]]")  # the folder of effects is read once a process
+    bell = tomllib.loads(truth.partition("\n")[2])["parameters"]
+    Path("flight.toml").write_text(without)
+    flown = sh.synthesize("flight.toml")["WING_LE"].conditions
+    from_centre = np.abs(flown[variable] - bell["centre"]) / bell["width"]
+    there = flown["time_s"][from_centre < 0.5]
+    soon = from_centre[(flown["time_s"] > there[0] - 30.0) & (flown["time_s"] < there[0] + 30.0)]
+    assert soon.max() > 1.2
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -180,6 +196,8 @@ def test_new_effects_are_found_checked_and_flown() -> None:
         (("effect", "Shock", "--out", "x"), "write a name of small letters"),
         (("effect", "transition", "--out", "x"), "there is an effect of this name already"),
         (("effect", "my-shock", "--variable", "macht", "--out", "x"), "did you mean `mach`?"),
+        (("effect", "my-flap", "--variable", "bodyflap_deg", "--vehicle", "capsule", "--point", "FACE", "--out", "x"),
+         "capsule has no such control surface"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_refused_in_one_line_and_nothing_is_written(arguments: tuple[str, ...], message: str) -> None:

@@ -78,11 +78,11 @@ class EstimatedParameter(Extensible):
 
 
 class Remark(Extensible):
-    """Something about an estimate that nature does not have, or that its sigma does not say.
+    """Something about an estimate that nature does not have, or that its sigma or its errors do not say.
 
-    kind       : `emittance above 1`, `negative ratio`, `negative conductivity`, `on its bound`, `far from prior` or
-                 `correlated`
-    parameters : names of the parameters that it is about
+    kind       : `emittance above 1`, `negative ratio`, `negative conductivity`, `on its bound`, `far from prior`,
+                 `correlated`, `misfit as noise` or `end of range`
+    parameters : names of the parameters that it is about; empty where it is about readings
     message    : what was found
     meaning    : what it usually means
     """

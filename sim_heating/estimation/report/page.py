@@ -16,7 +16,7 @@ from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
 from sim_heating.estimation.report.ratio_plot import derivatives_about
-from sim_heating.estimation.report.remarks import further_warnings
+from sim_heating.estimation.report.remarks import floor_in_words, further_warnings
 from sim_heating.estimation.trend import Trend
 from sim_heating.simulation.report.charts import flown_panels
 
@@ -61,7 +61,7 @@ def _headline(fitted: FitResult, found: Estimate) -> tuple[str, str]:
     declared = _declared(found, "fit")
     before = "" if declared is None else f"{declared.rmse_K:.2f} K with the declared model, "
     after = "" if found.fit is None else f"RMSE over fitted data: {before}{found.fit.rmse_K:.2f} K fitted"
-    floor = "" if found.noise_floor_K is None else f"; noise floor {found.noise_floor_K:.2f} K"
+    floor = "" if found.noise_floor_K is None else f"; noise floor {floor_in_words(found)}"
     return head, f"{after}{floor}." if after else ""
 
 

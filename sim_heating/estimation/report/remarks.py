@@ -1,10 +1,11 @@
-"""Remarks on estimates that are not what nature has, or that mean less than their sigma says.
+"""Remarks on estimates that are not what nature has, or that mean less than their sigma or their errors say.
 
-Each states the parameters, what is remarkable, and what it usually means. They change no estimate.
+Each states the parameters, if it is about any, what is remarkable, and what it usually means. They change no estimate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
@@ -12,8 +13,9 @@ import numpy as np
 
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.noise import noise_of_readings
 from sim_heating.estimation.record_fit import RecordFit
-from sim_heating.estimation.report.estimate_file import Remark
+from sim_heating.estimation.report.estimate_file import Estimate, Remark
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.march.history import PointHistory, negative_ratio_s
 from sim_heating.march.point import PointModel
@@ -24,9 +26,14 @@ CORRELATED = 0.95
 """Magnitude of a correlation [-] above which it is remarked."""
 ROUNDING = 1e-3
 """Excess of an emittance over 1 [-] that is not remarked."""
+MISFIT = 1.15
+"""Noise found from a misfit over that of neighbouring readings [-] above which it is remarked."""
+BEYOND_RANGE = 4.0
+"""Distance of a prediction from a reading at the end of its range, in noise floors, above which it is remarked."""
 
 EMITTANCE, NEGATIVE_RATIO, NEGATIVE_CONDUCTIVITY = "emittance above 1", "negative ratio", "negative conductivity"
 PRIOR, CORRELATION, BOUND = "far from prior", "correlated", "on its bound"
+NOISE, RANGE_END = "misfit as noise", "end of range"
 MEANINGS = {
     EMITTANCE: "no surface has an emittance above 1; usually the heating of the model is too large (ratio table, "
     "recovery enthalpy), or the thermocouple is not where the record says",
@@ -39,6 +46,9 @@ MEANINGS = {
     CORRELATION: "the readings identify a combination of the two and neither alone: fix one, give it a prior, or "
     "measure what tells them apart",
     BOUND: "the readings ask for more than the bound allows, and it has no sigma; usually another cause is at work",
+    NOISE: "RMSE and noise floor agree whatever the model lacks: let close-loop look, or declare noise_sigma_K",
+    RANGE_END: "the fit takes such a reading as `at least` or `at most`, and an RMSE takes it as it stands, which makes "
+    "the RMSE larger than the misfit",
 }
 """What each kind of remark usually means."""
 
@@ -52,11 +62,21 @@ def remarks(fitted: FitResult) -> list[Remark]:
 
     fitted : values, each in its unit, with priors, bounds and covariance
 
-    The thresholds are 3 sigmas of the prior, and a correlation of 0.95 [-]: rules of this program.
+    The thresholds are 3 sigmas of the prior, a correlation of 0.95 [-], 1.15 times the noise of neighbouring readings,
+    and 4 noise floors: rules of this program.
     """
     return [
-        *_impossible_values(fitted), *_on_bounds(fitted), *_far_from_priors(fitted), *_correlations(fitted)
+        *_impossible_values(fitted), *_on_bounds(fitted), *_far_from_priors(fitted), *_correlations(fitted),
+        *_misfits_as_noise(fitted), *_ends_of_ranges(fitted),
     ]  # fmt: skip
+
+
+def floor_in_words(found: Estimate) -> str:
+    """The noise floor of a fit [K], and whether it is only the misfit of the fit itself; empty without one."""
+    if found.noise_floor_K is None:
+        return ""
+    circular = any(r.kind == NOISE for r in found.remarks)
+    return f"{found.noise_floor_K:.2f} K{', from the misfit itself' if circular else ''}"
 
 
 def further_warnings(warnings: Sequence[str], found: Sequence[Remark]) -> list[str]:
@@ -131,6 +151,47 @@ def _correlations(fitted: FitResult) -> Iterator[Remark]:
     for i, j in sorted((p for p in combinations(single, 2) if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p])):
         found = f"{labels[i]} and {labels[j]} have a correlation of {rho[i, j]:+.3f}"
         yield _remark(CORRELATION, [labels[i], labels[j]], found)
+
+
+def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:
+    """Of sensors without a declared noise: that which the fit left, where the readings themselves scatter by less."""
+    for record_fit in fitted.problem.record_fits:
+        record = record_fit.record
+        for channel in record_fit.channels:
+            sensor, assumed_K = channel.sensor, record_fit.sigma_K[channel.number]
+            own_K = noise_of_readings(record.time_s, record.temperatures_K([sensor])[0], sensor.lsb_K)
+            if sensor.noise_sigma_K is not None or own_K is None:
+                continue
+            # readings that stay on one code of a recorder for long hide up to half a step of noise
+            if sensor.noise_floor_K(assumed_K) > MISFIT * math.hypot(own_K, sensor.lsb_K / 2.0):
+                found = (
+                    f"{record.name}, sensor {sensor.name}: no noise is declared, and {assumed_K:.2g} K is the misfit "
+                    f"of the model; neighbouring readings scatter by {own_K:.2g} K"
+                )
+                yield _remark(NOISE, [], found)
+
+
+def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
+    """Of sensors whose readings stay at an end of their range while the model goes on."""
+    for s in fitted.samples():
+        intervals, sensor, record = s.channel.intervals, s.channel.sensor, s.record_fit.record
+        if sensor.range_K is None:
+            continue
+        for at, end_K, what in (
+            (np.isposinf(intervals.upper_K), sensor.range_K[1], "upper"),
+            (np.isneginf(intervals.lower_K), sensor.range_K[0], "lower"),
+        ):
+            if not at.any():
+                continue
+            beyond_K = float(np.max(np.abs(s.mean_K[at] - end_K)))
+            if beyond_K > BEYOND_RANGE * sensor.noise_floor_K(s.sigma_K):
+                times = s.time_s[at]
+                found = (
+                    f"{record.name}, sensor {sensor.name}: {len(times)} readings from {times[0]:.0f} to "
+                    f"{times[-1]:.0f} s are at the {what} end of its range, {end_K:.0f} K; the model differs from it by "
+                    f"up to {beyond_K:.0f} K"
+                )
+                yield _remark(RANGE_END, [], found)
 
 
 def _remark(kind: str, parameters: Sequence[str], message: str) -> Remark:
