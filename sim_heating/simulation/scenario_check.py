@@ -7,6 +7,7 @@ and takes a fraction of a second. An FMU is opened and not flown: it is a progra
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, raise_problems
@@ -15,7 +16,7 @@ from sim_heating.heating.effects.compiled import compiled_kernel
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.trajectory import entry3dof, recorded
-from sim_heating.trajectory.aero import load_aero
+from sim_heating.trajectory.aero import check_alpha_schedule, load_aero
 from sim_heating.trajectory.flight import Flight, VehicleData, check_samples
 from sim_heating.trajectory.guidance import load_guidance
 from sim_heating.trajectory.manoeuvres import NOT_FLOWN, trigger_text
@@ -63,13 +64,16 @@ def check_vehicle(vehicle: Vehicle) -> None:
     raises : InputError where a table or a key of them is wrong, or a user-defined effect cannot be compiled
     """
     problems: list[str] = []
+    found: dict[str, Any] = {}
     for file, read in (("aero/aero.toml", load_aero), ("guidance.toml", load_guidance)):
         try:
             if (vehicle.directory / file).is_file():
-                read(vehicle.directory)
+                found[file] = read(vehicle.directory)
         except InputError as error:
             problems += error.problems
     raise_problems(problems)
+    if len(found) > 1:
+        check_alpha_schedule(*found.values(), display_path(vehicle.directory))
     check_effects([use.effect for point in vehicle.control_points.values() for use in point.effects])
 
 

@@ -13,6 +13,7 @@ are both made from these tables.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,7 +41,7 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import QUANTITIES
 from sim_heating.heating.ratio.table import range_problems
 from sim_heating.heating.recorded_columns import BALLISTIC_KG_M2
-from sim_heating.trajectory.spec import Positive, TrajectorySpec
+from sim_heating.trajectory.spec import Guidance, Positive, TrajectorySpec
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Span = tuple[float, float]
@@ -57,6 +58,11 @@ area that it sees, which is less than 40 squares of a diameter."""
 
 SCHEDULE_SOUND_M_S = 300.0
 """Speed of sound that converts an alpha schedule over velocity to one over Mach, for the body flap alone."""
+
+HYPERSONIC_MACH = 5.0
+"""Mach number from which on the sign of the lift is checked: slower, a glider pitches as its landing needs."""
+LEAST_DOWN_LIFT = 0.02
+"""Downward lift over drag that is warned of; a ballistic body at its trim has less."""
 
 
 class Reference(Convertible):
@@ -386,6 +392,34 @@ def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
     return load_aero(vehicle_dir).with_changes(
         mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
     )
+
+
+def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
+    """Check the angles of attack that guidance commands against the aerodynamics that it commands them of.
+
+    where  : vehicle or scenario, for messages
+    raises : InputError where an angle lies outside those of the longitudinal table, which is constant beyond its ends
+    warns  : where the lift is down at hypersonic speed, as of a capsule whose angle of attack has the other sign
+    """
+    scale = 1.0 if guidance.alpha_against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
+    low, high = aero.basic.alpha_deg[[0, -1]]
+    flown = [(x * scale, min(max(a, guidance.alpha_limits_deg[0]), guidance.alpha_limits_deg[1]))
+             for x, a in guidance.alpha_deg]  # fmt: skip
+    for mach, alpha in flown:
+        if not low <= alpha <= high:
+            raise InputError(
+                f"{where}: guidance commands {alpha:g} deg at Mach {mach:.3g}, and {aero.file.tables.longitudinal} "
+                f"of aero ends at {low:g} and {high:g} deg; extend the table, or correct `alpha_deg` of guidance"
+            )
+    mach, alpha = max(flown)
+    CL, CD, _ = aero.coefficients(mach, alpha)
+    if mach >= HYPERSONIC_MACH and CL < -LEAST_DOWN_LIFT * CD:
+        warnings.warn(
+            f"{where}: the lift is down at Mach {mach:.3g} and {alpha:g} deg (CL {CL:.2f}, CD {CD:.2f}); guidance "
+            "flies with the lift up, so give the angle the other sign: a capsule with its heat shield forward lifts "
+            "at negative angles of attack (`alpha_deg` of guidance, of the tables of aero and of the heating ratios)",
+            stacklevel=3,
+        )
 
 
 def _read_control(folder: Path, name: str | None) -> Grid:

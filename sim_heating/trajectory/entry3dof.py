@@ -14,12 +14,13 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import display_path
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory import point_mass as pm
-from sim_heating.trajectory.aero import Aero, flown_aero
+from sim_heating.trajectory.aero import Aero, check_alpha_schedule, flown_aero
 from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, frames_within
 from sim_heating.trajectory.schedules import pack
 from sim_heating.trajectory.spec import Guidance, Initial, TrajectorySpec
@@ -71,6 +72,7 @@ class Entry:
         self.dt_s = 1.0 / spec.rate_hz
         self.tables = aero_block(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
         guidance = gd.resolve_guidance(spec.guidance, vehicle_dir)
+        check_alpha_schedule(aero, guidance, display_path(vehicle_dir))
         self.flight = flight_block(spec, aero, guidance)
         self.block = gd.guidance_block(guidance, spec.initial.bank_deg)
         self.script = mv.compile_script(spec.manoeuvre)

@@ -94,6 +94,32 @@ def test_a_vehicle_is_good_only_where_it_can_be_flown(file: str, old: str, new: 
     assert "good. vehicle pod" in run("validate", f"pod/{file}").output
 
 
+CAPSULE_TABLE = "mach,alpha_deg,CN,CA,Cm\n" + "".join(
+    f"{mach},{alpha},{0.005 * alpha},1.4,0\n" for mach in (1.5, 25) for alpha in (-30, 0, 15)
+)
+"""Heat shield forward: axial force alone but for a little; its lift is up at negative angles of attack."""
+
+
+def test_an_angle_of_attack_outside_the_tables_is_refused_and_a_lift_that_is_down_is_told() -> None:
+    """Both were flown without a word: coefficients held at the end of the table, and a capsule that dives."""
+    made("vehicle", *POD, "--alpha", "22", "--out", "pod")
+    made("scenario", "--vehicle", "pod", "--until-mach", "22", "--point", "SIDE", "--out", "flight")
+    Path("pod/aero/longitudinal.csv").write_text(CAPSULE_TABLE)
+    for refused in (run("validate", "pod"), run("run", "flight/scenario.toml", "--out", "flown")):
+        assert isinstance(refused.exception, InputError)
+        assert "commands 22 deg at Mach 1, and longitudinal.csv of aero ends at -30 and 15" in str(refused.exception)
+
+    guidance = Path("pod/guidance.toml").read_text()
+    down = guidance.replace("[1.0, 22.0], [30.0, 22.0]", "[1.0, 15.0], [30.0, 15.0]")
+    Path("pod/guidance.toml").write_text(down)
+    with pytest.warns(UserWarning, match=r"lift is down at Mach 30 and 15 deg \(CL -0\.\d+.*negative angles of attack"):
+        run("validate", "pod")
+
+    up = down.replace("[1.0, 15.0], [30.0, 15.0]", "[1.0, -15.0], [30.0, -15.0]").replace("alpha_limits_deg = [0.0", "alpha_limits_deg = [-30.0")
+    Path("pod/guidance.toml").write_text(up)
+    assert "good. vehicle pod" in run("validate", "pod").output
+
+
 def test_a_trajectory_and_a_record_of_a_vehicle_without_surfaces_need_no_deflections() -> None:
     made("vehicle", *POD, "--out", "pod")
     t = np.arange(0.0, 100.0, 10.0)
