@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals
-from sim_heating.cli.console import ERRORS, show_warning, silent_console
+from sim_heating.cli.console import ERRORS, HelpfulGroup, show_warning, silent_console
 from sim_heating.cli.output import (
     CommandReport,
     name_command,
@@ -81,7 +81,7 @@ COMPLETED = (
 """Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
 
 
-class LazyGroup(click.Group):
+class LazyGroup(HelpfulGroup):
     """A group that imports the module of a command when the command is called."""
 
     def __init__(self, **settings: Any) -> None:

@@ -27,6 +27,19 @@ PLAIN_WIDTH = 110
 """Width in characters where the output is not a terminal."""
 
 
+WHOLE = 1000
+"""Characters of a line on a command in a help text, none of which is as long."""
+
+
+class HelpfulGroup(click.Group):
+    """A group whose help has the whole first sentence of each command: click cuts it off at the terminal's width."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, c.get_short_help_str(limit=WHOLE)) for name, c in found if c is not None])
+
+
 class PlainConsole(Console):
     """A console on which a text is what it says: markup has no effect, and control characters are shown as escapes."""
 

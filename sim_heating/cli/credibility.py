@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, PATH, ROOT, print_table, progress_line
+from sim_heating.cli.console import CONSOLE, PATH, ROOT, HelpfulGroup, print_table, progress_line
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ RESULTS = ("summary.json", "estimate.json", "closure.json", "study.json", "campa
 SHOW = "show"
 
 
-class GroupWithDefault(click.Group):
+class GroupWithDefault(HelpfulGroup):
     """A group whose arguments are those of `show` where they begin with no command."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

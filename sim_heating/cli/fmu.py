@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.cli.console import COMPILING, CONSOLE, FORCE, PATH, ROOT, comma_list, progress_line
+from sim_heating.cli.console import COMPILING, CONSOLE, FORCE, PATH, ROOT, HelpfulGroup, comma_list, progress_line
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ PLATFORMS = click.option(
 )
 
 
-@click.group()
+@click.group(cls=HelpfulGroup)
 def fmu() -> None:
     """Models as FMUs that need no Python where they run."""
 

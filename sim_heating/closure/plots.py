@@ -19,7 +19,7 @@ from sim_heating.closure.clues.residual_heating import ResidualHeating
 from sim_heating.closure.clues.shapes import TIME
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, fit_figure, shade_holdout
 from sim_heating.simulation.predict import Prediction
-from sim_heating.simulation.report.charts import SHADES, flown_panels, record_spans
+from sim_heating.simulation.report.charts import flown_panels, record_spans, shades
 
 PREDICTED = "0.62"
 LABELS = {n: f"{label}, deg" for n, (label, _) in ANGLES.items()} | {
@@ -67,7 +67,8 @@ def heating_chart(before: ResidualHeating, after: ResidualHeating | None, eviden
     )
     picture = Picture(partial(heating_figure, before, after, evidence), f"Missing {before.quantity} against time.")
     spans = [Span(s.start_s, s.end_s, "active", ACTIVE) for s in evidence.active] + record_spans(before.record)
-    caption = f"Missing {before.quantity} against time; bands: {SIGMAS:g} sigma. {SHADES} Red: the residual is active."
+    shaded = [shades(before.record), "Red: the residual is active." if evidence.active else ""]
+    caption = " ".join([f"Missing {before.quantity} against time; bands: {SIGMAS:g} sigma.", *filter(None, shaded)])
     panels = [missing, *flown_panels(before.record.conditions)]
     return Chart("Residual as heating", panels, caption, before.span_s, spans, picture)
 

@@ -181,7 +181,8 @@ class Statement:
         """How sure the finding is, in a few sentences."""
         lines = []
         if self.probability is not None:
-            lines.append(f"Probability that this finding is right: {_percent(self.probability)} (calibrated).")
+            how = "calibrated" if self.experiment == "flight" else f"calibrated on flights, not on {self.experiment}s"
+            lines.append(f"Probability that this finding is right: {_percent(self.probability)} ({how}).")
         if self.adequacy is not None:
             model = {ONE_OF: "The model with the first", UNKNOWN: "The declared model", NONE: "The declared model"}.get(
                 self.finding, "The model with it"

@@ -69,6 +69,8 @@ LEAST_INFORMATION = 1e-6
 LEAST_EXCURSION = 1e-12
 NO_EFFECT = "no reading depends on it at the declared values"
 DECLARED_EXACTLY = "declared as known exactly, with a sigma of 0"
+INSULATION = "stack.rsi."
+"""Beginning of the names of parameters by the role of a layer."""
 SHOWN_POINTS = 4
 """Control points that the title of a table names."""
 YES, JOINTLY, WEAKLY, NO = "yes", "with others known", "weakly", "no"
@@ -230,11 +232,12 @@ def _listed(model: PointModel, sensors: Sequence[Sensor]) -> list[ListedParamete
     has_coating = insulation_layer(model.construction) > 0
     found = []
     for same in names.values():
-        name = same[0]  # a role comes before the layer's own name
+        # the role of a tile's layer comes before its own name; a wall without a coating has no such roles
+        name = same[0] if has_coating or len(same) == 1 or not same[0].startswith(INSULATION) else same[1]
         if name == absent or (name.startswith("stack.coating.") and not has_coating):
             continue
-        definition = model.definition(name)
-        found.append(_entry(definition, model.value(name), _owner(name, model), tuple(same[1:])))
+        definition, others = model.definition(name), tuple(n for n in same if n != name)
+        found.append(_entry(definition, model.value(name), _owner(name, model), others, name))
     for used in model.effects:
         for parameter in used.effect.parameters:
             name = f"{EFFECT_PREFIX}{used.effect.name}.{parameter.name}"
@@ -270,7 +273,7 @@ def _owner(name: str, model: PointModel) -> str:
         return f"layer {layers[0]}, the outermost"
     own = layer_parameter(name)
     layer = layers[insulation] if own is None or own[0] == "rsi" else own[0]
-    return f"layer {layer}{', the insulation' if layer == layers[insulation] else ''}"
+    return f"layer {layer}{', the insulation' if insulation > 0 and layer == layers[insulation] else ''}"
 
 
 # What a record identifies ---------------------------------------------------------------------------------------------
@@ -465,17 +468,22 @@ def _rows(own: Sequence[ListedParameter], judged: bool) -> tuple[list[Column], l
     if not judged:
         return [*columns, Column("meaning", is_text=True)], [[*row, p.text] for row, p in zip(rows, own, strict=True)]
     columns += [Column("sigma", format=".2g"), Column("identified", is_text=True), Column("remark", is_text=True)]
+    reasons = {(p.identified, p.reason) for p in own}
+    if len(own) > 1 and len(reasons) == 1 and own[0].reason and not any(p.confounded_with for p in own):
+        ends = f"{own[0].name} to {own[-1].name}, all {len(own)}"  # each would have the same line
+        return columns, [[ends, "", "", "", None, own[0].identified, own[0].reason]]
     return columns, [
         [*row, _finite(p.sigma_with_heating), p.identified, _remark(p)] for row, p in zip(rows, own, strict=True)
     ]
 
 
 def _remark(p: ListedParameter) -> str:
-    """What is most like a parameter, or why it is not identified."""
+    """What is most like a parameter, by its last name where the rest is the same, or why it is not identified."""
     if not p.confounded_with:
         return p.reason
     (name, rho), *more = p.confounded_with
-    return f"like {name} ({rho:+.2f}){f', {len(more)} more' if more else ''}"
+    owner = f"{p.name.rpartition('.')[0]}."
+    return f"like {name.removeprefix(owner)} ({rho:+.2f}){f', {len(more)} more' if more else ''}"
 
 
 def _all_in_one(lists: Sequence[ParameterList]) -> Table:

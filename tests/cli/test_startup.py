@@ -9,6 +9,7 @@ import sys
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from sim_heating.cli import COMMANDS, cli
 from tests.support.paths import ROOT
@@ -59,6 +60,14 @@ def test_help_and_version_load_no_heavy_package(arguments: tuple[str, ...]) -> N
 @pytest.mark.parametrize("path", ["aircraft_data/orbiter", "scenarios/records/practice/p06"])
 def test_a_check_of_files_loads_no_compiler_and_no_pictures(path: str) -> None:
     assert packages_loaded("validate", str(ROOT / path)) & HEAVY == {"numpy", "pydantic"}
+
+
+@pytest.mark.parametrize("group", [(), ("new",), ("fmu",), ("credibility",)], ids=str)
+def test_a_help_text_has_the_whole_sentence_on_each_command(group: tuple[str, ...]) -> None:
+    """At the 80 columns of a pipe, where most are longer than a line."""
+    listed = CliRunner().invoke(cli, [*group, "--help"], terminal_width=80).output.partition("Commands:")[2]
+    assert len(listed.split("\n\n")[0].splitlines()) > 3
+    assert "..." not in listed.split("\n\n")[0]
 
 
 def test_help_of_every_command_is_covered() -> None:

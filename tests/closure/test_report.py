@@ -169,6 +169,13 @@ def test_where_nothing_tells_a_set_apart_one_line_says_so_in_the_word_of_the_rec
     assert little.would_tell() == [f"none of the tests tried tells them apart; {best}"]
 
 
+def test_a_probability_says_whether_records_of_its_kind_are_in_its_calibration():
+    """All records that the probability is calibrated with are of flights."""
+    flight, test = (Statement("none", probability=0.98, experiment=e).certainty() for e in ("flight", "test"))
+    assert flight == "Probability that this finding is right: 98 % (calibrated)."
+    assert test == "Probability that this finding is right: 98 % (calibrated on flights, not on tests)."
+
+
 def test_what_a_record_partly_resembles_adds_no_error_after_but_what_it_would_explain():
     partly = replace(FOUND_ONSET, finding="partly", explained=0.87)
     found = replace(closed(), statement=partly, after=closed().before, effects=[Finding("unknown", 0.9, {})])

@@ -59,9 +59,19 @@ def test_each_further_unknown_makes_a_bound_larger(listed: ParameterList) -> Non
 def test_what_cannot_be_identified_states_why(listed: ParameterList) -> None:
     assert listed["stack.moisture.boil_K"].identified == "no"
     assert "no reading depends on it" in listed["stack.moisture.boil_K"].reason  # nothing boils that is not there
+
+
+def test_what_no_lamp_test_has_is_one_line_and_its_layers_have_their_own_names() -> None:
     lamp = parameter_list(BOARD)
     assert lamp["ratio.d0"].identified == "no"
     assert "h_ref is 0 throughout" in lamp["ratio.d0"].reason
+    tables = {t.title: t for t in parameter_tables([lamp])}
+    (row,) = tables["Heating ratio"].rows
+    assert row[0] == "ratio.d0 to ratio.d_bodyflap2, all 21"
+    own = [p for p in lamp.parameters if p.belongs_to.startswith("layer ")]
+    assert not any(p.name.startswith("stack.rsi.") or "insulation" in p.belongs_to for p in own)
+    conductivity = lamp["stack.rsi.conductivity_factor"]  # the role is still a name of it
+    assert conductivity.name == f"stack.{conductivity.belongs_to.split()[1].strip(',')}.conductivity_factor"
 
 
 def test_a_layer_is_found_by_its_own_name_and_by_its_role(listed: ParameterList) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import (
     BOUND,
     CORRELATION,
@@ -109,3 +110,13 @@ def test_the_command_states_them_in_table_file_and_page(tmp_path: Path, capsys: 
         assert remark["meaning"] == MEANINGS[remark["kind"]]
         assert remark["meaning"] in page
         assert any(remark["message"] in line for line in printed["warnings"])
+
+
+def test_the_sentence_on_estimates_of_the_ratio_says_what_they_change() -> None:
+    """A wall's parameters need none, and a ratio without a table has no scale."""
+    condition = [40.0, 0.0, 6.0, 1.0, 14.0]
+    both = derivatives_about(["ratio.scale@WING_LE", "ratio.d_alpha"], condition)
+    assert both.startswith("The ratio is that of the declared table times 1 + ratio.scale, plus the derivatives. ")
+    assert "Derivatives are about alpha 40 deg" in both
+    assert "declared table" not in derivatives_about(["ratio.d0", "ratio.d_alpha"], condition)
+    assert derivatives_about([EMISSIVITY], condition) == ""

@@ -13,10 +13,13 @@ import pytest
 import xarray as xr
 
 from sim_heating.base.errors import InputError
+from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
+from sim_heating.simulation.report.charts import shades
 from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
 from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
+from tests.support.paths import BOARD, PRACTICE
 
 SCENARIO = (
     gliding(60.0, "V09T9527", "LEE_UPPER")
@@ -163,3 +166,12 @@ def test_the_page_of_a_run_has_the_histories_of_all_points_and_their_peaks(out: 
         shown = curve["step"] * np.cumsum(curve["y"])
         assert shown.max() == pytest.approx(point.history.surface_K.max(), abs=curve["step"])
         assert f"{point.history.surface_K.max():.0f} K" in page
+
+
+@pytest.mark.parametrize(
+    ("record", "caption"),
+    [(PRACTICE / "p06", "Shaded: blue fitted, grey held out."), (BOARD, "")],
+    ids=["segments", "none"],
+)
+def test_a_caption_names_the_shades_that_a_record_has(record: Path, caption: str) -> None:
+    assert shades(load_record(record)) == caption

@@ -53,6 +53,9 @@ def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit
     assert "good" in run("validate", "plate").output
 
     assert run("predict", "plate", "--out", "predicted").exit_code == 0
+    page = Path("predicted/report.html").read_text()
+    assert '"absorbed from the lamp or the sun"' in page  # all terms of the balance at the surface
+    assert '"bondline"' not in page  # a wall of one layer is bonded to nothing
     assert run("estimate", "plate", "--out", "fit").exit_code == 0
     fit = json.loads(Path("fit/estimate.json").read_text())
     for name, true in (("stack.copper.heat_capacity_factor", 1.06), ("stack.emissivity_factor", 1.0)):

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.parameters import RATIO, SHORT_NAMES, UNITS
+from sim_heating.base.parameters import AT, RATIO, SHORT_NAMES, UNITS
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.inference.observability import MAGNITUDES
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.heating.ratio.uncertainty import declared_ratio, declared_sigma, estimated_ratio
 from sim_heating.march.ensemble import condition_history
@@ -45,10 +46,14 @@ def describe_condition(reference: FloatArray) -> str:
 
 
 def derivatives_about(names: Iterable[str], reference: ArrayLike) -> str:
-    """The condition that estimated derivatives are about, as a sentence; empty where none of the names is one."""
-    if not any(n.startswith("ratio.d_") for n in names):
-        return ""
-    return f"Derivatives are about {describe_condition(np.asarray(reference, dtype=float))}."
+    """What estimates of the ratio change, and the condition that derivatives are about; empty without estimates."""
+    own = [n.partition(AT)[0] for n in names]
+    lines = []
+    if MAGNITUDES[0] in own:
+        lines.append(f"The ratio is that of the declared table times 1 + {MAGNITUDES[0]}, plus the derivatives.")
+    if any(n.startswith("ratio.d_") for n in own):
+        lines.append(f"Derivatives are about {describe_condition(np.asarray(reference, dtype=float))}.")
+    return " ".join(lines)
 
 
 def along_variable(reference: FloatArray, i: int, values: FloatArray) -> FloatArray:

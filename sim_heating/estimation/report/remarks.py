@@ -47,8 +47,8 @@ MEANINGS = {
     "measure what tells them apart",
     BOUND: "the readings ask for more than the bound allows, and it has no sigma; usually another cause is at work",
     NOISE: "RMSE and noise floor agree whatever the model lacks: let close-loop look, or declare noise_sigma_K",
-    RANGE_END: "the fit takes such a reading as `at least` or `at most`, and an RMSE takes it as it stands, which makes "
-    "the RMSE larger than the misfit",
+    RANGE_END: "the fit takes such a reading as `at least` or `at most`, and an RMSE takes it as it stands, which makes"
+    " it larger than the misfit",
 }
 """What each kind of remark usually means."""
 
@@ -188,8 +188,8 @@ def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
                 times = s.time_s[at]
                 found = (
                     f"{record.name}, sensor {sensor.name}: {len(times)} readings from {times[0]:.0f} to "
-                    f"{times[-1]:.0f} s are at the {what} end of its range, {end_K:.0f} K; the model differs from it by "
-                    f"up to {beyond_K:.0f} K"
+                    f"{times[-1]:.0f} s are at the {what} end of its range, {end_K:.0f} K; the model differs from it "
+                    f"by up to {beyond_K:.0f} K"
                 )
                 yield _remark(RANGE_END, [], found)
 

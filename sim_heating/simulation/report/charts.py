@@ -26,7 +26,8 @@ MEASURED = "0.35"
 LAMP = "q_add_W_m2"
 CHANGED_DEG = 0.5
 """Range of an angle above which it is drawn."""
-SHADES = "Shaded: blue fitted, grey held out."
+FITTED_SHADE, HELD_OUT_SHADE = "blue fitted", "grey held out"
+SHADES = f"Shaded: {FITTED_SHADE}, {HELD_OUT_SHADE}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,14 @@ def record_spans(record: Record) -> list[Span]:
     return fitted + [Span(float(a), float(b), "held out", HELD_OUT) for a, b in segments.holdout]
 
 
+def shades(record: Record) -> str:
+    """What the shaded spans of a record mean; empty where none is shaded."""
+    segments = record.declared.segments
+    shown = [(segments.fit, FITTED_SHADE), (segments.holdout, HELD_OUT_SHADE)]
+    named = ", ".join(shade for spans, shade in shown if spans)
+    return f"Shaded: {named}." if named else ""
+
+
 def record_chart(
     record: Record,
     models: Sequence[ModelCurve],
@@ -105,7 +114,7 @@ def record_chart(
     view = shown_span(record)
     panels += flown_panels(record.conditions)
     what = "Measured and predicted, residuals below" if temperatures else "Measured minus predicted"
-    caption = f"{record.declared.title or record.declared.control_point}. {what}. {SHADES}"
+    caption = f"{record.declared.title or record.declared.control_point}. {what}. {shades(record)}".rstrip()
     return Chart(record.name, panels, caption, view, record_spans(record), picture)
 
 

@@ -30,6 +30,11 @@ from sim_heating.simulation.report.charts import (
 from sim_heating.trajectory.flight import Window
 
 PREDICTED = "tab:blue"
+FLUXES = {
+    "convected_W_m2": "convected", "radiated_W_m2": "radiated", "conducted_W_m2": "conducted",
+    "added_W_m2": "absorbed from the lamp or the sun",
+}  # fmt: skip
+"""Heat fluxes of a wall's surface, and their names."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +163,7 @@ def prediction_page(
     sections = [
         _prediction_errors(found),
         Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
-        Section("Wall", charts=[_wall_chart(history)]),
+        Section("Wall", charts=[_wall_chart(history, record)]),
         credibility_section(found["credibility"]),
     ]
     return Page(record.declared.title or record.declared.control_point, subtitle, sections, _outcome(found), warnings)
@@ -186,24 +191,18 @@ def _prediction_errors(found: Mapping[str, Any]) -> Section:
     return Section("Errors", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
 
 
-def _wall_chart(history: PointHistory) -> Chart:
+def _wall_chart(history: PointHistory, record: Record) -> Chart:
     """Temperatures of the wall, heat fluxes at its surface, and the heating ratio."""
     t, surface, bondline = history.time_s, distinct_styles(2)[1], distinct_styles(2)[0]
-    fluxes = history.heat.columns()
-    has_flow = bool(np.any(np.nan_to_num(history.ratio)))  # under a lamp nothing is convected
-    flux = [
-        Curve(label, t, fluxes[key] / 1e3, **style)
-        for (key, label), style in zip(
-            (("convected_W_m2", "convected"), ("radiated_W_m2", "radiated"), ("conducted_W_m2", "conducted")),
-            distinct_styles(3), strict=True,
-        )
-        if key != "convected_W_m2" or has_flow
-    ]  # fmt: skip
+    temperatures = [Curve("surface", t, history.surface_K, **surface)]
+    if record.construction.stack.bondline_m > 0.0:  # a wall of one layer is bonded to nothing
+        temperatures.append(Curve("bondline", t, history.bondline_K, **bondline))
+    fluxes, styles = history.heat.columns(), dict(zip(FLUXES, distinct_styles(len(FLUXES)), strict=True))
+    has_flow = bool(np.any(np.nan_to_num(history.ratio)))
+    acting = {"convected_W_m2": has_flow, "added_W_m2": bool(np.any(fluxes["added_W_m2"]))}
+    flux = [Curve(label, t, fluxes[key] / 1e3, **styles[key]) for key, label in FLUXES.items() if acting.get(key, True)]
     panels = [
-        Panel(
-            "temperature, K",
-            [Curve("surface", t, history.surface_K, **surface), Curve("bondline", t, history.bondline_K, **bondline)],
-        ),
+        Panel("temperature, K", temperatures),
         Panel("heat flux, kW/m2", flux, 0.8, zero=True),
     ]
     if has_flow:
