@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_heating.credibility.contributors import peak_uncertainty
-from sim_heating.credibility.of_flight import facts_of_study
-from sim_heating.credibility.of_records import MODEL_ERROR_RATIO, ratio_uncertainty
-from sim_heating.credibility.own_cases import wall_readings
-from sim_heating.credibility.sources import inputs_of_point
+from sim_heating.credibility.facts.contributors import peak_uncertainty
+from sim_heating.credibility.facts.of_flight import facts_of_study
+from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, ratio_uncertainty
+from sim_heating.credibility.facts.sources import inputs_of_point
+from sim_heating.credibility.facts.topics import topics_of_points, topics_of_trajectory
 from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Statement, assess
-from sim_heating.credibility.topics import topics_of_points, topics_of_trajectory
+from sim_heating.credibility.validation.own_cases import wall_readings
 from sim_heating.estimation.design.check import RepeatedFits
 from sim_heating.estimation.design.information import Experiment
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
