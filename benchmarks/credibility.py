@@ -18,9 +18,9 @@ from benchmarks.measure import RESULTS, Figure
 from benchmarks.page import markdown_table
 from sim_heating.base.files import text_digest, write_json
 from sim_heating.credibility.evidence import EVIDENCE, case_as_json, shipped_evidence
-from sim_heating.credibility.own_cases import case_of_record
 from sim_heating.credibility.rules import rules
 from sim_heating.credibility.section import RANGES
+from sim_heating.credibility.validation.own_cases import case_of_record
 from sim_heating.simulation.predict import Prediction, predict
 
 ROOT = RESULTS.parents[1]

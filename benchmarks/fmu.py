@@ -22,7 +22,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu, write_fmu
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.library import (
     HELD,
     INPUTS,
     INPUTS_NEXT,

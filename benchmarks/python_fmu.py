@@ -28,7 +28,7 @@ from sim_heating.base.conditions import FRAME
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.simulation.fmu_export.export import write_fmu
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units, quoted
-from sim_heating.simulation.fmu_export.library import wrapper_folder
+from sim_heating.simulation.fmu_export.parts.library import wrapper_folder
 from sim_heating.simulation.plugin import HeatingPlugin
 
 FloatArray = NDArray[np.float64]

@@ -1,7 +1,7 @@
 /* An FMU around a function of arrays: what FMI 2 (fmi2.c) and FMI 3 (fmi3.c) share; it holds no physics.
 
    A model is an image in resources/model.bin (image.c) and a function of its arrays; the function and the first entries of
-   the arrays are described in sim_heating/simulation/fmu_export/library.py. */
+   the arrays are described in sim_heating/simulation/fmu_export/parts/library.py. */
 
 #ifndef wrapper_h
 #define wrapper_h
@@ -11,7 +11,7 @@
 #include <stdint.h>
 #include <stdio.h>
 
-/* Compiled functions of a model for one kind of processor; functions.c, written by sim_heating/simulation/fmu_export/library.py, lists them. */
+/* Compiled functions of a model for one kind of processor; functions.c, written by sim_heating/simulation/fmu_export/parts/library.py, lists them. */
 typedef int64_t (*Function)(double *R, int64_t *N, int64_t *called, double *T);
 typedef struct { Function move; int64_t *called; } Model;
 extern const Model models[];

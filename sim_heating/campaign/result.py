@@ -11,7 +11,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.campaign.joint import Group
 from sim_heating.campaign.spec import Campaign
-from sim_heating.credibility.of_records import MODEL_ERROR_RATIO, facts_of_readings, of_several
+from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, facts_of_readings, of_several
 from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.statement import Answer, Statement, assess
 

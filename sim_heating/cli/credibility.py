@@ -12,7 +12,7 @@ from sim_heating.cli.console import CONSOLE, PATH, ROOT, HelpfulGroup, print_tab
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
-    from sim_heating.credibility.region import ValidationCase
+    from sim_heating.credibility.validation.region import ValidationCase
 
 RESULTS = ("summary.json", "estimate.json", "closure.json", "study.json", "campaign.json", "design.json", "live.json")
 """Files that hold a credibility statement."""
@@ -121,7 +121,7 @@ def add(record: Path, force: bool, root: Path | None) -> None:
     from dataclasses import replace
 
     from sim_heating.base.files.package import package_version
-    from sim_heating.credibility.own_cases import case_of_record, write_case
+    from sim_heating.credibility.validation.own_cases import case_of_record, write_case
     from sim_heating.inputs.record import load_record
     from sim_heating.simulation.predict import predict
 
@@ -138,7 +138,7 @@ def add(record: Path, force: bool, root: Path | None) -> None:
 @credibility.command("list")
 def list_cases() -> None:
     """List the measured data sets: those of the project and your own."""
-    from sim_heating.credibility.own_cases import all_cases
+    from sim_heating.credibility.validation.own_cases import all_cases
 
     cases = all_cases()
     _print_cases(cases)
@@ -149,7 +149,7 @@ def list_cases() -> None:
 @click.argument("name")
 def remove(name: str) -> None:
     """Remove your validation case NAME; data sets of the project stay."""
-    from sim_heating.credibility.own_cases import remove_case
+    from sim_heating.credibility.validation.own_cases import remove_case
 
     path = remove_case(name)
     CONSOLE.print(f"Removed {path}", soft_wrap=True)

@@ -14,7 +14,7 @@ from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
     from sim_heating.inputs.vehicle import Vehicle
-    from sim_heating.simulation.fmu_export.image import Image
+    from sim_heating.simulation.fmu_export.parts.image import Image
 
 
 def _archive(option: str, suffix: str, text: str, required: bool = False) -> Callable[..., Callable[..., None]]:
@@ -22,7 +22,7 @@ def _archive(option: str, suffix: str, text: str, required: bool = False) -> Cal
 
     def check(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
         from sim_heating.base.files import require_exclusive
-        from sim_heating.simulation.fmu_export.archive import require_replaceable
+        from sim_heating.simulation.fmu_export.parts.archive import require_replaceable
 
         if value is None:
             return None
@@ -220,7 +220,7 @@ def _print_export(
     out: Path, image: Image, fmi: str, platforms: tuple[str, ...], points: list[str] | None = None
 ) -> dict[str, Any]:
     """Print version, control points, platforms and size of an FMU that was written; what --json states of it."""
-    from sim_heating.simulation.fmu_export.description import variables_of
+    from sim_heating.simulation.fmu_export.parts.description import variables_of
 
     count = sum(1 for _ in variables_of(image, int(fmi)))
     content = "" if points is None else f"{len(points)} control points, "

@@ -9,7 +9,7 @@ from typing import Any
 
 from sim_heating.closure.search.adequacy import ADEQUATE
 from sim_heating.closure.statement import ParameterEstimate, Statement
-from sim_heating.credibility.of_records import held_out, of_several, ratio_uncertainty
+from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, assess
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.simulation.predict import Prediction

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.files import read_json
-from sim_heating.credibility.region import Band, ValidationCase
+from sim_heating.credibility.validation.region import Band, ValidationCase
 
 HALF_DIGIT = 5e-4
 """Greatest rounding error of four digits, as part of the value [-]."""

@@ -7,8 +7,8 @@ from typing import Any
 
 from sim_heating.base.report.page import Section
 from sim_heating.base.report.table import Column, Table
-from sim_heating.credibility.region import FLIGHT, ValidationCase
 from sim_heating.credibility.rules import rules
+from sim_heating.credibility.validation.region import FLIGHT, ValidationCase
 
 NOT_ASSESSED = "not assessed"
 RANGES = (("mach", ".1f"), ("alpha_deg", ".1f"), ("log10_re", ".2f"), ("wall_K", ".0f"))

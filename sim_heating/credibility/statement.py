@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.errors import InputError
-from sim_heating.credibility.contributors import Uncertainty
 from sim_heating.credibility.evidence import Evidence, shipped_evidence
-from sim_heating.credibility.own_cases import all_cases
-from sim_heating.credibility.region import Extrapolation, Samples, ValidationCase, extrapolation
+from sim_heating.credibility.facts.contributors import Uncertainty
+from sim_heating.credibility.facts.sources import DeclaredInput
+from sim_heating.credibility.facts.topics import CORE
 from sim_heating.credibility.reviews import Reviewed, evidence_of, reviews_in
 from sim_heating.credibility.rules import REVIEW, Factor, rules
-from sim_heating.credibility.sources import DeclaredInput
-from sim_heating.credibility.topics import CORE
+from sim_heating.credibility.validation.own_cases import all_cases
+from sim_heating.credibility.validation.region import Extrapolation, Samples, ValidationCase, extrapolation
 
 FORMAT = "credibility-statement/1"
 LARGEST_ERROR_K = 1.0

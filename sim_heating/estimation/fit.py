@@ -24,7 +24,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.credibility.of_records import (
+from sim_heating.credibility.facts.of_records import (
     MODEL_ERROR_RATIO,
     held_out,
     of_several,

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import output_directory, write_json, write_text_atomic
 from sim_heating.base.parameters import (
@@ -27,7 +26,6 @@ from sim_heating.base.parameters import (
     RECORD_PARAMETERS,
     SENSOR,
     SENSOR_PREFIX,
-    SHORT_NAMES,
     STACK_PREFIX,
     Parameter,
     layer_parameter,
@@ -41,6 +39,7 @@ from sim_heating.estimation.inference.observability import (
     constant_variables,
     default_names,
     deviations,
+    is_of_absent_surface,
     mean_ratio,
     parameters_without_heating,
     unsupported_derivatives,
@@ -53,7 +52,6 @@ from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import point_of_record, point_of_vehicle
 from sim_heating.inputs.record import Record, Sensor, load_record
 from sim_heating.inputs.scenario import Scenario
-from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.point import PointModel, insulation_layer
 
 FORMAT = "parameters/1"
@@ -172,6 +170,8 @@ def parameter_list(
 ) -> ParameterList:
     """Every parameter that exists for a flight record, with prior and bounds, and whether the record identifies it.
 
+    Of a control surface that never moves and that the heating does not depend on there is no derivative.
+
     record    : a record or its directory
     effects   : names of effects that the record does not declare, listed at their nominal values
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the record's own
@@ -189,6 +189,7 @@ def parameter_list(
     loaded, _ = without_stuck_sensors(load_record(record))
     uses = tuple(use(name) for name in effects)
     listed = _listed(point_of_record(loaded, effects=uses), loaded.used_sensors)
+    listed = [p for p in listed if not is_of_absent_surface(p.name, loaded.surfaces)]
     progress(0.0, "sensitivities of the readings")
     return ParameterList(loaded.declared.control_point, _judged(listed, loaded, uses, reference), loaded.name)
 
@@ -208,15 +209,9 @@ def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> l
         point = scenario.vehicle.control_point(name)
         model = point_of_vehicle(scenario.vehicle, point, effects=(*scenario.effects(name), *uses))
         listed = _listed(model, point.sensors)
-        found.append(ParameterList(name, tuple(p for p in listed if not _is_of_absent(p.name, scenario.vehicle))))
+        surfaces = scenario.vehicle.surfaces
+        found.append(ParameterList(name, tuple(p for p in listed if not is_of_absent_surface(p.name, surfaces))))
     return found
-
-
-def _is_of_absent(name: str, vehicle: Vehicle) -> bool:
-    """Whether a parameter is a derivative against a control surface that a vehicle does not have."""
-    columns = zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)
-    absent = [short for short, column in columns if column in SURFACES and column not in vehicle.surfaces]
-    return name.startswith("ratio.d_") and any(short in name for short in absent)
 
 
 # What exists ----------------------------------------------------------------------------------------------------------

@@ -464,6 +464,19 @@ class Record:
         """Whether air flows past the wall at some time; under a lamp in a room it does not."""
         return "velocity_m_s" in self.conditions and bool(np.any(self.conditions["velocity_m_s"] > 0.0))
 
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Columns of the control surfaces that move, or that the heating depends on; none of a vehicle without any."""
+        heating, tables = self.declared.heating, (self.ratio_table, self.turbulent)
+        needed = {name for used in heating.effects for name in used.effect.needs}
+        return tuple(
+            name
+            for name in SURFACES
+            if name in needed
+            or _depends_on_surface(name, heating, tables)
+            or (name in self.conditions and bool(np.any(self.conditions[name])))
+        )
+
     def with_sensors(self, sensors: Sequence[Sensor]) -> Record:
         """The record with other declarations of its thermocouples, of which it has the columns."""
         thermocouples = self.declared.thermocouples.model_copy(update={"sensor": list(sensors)})

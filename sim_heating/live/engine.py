@@ -20,7 +20,7 @@ from sim_heating.base.errors import InputError, RunError, error_context, one_lin
 from sim_heating.base.files import display_path, suggestion
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
-from sim_heating.estimation.inference.observability import heating_names
+from sim_heating.estimation.inference.observability import default_names, heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
 from sim_heating.live.estimator import Innovation, LiveEstimate, LiveEstimator, LiveOptions, check_estimated
@@ -108,7 +108,9 @@ def parameters_of(link: Link) -> list[str]:
     if link.declared.estimate.parameters:
         return link.declared.estimate.parameters
     # a control point of a vehicle has a table
-    return list(heating_names(all(record.ratio_table is not None for record in link.records.values())))
+    if link.vehicle is not None:
+        return list(heating_names(True, link.vehicle.surfaces))
+    return list(default_names(list(link.records.values())))
 
 
 def check_estimate(link: Link) -> None:

@@ -13,7 +13,7 @@ from sim_heating.base.files.package import PACKAGE
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.table import Table
-from sim_heating.credibility.region import Samples
+from sim_heating.credibility.validation.region import Samples
 from sim_heating.planning.study import HASH_LENGTH, Study
 
 

@@ -20,7 +20,7 @@ from sim_heating.base.parallel import require_scheduler
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
 from sim_heating.base.threads import one_thread
-from sim_heating.credibility.of_flight import facts_of_study
+from sim_heating.credibility.facts.of_flight import facts_of_study
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.planning.dispersion.report import DISPERSION, with_dispersion

@@ -16,7 +16,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.credibility.of_records import facts_of_record
+from sim_heating.credibility.facts.of_records import facts_of_record
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.reference.models import beyond_range

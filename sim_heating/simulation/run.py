@@ -18,7 +18,7 @@ from sim_heating.base.files import display_path, output_directory, suggestion, w
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.credibility.of_flight import facts_of_flight
+from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from benchmarks import credibility
-from sim_heating.credibility import topics
 from sim_heating.credibility.evidence import EVIDENCE, shipped_evidence
+from sim_heating.credibility.facts import topics
 
 
 def test_the_shipped_evidence_is_that_of_the_results():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sim_heating.credibility.evidence import case_as_json, case_from_json, shipped_evidence
-from sim_heating.credibility.own_cases import case_of_record
-from sim_heating.credibility.region import FLIGHT, GROUND, Samples, extrapolation
+from sim_heating.credibility.validation.own_cases import case_of_record
+from sim_heating.credibility.validation.region import FLIGHT, GROUND, Samples, extrapolation
 from sim_heating.simulation.predict import Prediction
 
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_heating.credibility.contributors import peak_uncertainty
 from sim_heating.credibility.evidence import shipped_evidence
+from sim_heating.credibility.facts.contributors import peak_uncertainty
+from sim_heating.credibility.facts.sources import DeclaredInput, conditions_of_record, inputs_of_record
 from sim_heating.credibility.reviews import Review, Reviewed, add_review, digest_of, reviews_in
-from sim_heating.credibility.sources import DeclaredInput, conditions_of_record, inputs_of_record
 from sim_heating.credibility.statement import Answer, Facts, Statement, assess
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import ConditionsFile, load_record

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from sim_heating.cli import main
 from sim_heating.estimation.inference.identifiability import covariance
+from sim_heating.estimation.inference.observability import default_names
 from sim_heating.estimation.parameter_list import (
     ParameterList,
     contents,
@@ -111,3 +113,22 @@ def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.Captur
 def test_a_point_of_a_record_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["parameters", str(BOARD), "--point", "A"]) == 2
     assert "is for scenarios" in capsys.readouterr().err
+
+
+def test_a_vehicle_without_control_surfaces_is_offered_no_derivative_against_them() -> None:
+    """Neither of a scenario nor of a record; a surface that moved, or that the table knows, has its derivatives."""
+    flown = load_record(PRACTICE / "p06")
+    still = flown.conditions.with_columns(
+        elevon_deg=0.0 * flown.conditions.time_s, bodyflap_deg=0.0 * flown.conditions.time_s
+    )
+    capsule = replace(flown, conditions=still, ratio_table=None)
+    names = [p.name for p in parameter_list(capsule).parameters]
+    assert "ratio.d_alpha" in names
+    assert not [n for n in names if "elevon" in n or "bodyflap" in n]
+    assert default_names([capsule]) == ("ratio.d0", "ratio.d_alpha", "ratio.d_beta", "ratio.d_logre")
+    (of_face,) = [
+        p for p in scenario_parameters(load_scenario(SCENARIOS / "capsule.toml")) if p.control_point == "FACE"
+    ]
+    assert not [p.name for p in of_face.parameters if "elevon" in p.name or "bodyflap" in p.name]
+    assert "ratio.d_elevon" in default_names([replace(flown, conditions=still)])
+    assert "ratio.d_elevon" in default_names([replace(flown, ratio_table=None)])

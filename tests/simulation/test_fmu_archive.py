@@ -12,8 +12,8 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
-from sim_heating.simulation.fmu_export.archive import RECORD, is_unmodified_export
 from sim_heating.simulation.fmu_export.export import export_fmu
+from sim_heating.simulation.fmu_export.parts.archive import RECORD, is_unmodified_export
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None and shutil.which("cc") is None, reason="needs a C compiler")
 

@@ -30,7 +30,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu
 from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.library import (
     TARGETS,
     CompilationUnit,
     compiler_command,
@@ -676,7 +676,7 @@ def test_vector_intrinsics_are_allowed_and_fused_multiplication_is_not():
     """The vectoriser's intrinsics depend on the machine that it runs on: one with AVX-512 scatters."""
     from llvmlite.binding import parse_assembly
 
-    from sim_heating.simulation.fmu_export.library import forbidden_calls
+    from sim_heating.simulation.fmu_export.parts.library import forbidden_calls
 
     declared = """
         declare void @llvm.masked.scatter.v4f64.v4p0(<4 x double>, <4 x ptr>, <4 x i1>)

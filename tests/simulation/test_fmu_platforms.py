@@ -6,7 +6,7 @@ import llvmlite.binding as llvm
 import pytest
 
 from sim_heating.simulation.fmu_export.export import native_platform
-from sim_heating.simulation.fmu_export.library import TARGETS
+from sim_heating.simulation.fmu_export.parts.library import TARGETS
 
 RUNNING = {
     "linux": "x86_64-unknown-linux-gnu",

@@ -16,7 +16,7 @@ from fmpy.fmi3 import FMU3Slave
 
 from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.simulation.fmu_export.heating import heating_image, heating_units
-from sim_heating.simulation.fmu_export.library import TARGETS, link_inputs, wrapper_sources
+from sim_heating.simulation.fmu_export.parts.library import TARGETS, link_inputs, wrapper_sources
 from tests.support.paths import ROOT
 
 SOURCES = ROOT / "fmu"

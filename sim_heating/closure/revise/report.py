@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.parameters import EFFECT_PREFIX, SHORT_NAMES
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
@@ -169,9 +169,11 @@ def _difference_table(update: TableUpdate, changed: TableChange, what: str) -> T
     shown = np.sort(np.argsort(-change, kind="stable")[:MAX_ROWS])
     count = f"{len(change)} of {changed.table.ratio.size} nodes of the {what} change"
     some = f", the {len(shown)} that change most by their sigma" if len(shown) < len(change) else ""
-    old = update.history.revision
+    old, axes = update.history.revision, zip(SHORT_NAMES, RATIO_VARIABLES, changed.table.axes, strict=True)
+    # a vehicle without a control surface has one node in its deflection
+    named = {name: short for short, name, axis in axes if name not in SURFACES or len(axis) > 1}
     columns = [
-        *(Column(short, name, "g") for short, name in zip(SHORT_NAMES, RATIO_VARIABLES, strict=True)),
+        *(Column(short, name, "g") for name, short in named.items()),
         Column("ratio before", "ratio_before", ".5g"), Column("after", "ratio_after", ".5g"), Column("", "change"),
         Column("sigma before", "sigma_before", ".3g"), Column("after", "sigma_after", ".3g"),
     ]  # fmt: skip
@@ -179,7 +181,7 @@ def _difference_table(update: TableUpdate, changed: TableChange, what: str) -> T
     for i in shown:
         before, after = nodes["ratio_before"][i], nodes["ratio_after"][i]
         relative = f"{after / before - 1.0:+.1%}" if before > 0.0 else f"{after - before:+.3g}"
-        at = (nodes[v][i] for v in RATIO_VARIABLES)
+        at = (nodes[v][i] for v in named)
         rows.append([*at, before, after, relative, nodes["sigma_before"][i], nodes["sigma_after"][i]])
     return Table(f"{update.point.name}, revision {old} to {old + 1}: {count}{some}", columns, rows)
 

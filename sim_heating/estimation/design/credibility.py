@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_heating.credibility.contributors import peak_uncertainty
-from sim_heating.credibility.of_flight import facts_of_study
-from sim_heating.credibility.of_records import MODEL_ERROR_RATIO, ratio_uncertainty
-from sim_heating.credibility.own_cases import wall_readings
-from sim_heating.credibility.sources import inputs_of_point
+from sim_heating.credibility.facts.contributors import peak_uncertainty
+from sim_heating.credibility.facts.of_flight import facts_of_study
+from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, ratio_uncertainty
+from sim_heating.credibility.facts.sources import inputs_of_point
+from sim_heating.credibility.facts.topics import topics_of_points, topics_of_trajectory
 from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Statement, assess
-from sim_heating.credibility.topics import topics_of_points, topics_of_trajectory
+from sim_heating.credibility.validation.own_cases import wall_readings
 from sim_heating.estimation.design.check import RepeatedFits
 from sim_heating.estimation.design.information import Experiment
 from sim_heating.estimation.design.planned_flight import SEARCH_TRAJECTORY, PlannedFlight, Planner
@@ -27,13 +27,13 @@ def credibility_of_design(
     planner: Planner,
     best: PlannedFlight,
     experiment: Experiment,
-    flown: Iterable[PlannedFlight],
+    flights: Iterable[PlannedFlight],
     fitted: tuple[RepeatedFits, Experiment] | None,
 ) -> Statement:
     """The credibility statement of a design.
 
     best, experiment : the design and its expected information
-    flown            : all flights of it, with the scenario's own source among them
+    flights          : all flights of it, with the scenario's own source among them
     fitted           : errors of simulated fits and the bounds for them; None where none were made
     """
     scenario, point = planner.scenario, planner.point
@@ -59,7 +59,7 @@ def credibility_of_design(
             joint_reference([record]),
         ),
         consistent=agree,
-        holds=_keeps_limits(planner, best, flown),
+        holds=_keeps_limits(planner, best, flights),
         varied=agree,
     )
     return assess(found)
@@ -75,15 +75,16 @@ def _agree(fitted: tuple[RepeatedFits, Experiment] | None, wanted: tuple[str, ..
     return Answer(largest <= MODEL_ERROR_RATIO and not fits.failed, f"{text}, {fits.failed} failed")
 
 
-def _keeps_limits(planner: Planner, best: PlannedFlight, flown: Iterable[PlannedFlight]) -> Answer:
+def _keeps_limits(planner: Planner, best: PlannedFlight, flights: Iterable[PlannedFlight]) -> Answer:
     """Whether every flight of a design keeps its limits, and the point's surface does by two standard deviations."""
-    exceeded = [line for flight in flown for line in flight.exceeded_limits]
+    exceeded = [line for flight in flights for line in flight.exceeded_limits]
     if exceeded:
         return Answer(False, exceeded[0])
     scenario, point = planner.scenario, planner.point
     model = point_of_vehicle(scenario.vehicle, point, effects=scenario.effects(point.name))
-    hottest_s = float(best.conditions.time_s[np.argmax(best.conditions["h_ref_kg_m2_s"])])
-    highest = peak_uncertainty(model, best.conditions, hottest_s)
+    flown = best.conditions
+    hottest_s = float(flown.time_s[np.argmax(flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"])])
+    highest = peak_uncertainty(model, flown, hottest_s)
     if highest is None or highest.value is None:
         return NOT_LOOKED_AT
     margin_K, bound_K = point.limits.surface_K - highest.value, SIGMAS * highest.sigma

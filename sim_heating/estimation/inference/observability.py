@@ -8,13 +8,13 @@ than it is known to, and for which the ratio table has nodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, LAYER, MODEL, SHORT_NAMES
 from sim_heating.estimation.inference.identifiability import SINGULAR, covariance, directions
@@ -41,17 +41,31 @@ INFORMED_BELOW = 0.5
 def default_names(records: Sequence[Record]) -> tuple[str, ...]:
     """Parameters that are estimated by default: the magnitude and the five first derivatives.
 
-    records : the records to be fitted jointly
+    records : the records to be fitted jointly; of a control surface that none of them has there is no derivative
 
     `ratio.scale` where every record has a ratio table, else `ratio.d0` [-]; the derivatives are those of the founding
     paper, "Trends in Shuttle Entry Heating from the Correlation of Flight Test Maneuvers", equation 2.
     """
-    return heating_names(all(r.ratio_table is not None for r in records))
+    surfaces = {name for r in records for name in r.surfaces}
+    return heating_names(all(r.ratio_table is not None for r in records), surfaces)
 
 
-def heating_names(with_table: bool) -> tuple[str, ...]:
-    """Magnitude and five first derivatives of a heating ratio, with a table or without one (`ratio.d0`, [-])."""
-    return (MAGNITUDES[0] if with_table else MAGNITUDES[1], *DERIVATIVES)
+def heating_names(with_table: bool, surfaces: Collection[str] = SURFACES) -> tuple[str, ...]:
+    """Magnitude and first derivatives of a heating ratio, with a table or without one (`ratio.d0`, [-]).
+
+    surfaces : columns of the control surfaces [deg] that the vehicle has
+    """
+    magnitude = MAGNITUDES[0] if with_table else MAGNITUDES[1]
+    return (magnitude, *(n for n in DERIVATIVES if not is_of_absent_surface(n, surfaces)))
+
+
+def is_of_absent_surface(name: str, surfaces: Collection[str]) -> bool:
+    """Whether a parameter is a derivative against the deflection [deg] of a control surface that a vehicle has not.
+
+    surfaces : columns of those that it has
+    """
+    against = {RATIO_VARIABLES[i] for i in variables_of(name)}
+    return bool(against.intersection(SURFACES).difference(surfaces))
 
 
 def deviations(records: Sequence[Record]) -> FloatArray:

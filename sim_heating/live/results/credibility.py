@@ -11,18 +11,18 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import file_digest
-from sim_heating.credibility.of_records import MODEL_ERROR_RATIO, of_several, ratio_uncertainty
-from sim_heating.credibility.own_cases import samples_of
-from sim_heating.credibility.region import Samples
-from sim_heating.credibility.reviews import digest_of
-from sim_heating.credibility.sources import (
+from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, of_several, ratio_uncertainty
+from sim_heating.credibility.facts.sources import (
     DeclaredInput,
     conditions_of_record,
     inputs_of_point,
     inputs_of_record,
 )
+from sim_heating.credibility.facts.topics import topics_of_points, topics_of_record
+from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.statement import LARGEST_SHARE, NO_READINGS, SIGMAS, Answer, Facts, Statement, assess
-from sim_heating.credibility.topics import topics_of_points, topics_of_record
+from sim_heating.credibility.validation.own_cases import samples_of
+from sim_heating.credibility.validation.region import Samples
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.points import LivePoint

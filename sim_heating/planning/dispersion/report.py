@@ -17,7 +17,7 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
-from sim_heating.credibility.contributors import combined
+from sim_heating.credibility.facts.contributors import combined
 from sim_heating.credibility.statement import Answer, Facts
 from sim_heating.planning.dispersion.march import QUANTITIES
 from sim_heating.planning.dispersion.results import (

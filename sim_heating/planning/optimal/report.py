@@ -14,7 +14,7 @@ from sim_heating.base.files import write_csv
 from sim_heating.base.progress import Progress
 from sim_heating.base.report.figure import new_figure, replaced_if_undrawable, save_figure
 from sim_heating.base.report.table import Column, Table
-from sim_heating.credibility.own_cases import samples_of
+from sim_heating.credibility.validation.own_cases import samples_of
 from sim_heating.planning.optimal.search import ROUNDS, OptimalEntry, fly_optimal
 from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study

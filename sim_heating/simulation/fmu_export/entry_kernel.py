@@ -11,7 +11,7 @@ import math
 
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.heating.atmosphere import HIGHEST_M
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.library import (
     GOOD,
     I_HEAD,
     INPUTS,

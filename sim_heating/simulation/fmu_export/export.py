@@ -12,12 +12,17 @@ from sim_heating.base.files import exclusive
 from sim_heating.base.files.text import clear_partial_files, suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.fmu_export.archive import archive_bytes, require_replaceable
-from sim_heating.simulation.fmu_export.description import description
-from sim_heating.simulation.fmu_export.heating import HeatingModel, compiling_objects, heating_image, heating_units
-from sim_heating.simulation.fmu_export.image import Image
-from sim_heating.simulation.fmu_export.library import TARGETS, CompilationUnit, Target, shared_library
-from sim_heating.simulation.fmu_export.sampled_maps import map_files
+from sim_heating.simulation.fmu_export.heating import (
+    HeatingModel,
+    compiling_objects,
+    heating_image,
+    heating_units,
+)
+from sim_heating.simulation.fmu_export.parts.archive import archive_bytes, require_replaceable
+from sim_heating.simulation.fmu_export.parts.description import description
+from sim_heating.simulation.fmu_export.parts.image import Image
+from sim_heating.simulation.fmu_export.parts.library import TARGETS, CompilationUnit, Target, shared_library
+from sim_heating.simulation.fmu_export.parts.sampled_maps import map_files
 
 
 def native_platform() -> str:

@@ -59,8 +59,8 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel, elements_of, kernel_effects, stack_values
 from sim_heating.simulation.fmu_export import heating_kernel as k
-from sim_heating.simulation.fmu_export.image import Image, Kind, Problem, Role, SampledMap, Variable, identifier
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Problem, Role, SampledMap, Variable, identifier
+from sim_heating.simulation.fmu_export.parts.library import (
     INPUTS_NEXT,
     INPUTS_NOW,
     MODEL_SIGNATURE,
@@ -74,7 +74,7 @@ from sim_heating.simulation.fmu_export.library import (
     object_files,
     wrapper_objects,
 )
-from sim_heating.simulation.fmu_export.packer import ImagePacker, Input
+from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.plugin_kernel import SWEEP
 from sim_heating.thermal.frame import compiled

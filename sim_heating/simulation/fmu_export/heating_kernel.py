@@ -73,7 +73,7 @@ from sim_heating.march.frames import (
     advance_groups,
     begin_groups,
 )
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.library import (
     CHANGED,
     GOOD,
     I_HEAD,

@@ -23,16 +23,6 @@ from xml.etree import ElementTree as ET
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.fmu_export.archive import archive_bytes, require_replaceable
-from sim_heating.simulation.fmu_export.description import (
-    BASE_UNITS,
-    base_unit,
-    generation_time,
-    number_text,
-    start_text,
-    variables_of,
-    xml_bytes,
-)
 from sim_heating.simulation.fmu_export.entry import ENTRY_UNITS, entry_image
 from sim_heating.simulation.fmu_export.export import (
     fmu_bytes,
@@ -42,8 +32,18 @@ from sim_heating.simulation.fmu_export.export import (
     write_archive,
 )
 from sim_heating.simulation.fmu_export.heating import heating_units
-from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
-from sim_heating.simulation.fmu_export.library import TIMING, TIMING_INTEGER
+from sim_heating.simulation.fmu_export.parts.archive import archive_bytes, require_replaceable
+from sim_heating.simulation.fmu_export.parts.description import (
+    BASE_UNITS,
+    base_unit,
+    generation_time,
+    number_text,
+    start_text,
+    variables_of,
+    xml_bytes,
+)
+from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
+from sim_heating.simulation.fmu_export.parts.library import TIMING, TIMING_INTEGER
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.spec import TrajectorySpec
 

@@ -16,7 +16,7 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import DIGEST, digest_matches, display_path, read_json, suggestion, with_digest, write_json
 from sim_heating.credibility.evidence import case_as_json, case_from_json, shipped_evidence
-from sim_heating.credibility.region import FLIGHT, GROUND, STILL_M_S, Samples, ValidationCase, bands_of
+from sim_heating.credibility.validation.region import FLIGHT, GROUND, STILL_M_S, Samples, ValidationCase, bands_of
 from sim_heating.inputs.record import Record, pooled_rmse_K, record_digest
 
 FOLDER = "validation"

@@ -9,13 +9,13 @@ import numpy as np
 
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import display_path, file_digest
-from sim_heating.credibility.contributors import declares_sigma, peak_uncertainty
-from sim_heating.credibility.own_cases import samples_of
-from sim_heating.credibility.region import FLIGHT, Samples
+from sim_heating.credibility.facts.contributors import declares_sigma, peak_uncertainty
+from sim_heating.credibility.facts.sources import conditions_of_scenario, inputs_of_point
+from sim_heating.credibility.facts.topics import topics_of_points, topics_of_trajectory
 from sim_heating.credibility.reviews import digest_of
-from sim_heating.credibility.sources import conditions_of_scenario, inputs_of_point
 from sim_heating.credibility.statement import NOT_LOOKED_AT, SIGMAS, Answer, Facts
-from sim_heating.credibility.topics import topics_of_points, topics_of_trajectory
+from sim_heating.credibility.validation.own_cases import samples_of
+from sim_heating.credibility.validation.region import FLIGHT, Samples
 from sim_heating.inputs.points import point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.march.history import PointHistory, peak

@@ -11,12 +11,12 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.parameters import SHORT_NAMES
-from sim_heating.credibility.contributors import Uncertainty, combined, declares_sigma, peak_uncertainty
-from sim_heating.credibility.own_cases import samples_of, wall_readings
+from sim_heating.credibility.facts.contributors import Uncertainty, combined, declares_sigma, peak_uncertainty
+from sim_heating.credibility.facts.sources import conditions_of_record, inputs_of_record
+from sim_heating.credibility.facts.topics import topics_of_record
 from sim_heating.credibility.reviews import digest_of
-from sim_heating.credibility.sources import conditions_of_record, inputs_of_record
 from sim_heating.credibility.statement import LARGEST_SHARE, NOT_LOOKED_AT, SIGMAS, Answer, Facts
-from sim_heating.credibility.topics import topics_of_record
+from sim_heating.credibility.validation.own_cases import samples_of, wall_readings
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record

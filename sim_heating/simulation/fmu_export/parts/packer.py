@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
-from sim_heating.simulation.fmu_export.library import (
+from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
+from sim_heating.simulation.fmu_export.parts.library import (
     CHANGED,
     INPUT_SLOPES,
     INPUTS,

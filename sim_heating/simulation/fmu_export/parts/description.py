@@ -12,7 +12,7 @@ import numpy as np
 
 from sim_heating.base.files.package import package_version
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.simulation.fmu_export.image import Image, Kind, Role, Variable
+from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
 
 BASE_UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1}, "m": {"m": 1}, "m/s": {"m": 1, "s": -1}, "K": {"K": 1}, "Pa": {"kg": 1, "m": -1, "s": -2},

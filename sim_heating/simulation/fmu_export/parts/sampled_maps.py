@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from xml.etree import ElementTree as ET
 
-from sim_heating.simulation.fmu_export.description import xml_bytes
-from sim_heating.simulation.fmu_export.image import Image, SampledMap
+from sim_heating.simulation.fmu_export.parts.description import xml_bytes
+from sim_heating.simulation.fmu_export.parts.image import Image, SampledMap
 
 NAME, VERSION = "org.fmi-standard.fmi-ls-struct", "1.0.0-rc.1"
 MANIFEST, TERMINALS = f"extra/{NAME}/fmi-ls-manifest.xml", "terminalsAndIcons/terminalsAndIcons.xml"
