@@ -42,7 +42,7 @@ from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
-from sim_heating.live.lags import Lagging, LaggingFilter, online_filter
+from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter, online_filter
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline, Word
 from sim_heating.live.types import Frame, Reading, Sample
@@ -273,7 +273,9 @@ class LiveEstimator:
         self.filters, self._spare = (
             [
                 online_filter(
-                    self._tracks[k : k + LANES], self._priors[k : k + LANES], self.options.corrects_mesh,
+                    self._tracks[k : k + LANES],
+                    self._priors[k : k + LANES],
+                    self.options.corrects_mesh,
                     self._sensors.lagging(k),
                 )
                 for k in range(0, len(self.points), LANES)
