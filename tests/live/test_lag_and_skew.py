@@ -19,7 +19,9 @@ from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from tests.support.paths import PRACTICE
 
-NODES, TAU_S, SCALE, SKEW_S = 14, 2.5, 0.05, 0.4
+TAU_S, SCALE, SKEW_S = 2.5, 0.05, 0.4
+FINE = 120
+"""Nodes of the wall that is flown."""
 NAMES = ("ratio.scale",)
 PRIORS = {"ratio.scale": Prior(0.0, 0.2), "clock.skew": Prior(0.0, 0.5)}
 END_S = 330.0
@@ -43,7 +45,7 @@ def samples(tau_s: float = TAU_S, skew_s: float = 0.0, noise_K: float = SIGMA_K)
     t = np.arange(0.0, END_S + 0.01)
     flown = r.conditions.at(t)
     names = [n for n in flown.names if n != "time_s"]
-    point = RecordPoints([r], NODES).points[0]
+    point = RecordPoints([r], FINE).points[0]
     nodes = point.mesh.sensors
     nothing = np.full((len(nodes), len(t) - 1), np.nan)
     model = point_of_record(r, {"ratio.scale": SCALE})
@@ -63,9 +65,8 @@ def samples(tau_s: float = TAU_S, skew_s: float = 0.0, noise_K: float = SIGMA_K)
 
 
 def follow(r: Record, given, names=NAMES) -> LiveEstimator:
-    # the truth is that of the mesh itself, from the declared temperatures on
-    options = LiveOptions(corrects_mesh=False, start="declared")
-    e = LiveEstimator(RecordPoints([r], NODES), names, {n: PRIORS[n] for n in names}, options)
+    options = LiveOptions(start="declared")
+    e = LiveEstimator(RecordPoints([r]), names, {n: PRIORS[n] for n in names}, options)
     for sample in given:
         e.add(sample)
         e.advance()
@@ -121,7 +122,9 @@ def flown_record(r: Record, given) -> Record:
     columns = {n: np.array([f.values[n] for f in frames]) for n in frames[0].values}
     conditions = type(r.conditions)({"time_s": np.array([f.time_s for f in frames]), **columns})
     declared = r.declared.model_copy(update={"segments": type(r.declared.segments)()})
-    return make_record(declared, conditions, {"time_s": np.array(t), **measured}, r.ratio_table, r.declared.control_point)
+    return make_record(
+        declared, conditions, {"time_s": np.array(t), **measured}, r.ratio_table, r.declared.control_point
+    )
 
 
 @pytest.mark.parametrize(

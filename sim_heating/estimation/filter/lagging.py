@@ -3,7 +3,7 @@
     y = T + o,    tau dy/dt = T - y
 
 The offset o and its derivatives to the parameters go along with the filter as functions of its march alone, as the
-batch filter has them (`estimation.filter.records.filter_samples`): a reading corrects the temperature of the place and
+batch filter has them (records.filter_samples): a reading corrects the temperature of the place and
 the lagging one by as much. docs/theory/filter.md, equation 23.
 """
 
