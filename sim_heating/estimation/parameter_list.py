@@ -34,6 +34,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
 from sim_heating.estimation.fit import first_values
 from sim_heating.estimation.inference.identifiability import covariance
+from sim_heating.estimation.inference.noise import noise_of_readings
 from sim_heating.estimation.inference.observability import (
     MAGNITUDES,
     constant_variables,
@@ -292,14 +293,24 @@ def _judged(
 
 
 def _set_noise(problem: FitProblem, values: Mapping[str, float]) -> None:
-    """Set the noise of sensors that declare none to that of the residuals of the declared model."""
+    """Set the noise of sensors that declare none to that of their readings, or of the residuals of the declared model.
+
+    The latter holds the model's error too, and is taken where readings are too few to tell their noise.
+    """
     (own,) = problem.record_fits
-    if all(c.sensor.noise_sigma_K is not None for c in own.channels):
+    record, undeclared = own.record, [c for c in own.channels if c.sensor.noise_sigma_K is None]
+    found = {
+        c.number: noise_of_readings(record.time_s, record.temperatures_K([c.sensor])[0], c.sensor.lsb_K)
+        for c in undeclared
+    }
+    own.sigma_K |= {number: sigma for number, sigma in found.items() if sigma is not None}
+    if None not in found.values():
         return
     magnitude = [n for n in values if n == MAGNITUDES[1]]  # without a table the declared model has no heating
-    declared = FitProblem([own.record], magnitude, problem.reference, problem.options)
+    declared = FitProblem([record], magnitude, problem.reference, problem.options)
     declared.update_noise(np.array([values[n] for n in magnitude]))
-    own.sigma_K |= declared.record_fits[0].sigma_K
+    misfit = declared.record_fits[0].sigma_K
+    own.sigma_K |= {number: misfit[number] for number, sigma in found.items() if sigma is None}
 
 
 def _with_bounds(

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from sim_heating.base.errors import InputError
 from sim_heating.cli import cli
 from sim_heating.closure.close import close_loop
+from sim_heating.closure.clues.correlation import residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.trial_fit import declared_fit
 from sim_heating.closure.several.joint import close_loops, write_joint_loop
@@ -132,6 +133,10 @@ def test_the_missing_flux_under_a_lamp_is_that_of_a_brighter_lamp() -> None:
     off = missing.time_s > 120.0
     assert np.mean(missing.delta_ratio[on]) == pytest.approx(0.03, abs=0.003)
     assert np.mean(missing.delta_ratio[off]) == pytest.approx(0.0, abs=0.003)
+    shapes = residual_evidence(missing, None).shape_fits
+    (step,) = (f for f in shapes if f.shape.variable == "time_s")
+    assert shapes[0].share > 0.9
+    assert step.shape.at == pytest.approx(70.0, abs=12.0)  # where the lamp goes out; the steps tried are 12 s apart
 
 
 def test_what_the_declared_model_is_fitted_with_is_not_found_as_an_effect() -> None:

@@ -69,11 +69,19 @@ def test_what_no_lamp_test_has_is_one_line_and_its_layers_have_their_own_names()
     assert "h_ref is 0 throughout" in lamp["ratio.d0"].reason
     tables = {t.title: t for t in parameter_tables([lamp])}
     (row,) = tables["Heating ratio"].rows
-    assert row[0] == "ratio.d0 to ratio.d_bodyflap2, all 21"
+    assert row[0] == "ratio.d0 to ratio.d_logre2, all 10"
     own = [p for p in lamp.parameters if p.belongs_to.startswith("layer ")]
     assert not any(p.name.startswith("stack.rsi.") or "insulation" in p.belongs_to for p in own)
     conductivity = lamp["stack.rsi.conductivity_factor"]  # the role is still a name of it
     assert conductivity.name == f"stack.{conductivity.belongs_to.split()[1].strip(',')}.conductivity_factor"
+
+
+def test_noise_that_is_not_declared_is_that_of_the_readings_and_not_the_misfit_of_the_model() -> None:
+    """p08 lacks an effect: the misfit of its declared model is several times the noise of its readings."""
+    declared = load_record(PRACTICE / "p08")
+    silent = declared.with_sensors([s.model_copy(update={"noise_sigma_K": None}) for s in declared.sensors])
+    known, found = parameter_list(declared), parameter_list(silent)
+    assert found["ratio.d_alpha"].sigma_alone == pytest.approx(known["ratio.d_alpha"].sigma_alone, rel=0.3)
 
 
 def test_a_layer_is_found_by_its_own_name_and_by_its_role(listed: ParameterList) -> None:

@@ -115,7 +115,9 @@ def test_an_angle_of_attack_outside_the_tables_is_refused_and_a_lift_that_is_dow
     with pytest.warns(UserWarning, match=r"lift is down at Mach 30 and 15 deg \(CL -0\.\d+.*negative angles of attack"):
         run("validate", "pod")
 
-    up = down.replace("[1.0, 15.0], [30.0, 15.0]", "[1.0, -15.0], [30.0, -15.0]").replace("alpha_limits_deg = [0.0", "alpha_limits_deg = [-30.0")
+    up = down.replace("[1.0, 15.0], [30.0, 15.0]", "[1.0, -15.0], [30.0, -15.0]").replace(
+        "alpha_limits_deg = [0.0", "alpha_limits_deg = [-30.0"
+    )
     Path("pod/guidance.toml").write_text(up)
     assert "good. vehicle pod" in run("validate", "pod").output
 

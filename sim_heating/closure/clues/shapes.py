@@ -114,7 +114,7 @@ def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
     """Information and score of the residual heating of a fit, with its parameters adjusted."""
     history, J = residual.input, residual.jacobian
     if J.shape[1] == 0:
-        A, b = history.information, history.score
+        A, b = _without_level(history.information, history.score)
     else:
         weighted = history.weight[:, np.newaxis] * J
         C = history.response_matrix.T @ weighted
@@ -127,6 +127,18 @@ def profiled_information(residual: ResidualHeating) -> ProfiledInformation:
         b = history.score - C @ inverse @ (J.T @ history.slope + C.T @ history.delta_ratio)
     Q, _ = process_precision(history.time_s, history.disturbance)
     return ProfiledInformation(A, b, 0.5 * float(b @ np.linalg.solve(A + Q, b)))
+
+
+def _without_level(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Information and score with a constant heating adjusted to every history, as shapes have no mean.
+
+    A fit of the flow's heating has a magnitude among its parameters; that of a wall without flow has none.
+    """
+    along = A.sum(axis=1)
+    power = float(along.sum())
+    if not power > 0.0:
+        return A, b
+    return A - np.outer(along, along) / power, b - along * float(b.sum()) / power
 
 
 def trials_factor(profiled: ProfiledInformation, columns: FloatArray, seed: int = 0) -> float:
