@@ -18,14 +18,14 @@ from typing import Any
 
 from sim_heating.base.errors import InputError, RunError, error_context, one_line
 from sim_heating.base.files import display_path, suggestion
-from sim_heating.base.parameters import SENSOR, SENSOR_PREFIX
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.inference.observability import heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.live.ahead import AheadOfLink
 from sim_heating.live.estimator import Innovation, LiveEstimate, LiveEstimator, LiveOptions, check_estimated
 from sim_heating.live.journal import Journal, read_journal
-from sim_heating.live.mapping import FieldMapping
+from sim_heating.live.mapping import FieldMapping, clock_skew_s
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
 from sim_heating.live.results.followed import Followed
 from sim_heating.live.sources import decoder_of
@@ -112,7 +112,7 @@ def parameters_of(link: Link) -> list[str]:
 
 
 def check_estimate(link: Link) -> None:
-    """Refuse parameters, priors and sensors that a running estimate cannot have, without making one.
+    """Refuse parameters and priors that a running estimate cannot have, without making one.
 
     raises : InputError with one line
     """
@@ -120,13 +120,24 @@ def check_estimate(link: Link) -> None:
     with error_context(f"{display_path(link.path)}, [estimate]"):
         if unknown := [name for name in link.declared.estimate.prior if name not in names]:
             raise InputError(f"`prior`: {unknown[0]} is not estimated{suggestion(unknown[0], names)}")
+        if CLOCK_SKEW.name in link.declared.estimate.fix and CLOCK_SKEW.name in names:
+            raise InputError(
+                f"`{CLOCK_SKEW.name}` is in `fix` and in `parameters`; give what is known of it as the mean of its "
+                "`prior`, and estimate it"
+            )
+        own, skew_s = link.declared.estimate, clock_skew_s(link)
+        if not -own.jump_s < skew_s < own.lateness_s:
+            raise InputError(
+                f"`{CLOCK_SKEW.name}` = {skew_s:g} s: readings would belong outside the window in which samples are "
+                f"waited for, from {-own.jump_s:g} to {own.lateness_s:g} s; raise `lateness_s` or `jump_s`"
+            )
         check_estimated({p.name: p.sensors for p in link.points}, names)
 
 
 def make_estimator(link: Link) -> LiveEstimator:
     """The estimator that a link file declares.
 
-    raises : InputError for a parameter or a sensor that a running estimate cannot have
+    raises : InputError for a parameter that a running estimate cannot have
     """
     check_estimate(link)
     own, names = link.declared.estimate, parameters_of(link)
@@ -137,10 +148,11 @@ def make_estimator(link: Link) -> LiveEstimator:
             ratio_noise=(own.wander, own.wander_s) if own.wander > 0.0 else None, corrects_mesh=own.corrects_mesh,
         )  # fmt: skip
         points: ConditionsOfFrame
+        fixed = {name: value for name, value in own.fix.items() if name != CLOCK_SKEW.name}
         if link.vehicle is not None:
-            points = VehiclePoints(link.vehicle, link.names, parameters=own.fix)
+            points = VehiclePoints(link.vehicle, link.names, parameters=fixed)
         else:
-            points = RecordPoints([link.records[name] for name in link.names], parameters=own.fix)
+            points = RecordPoints([link.records[name] for name in link.names], parameters=fixed)
         return LiveEstimator(points, names, priors, options)
 
 
@@ -537,6 +549,8 @@ def _removed(failure: Failure) -> RemovedSensor:
 
 def _unit(point: LivePoint, name: str) -> str:
     """Unit of a parameter of a control point, or of one of its sensors."""
+    if name == CLOCK_SKEW.name:
+        return CLOCK_SKEW.unit
     if name.startswith(SENSOR_PREFIX):
         return SENSOR[name.rpartition(".")[2]].unit
     return point.model.definition(name).unit

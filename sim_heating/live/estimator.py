@@ -42,6 +42,7 @@ from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
+from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter, online_filter
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline, Word
 from sim_heating.live.types import Frame, Reading, Sample
@@ -208,27 +209,20 @@ class _Second:
 
 
 def check_estimated(sensors: Mapping[str, Sequence[Sensor]], names: Sequence[str]) -> None:
-    """Refuse sensors that a running estimate cannot follow, and parameters of sensors and clock that it cannot have.
+    """Refuse parameters of sensors and clock that a running estimate cannot have.
 
     sensors : of each control point, by its name;  names : parameters to estimate
     raises  : InputError with one line
     """
-    for point, own in sensors.items():
-        lagging = [s for s in own if s.tau_s > 0.0 and s.used]
-        if lagging:
-            raise InputError(
-                f"{point}: sensor {lagging[0].name} lags (tau_s = {lagging[0].tau_s:g}); a running estimate follows "
-                "thermocouples without a lag alone. Set its tau_s to 0, or used = false and `estimate` the record"
-            )
     known = {s.name for own in sensors.values() for s in own if s.used}
     for name in names:
-        if not name.startswith((SENSOR_PREFIX, "clock.", "sensors.")):
+        if not name.startswith((SENSOR_PREFIX, "clock.", "sensors.")) or name == CLOCK_SKEW.name:
             continue
         sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
         if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
             raise InputError(
                 f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
-                f"clock nothing, `{CLOCK_SKEW.name}` among it. Leave it out here and `estimate` the record"
+                f"clock `{CLOCK_SKEW.name}`. Leave it out here and `estimate` the record"
             )
         if sensor not in known:
             raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
@@ -248,14 +242,14 @@ class LiveEstimator:
     """Running estimate of temperatures and parameters at the control points of a link.
 
     source  : the control points, and what a frame is for them (live/points.py)
-    names   : parameters to estimate, by their dotted names, also `sensor.NAME.bias`, `.gain` and `.drift`; those of a
-              sensor are of the point that has it
+    names   : parameters to estimate, by their dotted names, also `sensor.NAME.bias`, `.gain` and `.drift`, of the point
+              that has the sensor, and `clock.skew`, of each point; readings come with the mean of its prior taken out
     priors  : by name; those of the model, and wide ones for the heating ratio, where not given
     options : how it works
-    raises  : InputError for an unknown parameter, one that a running estimate cannot have, or a sensor that lags
+    raises  : InputError for an unknown parameter, or one that a running estimate cannot have
 
     One process, one thread. `add` takes samples, `advance` filters what is complete, `estimates` gives the state at the
-    newest frame. Docs: docs/theory/filter.md, equations 17 to 21.
+    newest frame. Docs: docs/theory/filter.md, equations 17 to 23.
     """
 
     def __init__(
@@ -278,7 +272,12 @@ class LiveEstimator:
         # the others take the flight so far again
         self.filters, self._spare = (
             [
-                OnlineFilter(self._tracks[k : k + LANES], self._priors[k : k + LANES], self.options.corrects_mesh)
+                online_filter(
+                    self._tracks[k : k + LANES],
+                    self._priors[k : k + LANES],
+                    self.options.corrects_mesh,
+                    self._sensors.lagging(k),
+                )
                 for k in range(0, len(self.points), LANES)
             ]
             for _ in range(2)
@@ -688,6 +687,8 @@ class LiveEstimator:
             first = k * LANES
             given, numbers, doubtful = self._sensors.readings(words, first, f, self._out)
             along = histories[first : first + LANES]
+            if isinstance(f, LaggingFilter):
+                given = f.behind_lags(time_s, along, given, numbers)
             read_K = middle_K(given.lower_K, given.upper_K)
 
             def filtered(given: PointReadings, f: OnlineFilter = f, along: FloatArray = along) -> Innovations:
@@ -980,7 +981,7 @@ class LiveEstimator:
         return LiveEstimate(
             float(state.temperature_K[0]), float(state.sigma_K[0]),
             float(state.temperature_K[bond]), float(state.sigma_K[bond]),
-            self._sensors.predicted(i, point, state), state,
+            self._sensors.predicted(i, point, state, self.filters[i // LANES]), state,
         )  # fmt: skip
 
     def innovations(self) -> list[Innovation]:
@@ -1023,6 +1024,7 @@ class _SensorTable:
         self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
         self.lsb = np.array([s.lsb_K if w else np.nan for s, w in pairs])
         self.last = np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs])
+        self.tau_s = np.array([s.tau_s for s in self.sensors])
         self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
         self.used = np.array([s.used for s in self.sensors])
         self.of_point = [[n for n, i in enumerate(self.point) if i == k] for k in range(len(points))]
@@ -1036,10 +1038,15 @@ class _SensorTable:
 
     @staticmethod
     def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
-        """Parameters of a point: those of its march, then those of its own sensors."""
-        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR}
-        march = tuple(n for n in names if not n.startswith(SENSOR_PREFIX))
+        """Parameters of a point: those of its march, then those of its own sensors and of the clock."""
+        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR} | {CLOCK_SKEW.name}
+        march = tuple(n for n in names if _is_of_march(n))
         return march + tuple(n for n in names if n in own)
+
+    def lagging(self, first: int) -> Lagging:
+        """Sensors that lag among the points of one filter, which begins with point number `first`."""
+        mine = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
+        return Lagging(mine, self.point[mine] - first, self.node[mine], self.tau_s[mine])
 
     def readings(
         self, words: FloatArray, first: int, f: OnlineFilter, out: Sequence[_Out]
@@ -1099,10 +1106,10 @@ class _SensorTable:
                 found[n] = float((value - constant[0]) / slope[0])
         return found
 
-    def predicted(self, i: int, point: LivePoint, state: PointEstimate) -> dict[str, SensorEstimate]:
-        """What each sensor of a point ought to show, with its standard deviation."""
+    def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
+        """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
         found = {}
-        if not self._any_terms and not self.curved:
+        if not self._any_terms and not self.curved and not np.any(self.tau_s):
             nodes = list(point.mesh.sensors)
             sigma = np.hypot(state.sigma_K[nodes], self.sigma_K[self.of_point[i]]).tolist()
             pairs = zip(point.sensors, state.temperature_K[nodes].tolist(), sigma, strict=True)
@@ -1111,26 +1118,35 @@ class _SensorTable:
         for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
             node = point.mesh.sensors[k]
             T, wrong = float(state.temperature_K[node]), sensor_errors(sensor, values)
+            per_T = state.sensitivity[node]
+            if isinstance(f, LaggingFilter) and self.tau_s[n] > 0.0:
+                offset_K, per_offset = f.offset_of(n, state.values)
+                T, per_T = T + offset_K, per_T + per_offset
             mean, slope = wrong.gain * T + wrong.bias_K, 1.0
             mean += wrong.drift_K_s * (state.time_s - self._begun.get(n, state.time_s))
             if sensor.calibration is not None:
                 curve = np.polynomial.Polynomial(sensor.calibration)
                 mean, slope = float(curve(mean)), float(curve.deriv()(mean))
             variance = float(state.sigma_K[node]) ** 2
-            if self._any_terms:
+            if self._any_terms or self.tau_s[n] > 0.0:
                 terms = self._terms[n]
-                row = wrong.gain * state.sensitivity[node] + terms[:, 0] + terms[:, 1] * T
+                row = wrong.gain * per_T + terms[:, 0] + terms[:, 1] * T
                 variance = float(row @ state.covariance @ row)
                 variance += wrong.gain**2 * float(state.state_covariance[node, node])
             found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + float(self.sigma_K[n]) ** 2))
         return found
 
 
+def _is_of_march(name: str) -> bool:
+    """Whether a parameter is one of the march, and not of sensors or clock."""
+    return not name.startswith(SENSOR_PREFIX) and name != CLOCK_SKEW.name
+
+
 def _track(
     point: LivePoint, names: tuple[str, ...], priors: Mapping[str, Prior], options: LiveOptions
 ) -> tuple[FilterTrack, dict[str, Prior]]:
     """A point as the filter takes it, and the priors of its parameters."""
-    march = tuple(n for n in names if not n.startswith(SENSOR_PREFIX))
+    march = tuple(n for n in names if _is_of_march(n))
     nothing = np.zeros(0)
     empty = Samples(nothing, np.zeros(0, dtype=np.int64), *(nothing,) * 5)
     wanders = Disturbance() if options.ratio_noise is None else Disturbance.gauss_markov(*options.ratio_noise)
@@ -1152,6 +1168,8 @@ def default_prior(model: PointModel, name: str) -> Prior:
     if name.startswith(SENSOR_PREFIX):
         known: Parameter = SENSOR[name.rpartition(".")[2]]
         return Prior(known.value, known.sigma)
+    if name == CLOCK_SKEW.name:
+        return Prior(CLOCK_SKEW.value, CLOCK_SKEW.sigma)
     known = model.definition(name)
     mean = model.value(name)
     if math.isfinite(known.sigma) and known.sigma > 0.0:

@@ -4,7 +4,8 @@
     T     = c0 + c1 w + c2 w^2 + ...                  of a word w with a calibration, then by its unit
     T     = low + w LSB                               of a code w of a recorder that declares bits and range_K
 
-A message with all columns of flight conditions is a frame at once. Columns that come in several messages of one time
+A reading is one of the time by its clock, less the skew of that clock where the link declares one. A message with all
+columns of flight conditions is a frame at once. Columns that come in several messages of one time
 are gathered; where a later time comes first, the columns that are absent have their latest values.
 """
 
@@ -19,6 +20,7 @@ from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import Conversion, conversion, known_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
+from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.live.spec import ConditionField, Link, SensorField
 from sim_heating.live.types import Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
@@ -143,6 +145,7 @@ class FieldMapping:
         self._time = declared.time.field
         self._seconds = unit_conversion(declared.time.unit, "s", f"{place}, [time]: `unit`")
         self._zero = declared.time.zero
+        self._skew_s = clock_skew_s(link)
         # what a record has and no field gives is as it was at the start, as the pressure at a wall at rest
         first = next((link.records[name] for name in link.names if link.records), None)
         flown = {} if first is None else first.conditions.columns
@@ -280,8 +283,18 @@ class FieldMapping:
             except InputError as error:
                 problems += error.problems
                 continue
-            readings.append(Reading(at_s, w.point, w.sensor.name, T))
+            readings.append(Reading(at_s - self._skew_s, w.point, w.sensor.name, T))
         return readings, problems
+
+
+def clock_skew_s(link: Link) -> float:
+    """By how much the clock of the thermocouples is known to lag behind that of the conditions [s].
+
+    `clock.skew` in `fix`, or the mean of its prior where it is estimated: readings are put where they belong by it.
+    """
+    own = link.declared.estimate
+    mean, _ = own.prior.get(CLOCK_SKEW.name, (CLOCK_SKEW.value, CLOCK_SKEW.sigma))
+    return own.fix.get(CLOCK_SKEW.name, mean if CLOCK_SKEW.name in (own.parameters or ()) else 0.0)
 
 
 def _names(values: Mapping[str, object]) -> str:

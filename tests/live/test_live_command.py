@@ -7,8 +7,10 @@ import os
 import re
 import signal
 import socket
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sim_heating as sh
@@ -157,20 +159,41 @@ def test_a_mapping_of_an_unknown_condition_is_one_line(tmp_path, capsys):
     assert "did you mean `alpha_deg`" in told
 
 
-def test_what_a_running_estimate_cannot_follow_is_refused_by_validate_and_at_the_start(cut: Path, tmp_path, capsys):
-    lagging = load_record(cut)
-    first, *rest = lagging.sensors
-    write_record(lagging.with_sensors([first.model_copy(update={"tau_s": 0.5}), *rest]), tmp_path / "lagging")
-    source = '[[source]]\nkind = "replay"\nspeed = 0.0\n'
-    head = 'format = "link/1"\nrecords = ["{}"]\n' + source
-    (tmp_path / "lags.toml").write_text(head.format("lagging"))
-    (tmp_path / "clock.toml").write_text(head.format(cut) + '[estimate]\nparameters = ["ratio.scale", "clock.skew"]\n')
-    for name, problem in (("lags", "lags (tau_s = 0.5)"), ("clock", "`clock.skew`: a running estimate cannot have it")):
-        path, root = str(tmp_path / f"{name}.toml"), ["--root", "/"]
-        told = the_error(capsys, "validate", path, *root)
+def test_what_a_running_estimate_cannot_have_is_refused_by_validate_and_at_the_start(cut: Path, tmp_path, capsys):
+    head = f'format = "link/1"\nrecords = ["{cut}"]\n[[source]]\nkind = "replay"\nspeed = 0.0\n[estimate]\n'
+    first, clock = load_record(cut).used_sensors[0].name, 'parameters = ["ratio.scale", "clock.skew"]\n'
+    cases = {
+        f'parameters = ["sensor.{first}.tau_s"]': f"`sensor.{first}.tau_s`: a running estimate cannot have it",
+        'parameters = ["ratio.scale", "sensors.tau_s"]': "`sensors.tau_s`: a running estimate cannot have it",
+        clock + 'fix = { "clock.skew" = 0.5 }': "`clock.skew` is in `fix` and in `parameters`",
+        clock + 'prior = { "clock.skew" = [4.0, 0.5] }': "`clock.skew` = 4 s: readings would belong outside the window",
+        'fix = { "clock.skew" = -3.0 }': "raise `lateness_s` or `jump_s`",
+    }
+    for k, (keys, problem) in enumerate(cases.items()):
+        path, root = tmp_path / f"{k}.toml", ["--root", "/"]
+        path.write_text(head + keys)
+        told = the_error(capsys, "validate", str(path), *root)
         assert problem in told
-        assert "`estimate` the record" in told
-        assert the_error(capsys, "live", path, "--headless", "--out", str(tmp_path / name), *root) == told
+        assert the_error(capsys, "live", str(path), "--headless", "--out", str(tmp_path / str(k)), *root) == told
+
+
+def test_a_known_skew_of_the_recorder_s_clock_is_taken_out_of_estimate_and_record(cut: Path, tmp_path, capsys):
+    sent = load_record(cut)
+    late = replace(sent, thermocouples={**sent.thermocouples, "time_s": sent.time_s + 1.0})
+    write_record(late, tmp_path / "late")
+    head = 'format = "link/1"\nrecords = ["{}"]\n[[source]]\nkind = "replay"\nspeed = 0.0\n[estimate]\nparameters = '
+    (tmp_path / "a.toml").write_text(head.format(cut) + '["ratio.scale"]')
+    (tmp_path / "b.toml").write_text(head.format("late") + '["ratio.scale"]\nfix = { "clock.skew" = 1.0 }')
+    found = [
+        run_json(capsys, "live", str(tmp_path / f"{k}.toml"), "--headless", "--root", "/", "--out", str(tmp_path / k))
+        for k in "ab"
+    ]
+    (of_sent, of_late) = (next(iter(f["results"]["state"]["points"].values())) for f in found)
+    assert of_late["parameters"]["ratio.scale"]["value"] == pytest.approx(
+        of_sent["parameters"]["ratio.scale"]["value"], abs=0.1 * of_sent["parameters"]["ratio.scale"]["sigma"]
+    )
+    records = [next((tmp_path / k / "records").rglob("record.toml")).parent for k in "ab"]
+    np.testing.assert_allclose(load_record(records[1]).time_s, load_record(records[0]).time_s)
 
 
 def test_a_field_that_is_never_sent_is_named(tmp_path, capsys):

@@ -40,6 +40,7 @@ from sim_heating.base.kernels.block import (
     conditions_at,
 )
 from sim_heating.base.kernels.jit import njit
+from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.filter.arrays import (
     Blocks,
     FilterArrays,
@@ -476,6 +477,10 @@ class OnlineFilter(FilterMarch):
             information.prior[lane] = np.diag([*(p.sigma**-2.0 for p in priors), *[1.0] * (m - len(priors))])
             information.at[lane, : len(priors)] = [p.mean for p in priors]
         self._bounds = [self._bounds_of(p) for p in self.points]
+        for names, priors, bounds in zip(self.names, self.priors, self._bounds, strict=True):
+            for k, name in enumerate(names):
+                if name == CLOCK_SKEW.name:  # readings come at the times of its mean: it stays linearised there
+                    bounds[0][k] = bounds[1][k] = priors[k].mean
         return information
 
     def _linearise_at(self, i: int, values: FloatArray) -> None:
