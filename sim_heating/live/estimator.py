@@ -27,6 +27,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
+from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter, online_filter
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
 from sim_heating.estimation.filter.online import (
     FilterSnapshot,
@@ -42,7 +43,6 @@ from sim_heating.estimation.inference.likelihood import word_intervals
 from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
 from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
-from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter, online_filter
 from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline, Word
 from sim_heating.live.types import Frame, Reading, Sample
@@ -509,7 +509,7 @@ class LiveEstimator:
         between = f"from {jump.from_s:g} to {jump.to_s:g} s"
         if 0.0 < jump.by_s <= BRIDGED_S:
             self._tell(
-                f"the clock jumped ahead {between}: the conditions hardly changed; bridged as a gap"
+                f"the clock jumped ahead {between}: the conditions did not go on as long; bridged as a gap"
                 if jump.is_gap is False
                 else f"no frames {between}: a gap{'' if jump.is_gap else ' or a jump of the clock'}; bridged"
             )

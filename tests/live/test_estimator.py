@@ -274,7 +274,7 @@ def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
 def test_a_clock_that_jumps_ahead_by_little_is_told_from_a_gap_by_the_conditions():
     e = feed(estimator(), stamped(8.0))
     assert e.messages[-1] == (
-        "the clock jumped ahead from 879.75 to 888 s: the conditions hardly changed; bridged as a gap"
+        "the clock jumped ahead from 879.75 to 888 s: the conditions did not go on as long; bridged as a gap"
     )
     assert e.counts.jumps == 1
     value, sigma = e.estimates()[e.names[0]].parameters["ratio.scale"]
@@ -512,7 +512,7 @@ def test_names_that_the_link_does_not_have_are_told_with_the_nearest():
     with pytest.raises(InputError, match=r"no sensor `OE_surfac`.*OE_surface"):
         e.add(Reading(850.0, e.names[0], "OE_surfac", 300.0))
     with pytest.raises(InputError, match="running estimate cannot have it"):
-        LiveEstimator(RecordPoints([record()], NODES), ("clock.skew",))
+        LiveEstimator(RecordPoints([record()], NODES), ("sensors.tau_s",))
 
 
 def test_a_frame_that_lacks_a_column_is_told_and_not_used():

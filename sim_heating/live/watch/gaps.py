@@ -19,8 +19,10 @@ STEADY = 0.05
 """Root mean square of what a steady column leaves a straight line by, over its change along that line, at most [-]."""
 LONGEST_OVER = 30.0
 """Time over which a rate is taken to last, over the time in which it was found [-]."""
-OF_GAP, OF_JUMP = 0.6, 0.3
-"""Part of the time by the clock that passed by the conditions: at least in a gap, and at most in a jump [-]."""
+OF_GAP, OF_JUMP = 0.8, 0.7
+"""Part of the time by the clock that passed by the conditions: at least in a gap, and at most where it jumped [-]."""
+LONG_OVER, OF_LONG_GAP, OF_LONG_JUMP = 2.0, 0.6, 0.3
+"""The same of a time longer than so many times that in which the rates were found: they change meanwhile [-]."""
 
 
 def passed_s(before: Sequence[Frame], after: Frame) -> float | None:
@@ -61,5 +63,6 @@ def is_gap(before: Sequence[Frame], after: Frame) -> bool | None:
     passed = passed_s(before, after)
     if passed is None or not math.isfinite(passed) or apart_s > LONGEST_OVER * seen_s:
         return None
+    of_gap, of_jump = (OF_LONG_GAP, OF_LONG_JUMP) if apart_s > LONG_OVER * seen_s else (OF_GAP, OF_JUMP)
     part = passed / apart_s
-    return True if part >= OF_GAP else False if part <= OF_JUMP else None
+    return True if part >= of_gap else False if part <= of_jump else None
