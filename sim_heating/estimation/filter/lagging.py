@@ -105,6 +105,8 @@ class LaggingFilter(OnlineFilter):
         """What its lag adds to the temperature of a sensor's place now [K], and (parameter,) derivatives.
 
         number : of the sensor, which lags;  values : (parameter,) estimates, each in its unit
+
+        Derived in docs/theory/filter.md, equation 23.
         """
         j = int(np.searchsorted(self.lagging.number, number))
         per = self._per[j, : len(values)]

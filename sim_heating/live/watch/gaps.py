@@ -1,6 +1,6 @@
 """A gap in the frames, or a clock that jumped ahead: the conditions tell how long it was.
 
-Over a gap altitude, speed and density go on as they did before; where the clock jumped they hardly do. Neither the
+Over a gap altitude, speed and density go on as they did before; where the clock jumped they do so for less. Neither the
 numbers of the frames nor the time of their arrival is asked: what is told of a flight depends on its samples alone.
 """
 
