@@ -33,11 +33,14 @@ from sim_heating.base.kernels.block import (
     FILM,
     H_REF,
     HEAD_ROWS,
+    HIGH,
+    INVALID_HIGH_K,
     LANES,
     N_CONDITIONS,
     NODE_ROWS,
     T,
     conditions_at,
+    node_rows,
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.estimation.filter.arrays import (
@@ -444,18 +447,35 @@ class OnlineFilter(FilterMarch):
     def restore(self, snapshot: FilterSnapshot) -> None:
         """Go back, or forward, to a snapshot of this filter."""
         self.now_s, self._stepped = snapshot.time_s, snapshot.stepped
+        where = self._information.at.copy()
+        self._copy_back(snapshot.numbers)
+        moved = np.any(self._information.at != where, axis=1)
+        if np.any(moved):
+            # The nodes of the perturbed lanes have the parameters of another linearisation.
+            for i in range(len(self.points)):
+                if moved[self._lane_of[i]]:
+                    self._write_model(i)
+            self._copy_back(snapshot.numbers)
+        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
+        for start, middle, end in zip(*(_heads(x, self._groups.groups) for x in self._X), strict=True):
+            start[:], middle[:] = end, end
+        # The polynomials of their nodes may be of another pressure, or of later parameters.
+        for x in self._X:
+            for first, last, *_ in self._groups.groups:
+                node_rows(x[first:last])[:, HIGH] = INVALID_HIGH_K
+
+    def _copy_back(self, numbers: FloatArray) -> None:
         at = 0
         for own in self._changing():
-            own[...] = snapshot.numbers[at : at + own.size].reshape(own.shape)
+            own[...] = numbers[at : at + own.size].reshape(own.shape)
             at += own.size
-        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
-        self._X.start[:] = self._X.end
-        self._X.middle[:] = self._X.end
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
-        info = self._information
+        """All that changes from step to step and is not found anew by the next one: what is in the nodes of the
+        perturbed lanes follows from the nominal ones and from the parameters."""
+        info, heads = self._information, _heads(self._X.end, self._groups.groups)
         mesh = () if self._mesh_error is None else (self._mesh_error.state,)
-        filtered = self._group.B, self._X.end, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
+        filtered = self._group.B, *heads, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
         return (*filtered, *mesh)
 
     # Packing ---------------------------------------------------------------------------------------------------------
@@ -580,9 +600,10 @@ class PackedModel:
     def rows(
         self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
     ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes that have one parameter each changed by so much."""
+        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much."""
         stack, heating = self.values(at, 0.0, "", 0.0)
-        stacks, heatings = np.tile(stack, (len(changes), 1)), np.tile(heating, (len(changes), 1))
+        stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
+        stacks[:], heatings[:] = stack, heating
         known = dict(zip(self.names, at, strict=False))
         is_entries = all(self.places[n] is not None for n in known)
         for k, (name, by) in enumerate(changes):
@@ -607,6 +628,11 @@ def no_readings(parameters: int) -> PointReadings:
     return PointReadings(
         number, nothing, number, nothing, nothing, nothing, nothing, nothing, np.zeros((0, parameters, 3))
     )
+
+
+def _heads(X: FloatArray, groups: IntArray) -> list[FloatArray]:
+    """What is ahead of the nodes in the block of each group of lanes: parameters, conditions, heating (views)."""
+    return [X[first : first + HEAD_ROWS * LANES] for first in groups[:, 0]]
 
 
 def _places(lane_of: IntArray) -> IntArray:
