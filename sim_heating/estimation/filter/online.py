@@ -28,6 +28,7 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     C_STAGES,
+    COLUMN,
     D0,
     END,
     FILM,
@@ -41,6 +42,7 @@ from sim_heating.base.kernels.block import (
     T,
     conditions_at,
     node_rows,
+    scalar_row,
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.estimation.filter.arrays import (
@@ -351,9 +353,10 @@ class OnlineFilter(FilterMarch):
         lane_of = self._lane_of[readings.point]
         lanes = len(self.points)
         count = np.bincount(lane_of, minlength=lanes)
-        steps = np.searchsorted(times[1:], readings.time_s)
-        most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
-        place = _places(lane_of)
+        most, place = int(np.max(count)), _places(lane_of)
+        if len(time_s) > 1:
+            steps = np.searchsorted(time_s, readings.time_s)
+            most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
         arrays = self._arrays(most)._replace(readings=self._given(readings, lane_of, place, count))
         rows = max(1, int(np.max(count, initial=0)))
         out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
@@ -363,8 +366,7 @@ class OnlineFilter(FilterMarch):
             arrays, out, self._information, found,
         )  # fmt: skip
         self._stepped, self.now_s = True, float(times[-1])
-        mine = found[lane_of, place]
-        return Innovations(mine[:, 0], mine[:, 1], mine[:, 2], mine[:, 3])
+        return Innovations(*found[lane_of, place].T)
 
     def _with_mesh_error(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> PointReadings:
         """Readings of some steps as the mesh of their points shows them: their biases have its error at those times."""
@@ -424,6 +426,11 @@ class OnlineFilter(FilterMarch):
         )  # fmt: skip
 
     @property
+    def most_parameters(self) -> int:
+        """Number of parameters of the point that has most of them."""
+        return self._size[1]
+
+    @property
     def diverged(self) -> list[int]:
         """Numbers of the points whose filter diverged: a temperature [K] fell below 1 K or is not a number."""
         return [i for i in range(len(self.points)) if self._state_now.diverged[self._lane_of[i]]]
@@ -447,22 +454,24 @@ class OnlineFilter(FilterMarch):
     def restore(self, snapshot: FilterSnapshot) -> None:
         """Go back, or forward, to a snapshot of this filter."""
         self.now_s, self._stepped = snapshot.time_s, snapshot.stepped
-        where = self._information.at.copy()
+        where, groups = self._information.at.copy(), self._groups.groups
+        gathered = [[head[scalar_row(COLUMN)].copy() for head in _heads(x, groups)] for x in self._X]
         self._copy_back(snapshot.numbers)
-        moved = np.any(self._information.at != where, axis=1)
-        if np.any(moved):
+        moved = [i for i in range(len(self.points)) if np.any((self._information.at != where)[self._lane_of[i]])]
+        if moved:
             # The nodes of the perturbed lanes have the parameters of another linearisation.
-            for i in range(len(self.points)):
-                if moved[self._lane_of[i]]:
-                    self._write_model(i)
+            for i in moved:
+                self._write_model(i)
             self._copy_back(snapshot.numbers)
         # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
-        for start, middle, end in zip(*(_heads(x, self._groups.groups) for x in self._X), strict=True):
-            start[:], middle[:] = end, end
-        # The polynomials of their nodes may be of another pressure, or of later parameters.
-        for x in self._X:
-            for first, last, *_ in self._groups.groups:
-                node_rows(x[first:last])[:, HIGH] = INVALID_HIGH_K
+        for x in self._X[:2]:
+            for own, end in zip(_heads(x, groups), _heads(self._X.end, groups), strict=True):
+                own[:] = end
+        # Polynomials of their nodes that were gathered with other parameters, or in another column of pressures.
+        for x, columns in zip(self._X, gathered, strict=True):
+            for (first, last, *_), before, head in zip(groups, columns, _heads(x, groups), strict=True):
+                if moved or np.any(before != head[scalar_row(COLUMN)]):
+                    node_rows(x[first:last])[:, HIGH] = INVALID_HIGH_K
 
     def _copy_back(self, numbers: FloatArray) -> None:
         at = 0
@@ -525,12 +534,15 @@ class OnlineFilter(FilterMarch):
 
     def _given(self, readings: PointReadings, lane_of: IntArray, place: IntArray, count: IntArray) -> Readings:
         lanes, rows, m = len(count), max(1, int(np.max(count, initial=0))), self._size[1]
-        time_s, gain, bias, variance, lower, upper = np.full((6, lanes, rows), np.nan)
-        node, direct = np.zeros((lanes, rows), dtype=np.int64), np.zeros((lanes, rows, m, 3))
-        at = lane_of, place
-        time_s[at], node[at], gain[at], bias[at] = readings.time_s, readings.node, readings.gain, readings.bias_K
-        variance[at], lower[at], upper[at] = readings.variance_K2, readings.lower_K, readings.upper_K
-        direct[(*at, slice(0, readings.direct.shape[1]))] = readings.direct
+        numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
+        direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + place
+        numbers[:, at] = (
+            readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
+        )  # fmt: skip
+        node.ravel()[at] = readings.node
+        if np.any(readings.direct):
+            direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
+        time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
         return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _written(self, i: int) -> tuple[PointLanes, PointLanes, list[tuple[str, float]]]:
