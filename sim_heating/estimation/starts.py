@@ -18,12 +18,13 @@ Equations 2 to 6 of docs/theory/clocks_and_starts.md, with a comparison of the f
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
+from sim_heating.base.threads import one_thread
 from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.record_fit import Start, StartMaker, march_times, start_unknowns
 from sim_heating.estimation.unknown_heating import after_unknown_heating, largest_directions, temperatures_at
@@ -189,10 +190,17 @@ def smooth_directions(s: FloatArray) -> FloatArray:
     Matern covariance of order 5/2. Source: Rasmussen and Williams (2006), chapter 4; docs/theory/clocks_and_starts.md,
     equation 4.
     """
+    return _smooth_directions(s.tobytes()).copy(order="K")
+
+
+@lru_cache(maxsize=64)
+def _smooth_directions(depths: bytes) -> FloatArray:
+    """As `smooth_directions`: control points of one wall have the same ones."""
     # profiles bend near the surface and are smooth deep in the wall: in the logarithm they are alike
-    z = np.log1p(s)
+    z = np.log1p(np.frombuffer(depths))
     x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / START_LENGTH
-    values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
+    with one_thread():
+        values, vectors = np.linalg.eigh((1.0 + x + x**2 / 3.0) * np.exp(-x))
     return vectors[:, ::-1][:, :DIRECTIONS] * np.sqrt(np.maximum(values[::-1][:DIRECTIONS], 0.0))
 
 

@@ -32,6 +32,7 @@ from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import SENSOR_PREFIX
+from sim_heating.base.threads import one_thread
 from sim_heating.estimation.filter.online import PackedModel, PointEstimate
 from sim_heating.live.estimator import LiveEstimate, LiveEstimator
 from sim_heating.live.futures import Course, Future, Futures, held
@@ -142,11 +143,12 @@ class LookAhead:
         now = [estimates[p.name].state for p in points]
         futures: dict[str, Future]
         futures = {"held": held(self.source.columns, frame)} if self.futures is None else self.futures.after(frame)
-        found = self._march_all(now, frame, futures)
         ahead = []
-        for i in range(len(points)):
-            states = {n: self._state(p, self.limits[i]) for n, own in found.items() if (p := own[i]) is not None}
-            ahead.append(PointAhead(states, *self._knock_off(i, now[i], frame, futures.get("planned"), states)))
+        with one_thread():
+            found = self._march_all(now, frame, futures)
+            for i in range(len(points)):
+                states = {n: self._state(p, self.limits[i]) for n, own in found.items() if (p := own[i]) is not None}
+                ahead.append(PointAhead(states, *self._knock_off(i, now[i], frame, futures.get("planned"), states)))
         return {p.name: a for p, a in zip(points, ahead, strict=True)}
 
     def warm_up(self, now: Sequence[PointEstimate]) -> None:

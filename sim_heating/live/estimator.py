@@ -202,12 +202,13 @@ class _Second:
     """Filters that take the flight so far again, linearised about an estimate.
 
     known : number of steps whose readings that estimate has; up to there no other is better to be linearised about
-    taken : number of steps that they took
+    taken, due : number of steps that they took, and that they are to have taken before the next step becomes final
     """
 
     filters: list[OnlineFilter]
     known: int
     taken: int = 0
+    due: int = 0
 
 
 def check_estimated(sensors: Mapping[str, Sequence[Sensor]], names: Sequence[str]) -> None:
@@ -564,6 +565,7 @@ class LiveEstimator:
     def _change_use(self, point: str, sensor: str, since_s: float, out: bool) -> None:
         if (point, sensor) not in self._sensors.numbers:
             raise InputError(self._unknown(point, sensor))
+        self._take_due()
         spans, self._changed = self._out[self._sensors.numbers[point, sensor]].spans, True
         if out and not (spans and spans[-1][1] == math.inf):
             spans.append((since_s, math.inf))
@@ -677,7 +679,7 @@ class LiveEstimator:
         found = np.zeros((len(words), 4))
         if words:
             found[:, :3] = words
-        jumping = {n for t, n in self.timeline.jumps if after_s < t <= until_s}
+        jumping = {n for t, n in self.timeline.jumps if after_s - NEAR_S < t <= until_s}
         if jumping:
             near = self.timeline.words_between(after_s - NEAR_S, until_s + NEAR_S)
             spikes = suspected([w for w in near if w[1] in jumping], after_s, self._gate_K)
@@ -704,34 +706,35 @@ class LiveEstimator:
         histories[:, -1] = vectors
         # conditions are known at the ends of a gap alone
         unknown = min(GAP_ERROR_1_S * (end - begin), LARGEST_GAP_ERROR) if steps > 1 else 0.0
-        log: list[FloatArray] = []
+        number, doubtful = words[:, 1].astype(np.int64), words[:, 3] > 0.0
+        given, is_out = self._sensors.readings(words, filters, self._out), np.zeros(len(words), dtype=bool)
+        read_K = middle_K(given.lower_K, given.upper_K)
+        columns = np.empty((len(words), 4))
         for k, f in enumerate(filters):
             first = k * LANES
-            given, numbers, doubtful = self._sensors.readings(words, first, f, self._out)
             along = histories[first : first + LANES]
+            mine = np.flatnonzero((given.point >= first) & (given.point < first + LANES))
+            own = PointReadings(*(a[mine] for a in given))
+            own = own._replace(point=own.point - first, direct=own.direct[:, : f.most_parameters])
             if isinstance(f, LaggingFilter):
-                given = f.behind_lags(time_s, along, given, numbers)
-            read_K = middle_K(given.lower_K, given.upper_K)
+                own = f.behind_lags(time_s, along, own, number[mine])
 
             def filtered(given: PointReadings, f: OnlineFilter = f, along: FloatArray = along) -> Innovations:
                 return f.gap(time_s, along, given, unknown) if unknown else f.step(time_s, along, given)
 
-            is_out = np.zeros(len(numbers), dtype=bool)
-            if np.any(doubtful):
-                found, is_out = self._without_spikes(f, filtered, given, numbers, doubtful, read_K)
+            if np.any(doubtful[mine]):
+                found, is_out[mine] = self._without_spikes(f, filtered, own, number[mine], doubtful[mine], read_K[mine])
             else:
-                found = filtered(given)
-            innovation, variance = found.innovation_K, found.innovation_variance_K2
-            if np.any(is_out):
-                innovation = np.where(is_out, read_K - found.predicted_K, innovation)
-                variance = np.where(is_out, found.variance_K2, variance)
-            read = np.isfinite(innovation)
-            columns = given.time_s, numbers, innovation, variance, found.predicted_K, found.variance_K2, read_K, is_out
-            log.append(np.column_stack(columns)[read])
+                found = filtered(own)
+            columns[mine] = np.column_stack(found)
+        predicted, variance = columns[:, 0], columns[:, 1]
+        columns = np.column_stack([
+            words[:, 0], words[:, 1], np.where(is_out, read_K - predicted, columns[:, 2]),
+            np.where(is_out, variance, columns[:, 3]), predicted, variance, read_K, is_out,
+        ])  # fmt: skip
         if linearise:
             self._linearise(filters, begin, end)
-        logged = np.concatenate(log)
-        return logged[np.lexsort((logged[:, 1], logged[:, 0]))]
+        return columns[np.isfinite(columns[:, 2])]
 
     def _without_spikes(
         self, f: OnlineFilter, filtered: Callable[[PointReadings], Innovations], given: PointReadings,
@@ -765,20 +768,28 @@ class LiveEstimator:
         """Go on with filtering again, as steps become final: those before number `until` of the past are.
 
         Steps of the second filters depend on the number of final steps alone, and so does the one at which they take
-        over.
+        over. Those that are due are taken one by one, so that no frame waits for all of them.
         """
+        if self._second is not None and self._final >= until:
+            self._take_again(self._second, min(self._second.taken + 1, self._second.due))
         while self._final < until:
+            self._take_due()
             step = self._past[self._final]
             self._final += 1
             if step.at is not None:
                 self._second = self._begin_again(step.at, self._final)
             if self._second is not None:
-                self._take_again(self._second, min(self._second.taken + AGAIN, self._final))
-                if self._second.taken == self._final:
+                self._second.due = min(self._second.taken + AGAIN, self._final)
+                if self._second.due == self._final:
+                    self._take_due()
                     self._take_over(self._second)
                     return
         if self._past and self._past[-1].frame.time_s - self._past[0].frame.time_s > LONGEST_AGAIN_S:
             self._give_up_past()
+
+    def _take_due(self) -> None:
+        if self._second is not None:
+            self._take_again(self._second, self._second.due)
 
     def filter_again(self) -> bool:
         """Filter the whole flight so far again, linearised about the present estimate, at once; whether it was.
@@ -1049,7 +1060,7 @@ class _SensorTable:
         self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
         self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
         sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
-        self.sigma_K = np.array(sigma)
+        self.sigma_K, self.variance_K2 = np.array(sigma), np.array(sigma) ** 2
         words = [s.bits is not None and s.range_K is not None for s in self.sensors]
         pairs = list(zip(self.sensors, words, strict=True))
         self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
@@ -1079,45 +1090,37 @@ class _SensorTable:
         mine = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
         return Lagging(mine, self.point[mine] - first, self.node[mine], self.tau_s[mine])
 
-    def readings(
-        self, words: FloatArray, first: int, f: OnlineFilter, out: Sequence[_Out]
-    ) -> tuple[PointReadings, IntArray, BoolArray]:
-        """Readings of the points of one filter as it takes them, the number of the sensor of each, and which ones may
-        be spikes.
+    def readings(self, words: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[_Out]) -> PointReadings:
+        """Readings of the points of all filters as these take them, with what is estimated of the sensors' own errors.
 
-        words : (reading, 4) as of `_words` of the estimator;  first : number of the filter's first point
+        words : (reading, 4) as of `_words` of the estimator;  filters : of LANES points each
         """
-        m = max(p.parameters for p in f.points)
-        last = first + len(f.points)
-        number = words[:, 1].astype(np.int64)
-        mine = (self.point[number] >= first) & (self.point[number] < last)
-        if not np.any(mine):
-            return no_readings(m), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        number, t, value = number[mine], words[mine, 0], words[mine, 2]
+        number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
         skipped = ~self.used[number]
-        if any(o.spans for o in out):
-            skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)])
+        if any([o.spans for o in out]):
+            skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
         lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
-        gain, bias, direct = np.ones(len(t)), np.zeros(len(t)), np.zeros((len(t), m, 3))
+        gain, bias = np.ones(len(t)), np.zeros(len(t))
+        direct = np.zeros((len(t), max(f.most_parameters for f in filters), 3))
         for n in self.curved:
             at = number == n
             if np.any(at):
                 gain[at], bias[at] = calibration_line(self.sensors[n], value[at])
         if self._any_terms:
             for q, n in enumerate(number):
-                self._add_terms(q, int(n), t[q], first, f, gain, bias, direct)
+                self._add_terms(q, int(n), t[q], filters, gain, bias, direct)
         lower = np.where(skipped, np.nan, lower)
-        point, node, variance = self.point[number] - first, self.node[number], self.sigma_K[number] ** 2
-        given = PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
-        return given, number, words[mine, 3] > 0.0
+        point, node, variance = self.point[number], self.node[number], self.variance_K2[number]
+        return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
 
     def _add_terms(
-        self, q: int, n: int, t: float, first: int, f: OnlineFilter, gain: FloatArray, bias: FloatArray,
+        self, q: int, n: int, t: float, filters: Sequence[OnlineFilter], gain: FloatArray, bias: FloatArray,
         direct: FloatArray,
     ) -> None:  # fmt: skip
         """Add the sensor's own errors, where these are estimated, to a reading."""
         slope, since = gain[q], t - self._begun.setdefault(n, t)
-        wrong = sensor_errors(self.sensors[n], f.parameters(int(self.point[n]) - first))
+        k, point = divmod(int(self.point[n]), LANES)
+        wrong = sensor_errors(self.sensors[n], filters[k].parameters(point))
         bias[q] += slope * (wrong.bias_K + wrong.drift_K_s * since)
         gain[q] = slope * wrong.gain
         terms = slope * self._terms[n]

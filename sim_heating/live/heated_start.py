@@ -19,6 +19,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import H_REF, Q_ADD, RECOVERY_ENTHALPY
+from sim_heating.base.threads import one_thread
 from sim_heating.estimation.starts import (
     IMPOSING_CP,
     IMPOSING_FILM,
@@ -70,11 +71,12 @@ def start_of_heated(
     chi2 = np.sum(((T[:, nodes] - read) / sigma) ** 2, axis=1)
     weight = np.exp(-0.5 * (chi2 - chi2.min()))
     weight /= np.sum(weight)
-    mean = weight @ T
-    spread = np.sqrt(weight)[:, np.newaxis] * (T - mean)
-    error_K = max(START_SIGMA_K, float(np.max(np.abs(mean[nodes] - read))))
-    root = error_K * smooth_directions(diffusion_depths(model.construction, mesh))
-    return mean, spread.T @ spread + root @ root.T
+    with one_thread():
+        mean = weight @ T
+        spread = np.sqrt(weight)[:, np.newaxis] * (T - mean)
+        error_K = max(START_SIGMA_K, float(np.max(np.abs(mean[nodes] - read))))
+        root = error_K * smooth_directions(diffusion_depths(model.construction, mesh))
+        return mean, spread.T @ spread + root @ root.T
 
 
 def reading_sigma_K(rise_K: float) -> float:

@@ -184,7 +184,7 @@ def _set_gap(
     for i in range(n):
         length = length_m[i] if i < n - 1 and layer[i] >= 0 else 0.0
         edge = x + 0.5 * length
-        below = exp(-min(edge, bottom) / depth)
+        below = exp(-min(edge, bottom) / depth) if fraction != 0.0 else 0.0
         B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / whole)
         x, above = x + length, below
         if fraction > 0.0:

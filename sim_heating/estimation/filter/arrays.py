@@ -119,8 +119,10 @@ class StepReadings(NamedTuple):
     covariance, cross : (reading, reading) with each other; (reading, node + 1) with z at the end of the step [K2]
     S                 : (reading, parameter) sensitivities of the temperatures read
     rows, along       : (reading, node + 1) rows R against z at the start of the step; R L, one number for each column
-                        of the factor of the covariance there [K]
-    weight            : (reading,) g^2 / S, by which its cov(z, T) cov(z, T)' is taken from P [1/K2]; 0 where not used
+                        of the factor of the covariance there [K], later cov(z, T) g / S
+    weight, inverse   : (reading,) g^2 / S, by which its cov(z, T) cov(z, T)' is taken from P, and 1 / S [1/K2]; 0 where
+                        not used
+    share, column     : work space for one number of each reading, or of each column of the factor; for a column of S
     """
 
     x: FloatArray
@@ -132,6 +134,9 @@ class StepReadings(NamedTuple):
     rows: FloatArray
     along: FloatArray
     weight: FloatArray
+    inverse: FloatArray
+    share: FloatArray
+    column: FloatArray
 
 
 class FilterArrays(NamedTuple):
@@ -217,11 +222,12 @@ def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
 
     Holds temperatures [K], covariances [K2] and rows of docs/theory/filter.md, equations 5 to 7.
     """
-    x, mean, rate, weight = np.zeros((4, readings))
+    x, mean, rate, weight, inverse = np.zeros((5, readings))
     cross, rows, along = np.zeros((3, readings, size))
     return StepReadings(
-        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, along, weight
-    )
+        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, along, weight,
+        inverse, np.zeros(max(readings, size)), np.zeros(size),
+    )  # fmt: skip
 
 
 def frozen_gains(after_s: FloatArray, readings: int, size: int) -> FrozenGains:

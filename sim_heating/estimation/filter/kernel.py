@@ -275,6 +275,27 @@ def predict_readings(
 
 
 @njit
+def add_rows(out: FloatArray, size: int, shares: FloatArray, rows: FloatArray, count: int) -> None:
+    """Add shares of several rows to a vector, out[k] += sum_j shares[j] rows[j, k], in the order of j.
+
+    out : (size,) at least, changed;  shares : (count,), rows : (count, size) at least, in units whose product is its own
+
+    Four rows a time, so that the vector is read and written a quarter as often; the sums are those of one row after the
+    other. Used for the products of docs/theory/filter.md, equations 4, 6, 8 and 11.
+    """
+    j = 0
+    while j + 4 <= count:
+        a, b, c, d = shares[j], shares[j + 1], shares[j + 2], shares[j + 3]
+        for k in range(size):
+            out[k] = out[k] + a * rows[j, k] + b * rows[j + 1, k] + c * rows[j + 2, k] + d * rows[j + 3, k]
+        j += 4
+    while j < count:
+        for k in range(size):
+            out[k] += shares[j] * rows[j, k]
+        j += 1
+
+
+@njit
 def joint_covariance(
     step: LaneStep, readings: Readings, state: State, noise: Noise, L: FloatArray, w: Workspace, taken: StepReadings
 ) -> None:
@@ -299,19 +320,15 @@ def joint_covariance(
         for k in range(i + 1):
             P[i, k] = 0.0
         for j in range(rank):
-            share = L[j, i]
-            for k in range(i + 1):
-                P[i, k] += share * L[j, k]
+            taken.share[j] = L[j, i]
+        add_rows(P[i], i + 1, taken.share, L, rank)
         if i < n:
             P[i, i] += noise.nodes[lane, i] * dt
     P[n, n] = decay * decay * variance + noise.density_1_s[lane] * _noise_duration(noise.decay_1_s[lane], dt)
     for q in range(count):
         node, x = readings.node[lane, first + q], taken.x[q]
         taken.cross[q, : n + 1] = 0.0
-        for j in range(rank):
-            share = taken.along[q, j]
-            for i in range(n + 1):
-                taken.cross[q, i] += share * L[j, i]
+        add_rows(taken.cross[q], n + 1, taken.along[q], L, rank)
         # White noise of the node up to the reading is still in the node's temperature at the end of the step.
         taken.cross[q, node] += x * dt * noise.nodes[lane, node]
         for s in range(q + 1):
@@ -362,13 +379,14 @@ def _condition_on(
     step: LaneStep, q: int, begun: int, readings: Readings, state: State, taken: StepReadings, z: FloatArray,
     transition: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Condition z, the sensitivities and the readings of the step from number `begun` on, on reading number q of it.
+    """Condition z and the readings of the step from number `begun` on, on reading number q of it.
 
-    What it takes from P stays in `taken`: cov(z, T), which later readings change no more, and its weight.
+    What it takes from P and from the sensitivities of z stays in `taken`: cov(z, T), which later readings change no
+    more, its weight, 1 / S, and the sensitivities of its prediction in the place of those of its temperature.
     """
     lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
     gain, m = readings.gain[lane, k], state.S.shape[2]
-    taken.weight[q] = 0.0
+    taken.weight[q], taken.inverse[q] = 0.0, 0.0
     predicted = out[N_OUT:]
     for j in range(m):
         direct = readings.direct[lane, k, j]
@@ -384,12 +402,9 @@ def _condition_on(
     out[INNOVATION], out[VARIANCE] = nu, variance
     # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
     cross, own, inverse = taken.cross[q], taken.covariance[q].copy(), 1.0 / variance
-    taken.weight[q] = gain * gain * inverse
+    taken.weight[q], taken.inverse[q] = gain * gain * inverse, inverse
     for i in range(n + 1):
-        share = gain * cross[i] * inverse
-        z[i] += share * nu
-        for j in range(m):
-            state.S[lane, i, j] -= share * predicted[j]
+        z[i] += gain * cross[i] * inverse * nu
     if step.keep:
         _condition_rows(step, q, gain, inverse, own, taken, transition)
     for s in range(begun, count):
@@ -402,6 +417,8 @@ def _condition_on(
                 taken.cross[s, i] -= share * (gain * cross[i])
             for j in range(m):
                 taken.S[s, j] -= share * predicted[j]
+    for j in range(m):
+        taken.S[q, j] = predicted[j]
 
 
 @njit
@@ -424,13 +441,31 @@ def _condition_covariance(P: FloatArray, n: int, count: int, taken: StepReadings
     """P+ = P' - sum g^2 / S cov(z, T) cov(z, T)' [K2] over the readings of a step, from the lower triangle to both."""
     for i in range(n + 1):
         for q in range(count):
-            share = taken.weight[q] * taken.cross[q, i]
-            if share != 0.0:
-                for j in range(i + 1):
-                    P[i, j] -= share * taken.cross[q, j]
+            taken.share[q] = -(taken.weight[q] * taken.cross[q, i])
+        add_rows(P[i], i + 1, taken.share, taken.cross, count)
     for i in range(n + 1):
         for j in range(i):
             P[j, i] = P[i, j]
+
+
+@njit
+def _condition_sensitivities(step: LaneStep, readings: Readings, state: State, taken: StepReadings) -> None:
+    """S+ = S - sum g / S cov(z, T) dy/dp over the readings of a step (docs/theory/filter.md, equation 11)."""
+    lane, n, count = step.lane, step.nodes, step.number
+    S, column = state.S[lane], taken.column
+    for q in range(count):
+        gain, inverse = readings.gain[lane, step.first + q], taken.inverse[q]
+        for i in range(n + 1):
+            taken.along[q, i] = gain * taken.cross[q, i] * inverse
+    # column by column: a row has as many numbers as there are parameters, too few for the processor's vectors
+    for j in range(S.shape[1]):
+        for q in range(count):
+            taken.share[q] = -taken.S[q, j]
+        for i in range(n + 1):
+            column[i] = S[i, j]
+        add_rows(column, n + 1, taken.share, taken.along, count)
+        for i in range(n + 1):
+            S[i, j] = column[i]
 
 
 @njit
@@ -472,6 +507,7 @@ def take_readings(
         _condition_on(step, q, begun, readings, state, taken, z, transition, out[k])
         for s in range(begun, q + 1):
             out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
+    _condition_sensitivities(step, readings, state, taken)
     _condition_covariance(state.P[lane], step.nodes, count, taken)
 
 
@@ -542,7 +578,8 @@ def filter_lane(
     predict_readings(B, step, readings, state, f.L, w, taken)
     if whole:
         joint_covariance(step, readings, state, f.noise, f.L, w, taken)
-        _store_covariances(step, f.gains, readings, state, taken)
+        if f.gains.after_s[lane] < math.inf:
+            _store_covariances(step, f.gains, readings, state, taken)
     else:
         _reuse_covariances(step, f.gains, state, taken)
     z, transition = f.z, f.transition

@@ -28,16 +28,21 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     C_STAGES,
+    COLUMN,
     D0,
     END,
     FILM,
     H_REF,
     HEAD_ROWS,
+    HIGH,
+    INVALID_HIGH_K,
     LANES,
     N_CONDITIONS,
     NODE_ROWS,
     T,
     conditions_at,
+    node_rows,
+    scalar_row,
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import CLOCK_SKEW
@@ -349,9 +354,10 @@ class OnlineFilter(FilterMarch):
         lane_of = self._lane_of[readings.point]
         lanes = len(self.points)
         count = np.bincount(lane_of, minlength=lanes)
-        steps = np.searchsorted(times[1:], readings.time_s)
-        most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
-        place = _places(lane_of)
+        most, place = int(np.max(count)), _places(lane_of)
+        if len(time_s) > 1:
+            steps = np.searchsorted(time_s, readings.time_s)
+            most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
         arrays = self._arrays(most)._replace(readings=self._given(readings, lane_of, place, count))
         rows = max(1, int(np.max(count, initial=0)))
         out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
@@ -361,8 +367,7 @@ class OnlineFilter(FilterMarch):
             arrays, out, self._information, found,
         )  # fmt: skip
         self._stepped, self.now_s = True, float(times[-1])
-        mine = found[lane_of, place]
-        return Innovations(mine[:, 0], mine[:, 1], mine[:, 2], mine[:, 3])
+        return Innovations(*found[lane_of, place].T)
 
     def _with_mesh_error(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> PointReadings:
         """Readings of some steps as the mesh of their points shows them: their biases have its error at those times."""
@@ -422,6 +427,11 @@ class OnlineFilter(FilterMarch):
         )  # fmt: skip
 
     @property
+    def most_parameters(self) -> int:
+        """Number of parameters of the point that has most of them."""
+        return self._size[1]
+
+    @property
     def diverged(self) -> list[int]:
         """Numbers of the points whose filter diverged: a temperature [K] fell below 1 K or is not a number."""
         return [i for i in range(len(self.points)) if self._state_now.diverged[self._lane_of[i]]]
@@ -445,18 +455,37 @@ class OnlineFilter(FilterMarch):
     def restore(self, snapshot: FilterSnapshot) -> None:
         """Go back, or forward, to a snapshot of this filter."""
         self.now_s, self._stepped = snapshot.time_s, snapshot.stepped
+        where, groups = self._information.at.copy(), self._groups.groups
+        gathered = [[head[scalar_row(COLUMN)].copy() for head in _heads(x, groups)] for x in self._X]
+        self._copy_back(snapshot.numbers)
+        moved = [i for i in range(len(self.points)) if np.any((self._information.at != where)[self._lane_of[i]])]
+        if moved:
+            # The nodes of the perturbed lanes have the parameters of another linearisation.
+            for i in moved:
+                self._write_model(i)
+            self._copy_back(snapshot.numbers)
+        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
+        for x in self._X[:2]:
+            for own, end in zip(_heads(x, groups), _heads(self._X.end, groups), strict=True):
+                own[:] = end
+        # Polynomials of their nodes that were gathered with other parameters, or in another column of pressures.
+        for x, columns in zip(self._X, gathered, strict=True):
+            for (first, last, *_), before, head in zip(groups, columns, _heads(x, groups), strict=True):
+                if moved or np.any(before != head[scalar_row(COLUMN)]):
+                    node_rows(x[first:last])[:, HIGH] = INVALID_HIGH_K
+
+    def _copy_back(self, numbers: FloatArray) -> None:
         at = 0
         for own in self._changing():
-            own[...] = snapshot.numbers[at : at + own.size].reshape(own.shape)
+            own[...] = numbers[at : at + own.size].reshape(own.shape)
             at += own.size
-        # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
-        self._X.start[:] = self._X.end
-        self._X.middle[:] = self._X.end
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
-        info = self._information
+        """All that changes from step to step and is not found anew by the next one: what is in the nodes of the
+        perturbed lanes follows from the nominal ones and from the parameters."""
+        info, heads = self._information, _heads(self._X.end, self._groups.groups)
         mesh = () if self._mesh_error is None else (self._mesh_error.state,)
-        filtered = self._group.B, self._X.end, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
+        filtered = self._group.B, *heads, *self._state_now, info.A, info.b, info.pull, info.at, *self._heated_at
         return (*filtered, *mesh)
 
     # Packing ---------------------------------------------------------------------------------------------------------
@@ -510,12 +539,15 @@ class OnlineFilter(FilterMarch):
 
     def _given(self, readings: PointReadings, lane_of: IntArray, place: IntArray, count: IntArray) -> Readings:
         lanes, rows, m = len(count), max(1, int(np.max(count, initial=0))), self._size[1]
-        time_s, gain, bias, variance, lower, upper = np.full((6, lanes, rows), np.nan)
-        node, direct = np.zeros((lanes, rows), dtype=np.int64), np.zeros((lanes, rows, m, 3))
-        at = lane_of, place
-        time_s[at], node[at], gain[at], bias[at] = readings.time_s, readings.node, readings.gain, readings.bias_K
-        variance[at], lower[at], upper[at] = readings.variance_K2, readings.lower_K, readings.upper_K
-        direct[(*at, slice(0, readings.direct.shape[1]))] = readings.direct
+        numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
+        direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + place
+        numbers[:, at] = (
+            readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
+        )  # fmt: skip
+        node.ravel()[at] = readings.node
+        if np.any(readings.direct):
+            direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
+        time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
         return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _written(self, i: int) -> tuple[PointLanes, PointLanes, list[tuple[str, float]]]:
@@ -585,9 +617,10 @@ class PackedModel:
     def rows(
         self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
     ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes that have one parameter each changed by so much."""
+        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much."""
         stack, heating = self.values(at, 0.0, "", 0.0)
-        stacks, heatings = np.tile(stack, (len(changes), 1)), np.tile(heating, (len(changes), 1))
+        stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
+        stacks[:], heatings[:] = stack, heating
         known = dict(zip(self.names, at, strict=False))
         is_entries = all(self.places[n] is not None for n in known)
         for k, (name, by) in enumerate(changes):
@@ -612,6 +645,11 @@ def no_readings(parameters: int) -> PointReadings:
     return PointReadings(
         number, nothing, number, nothing, nothing, nothing, nothing, nothing, np.zeros((0, parameters, 3))
     )
+
+
+def _heads(X: FloatArray, groups: IntArray) -> list[FloatArray]:
+    """What is ahead of the nodes in the block of each group of lanes: parameters, conditions, heating (views)."""
+    return [X[first : first + HEAD_ROWS * LANES] for first in groups[:, 0]]
 
 
 def _places(lane_of: IntArray) -> IntArray:
