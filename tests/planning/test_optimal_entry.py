@@ -24,7 +24,7 @@ pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install '
 from benchmarks import betts
 from benchmarks.optimal import hottest_with_drawn_tables
 from sim_heating.planning.optimal import dynamics as od
-from sim_heating.planning.optimal import tables
+from sim_heating.planning.optimal import search, tables
 from sim_heating.planning.optimal.collocation import Transcription, refined_mesh
 from sim_heating.planning.optimal.search import fly_optimal
 from sim_heating.planning.optimal.spec import OptimalStudyFile, load_optimal_study, optimal_study, without_limits
@@ -190,6 +190,39 @@ def test_a_wall_that_stores_no_heat_has_the_temperature_that_a_long_march_settle
     held = tables.conditions_along(study, aero, time, np.tile(state, (2, 1)).T, np.array([[35.0, 35.0], [0.0, 0.0]]))
     (history,) = march_points([model], [conditions_at_point(study.vehicle, point, held)], longest_step_s=20.0)
     assert 1e3 * float(wall([70e3, 6500.0, 35.0])) == pytest.approx(history.surface_K[-1], abs=3.0)
+
+
+def glide(**changes):
+    """A study of the last minutes without limits: on so short a flight all intervals are soon as short as they may be."""
+    initial = {"altitude_m": 36e3, "velocity_m_s": 1600.0, "gamma_deg": -2.0, "heading_deg": 90.0, "latitude_deg": 0.0}
+    return study_of(initial=initial, duration_s=[50.0, 600.0], intervals=10, **changes)
+
+
+def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
+    asked, entry = fly_optimal(glide(mesh_tolerance=1e-4)), fly_optimal(glide(mesh_tolerance=1e-15))
+    assert asked.notes == ()
+    (note,) = entry.notes
+    assert "above mesh_tolerance 1e-15 in" in note
+    assert "which are not divided further" in note
+    assert np.max(np.diff(entry.motion.mesh)) * entry.motion.duration_s <= 4.0  # halves would be below 2 s
+    assert [r.intervals for r in entry.rounds] == sorted({r.intervals for r in entry.rounds})  # none twice
+    assert entry.cross_range_deg == pytest.approx(asked.cross_range_deg, rel=1e-4)
+
+
+def test_a_mesh_that_stays_too_coarse_is_refused_in_one_line(monkeypatch):
+    monkeypatch.setattr(search, "COARSEST", 1e-14)
+    with pytest.raises(RunError, match=r"mesh error \S+ at \d+ s, above mesh_tolerance 1e-15 .*; relax a limit") as error:
+        fly_optimal(glide(mesh_tolerance=1e-15))
+    assert "\n" not in str(error.value)
+
+
+def test_an_entry_across_180_deg_of_longitude_reaches_as_far_as_any():
+    data = tomllib.loads((STUDIES / "optimal_entry.toml").read_text())["initial"]
+    reached = [
+        fly_optimal(study_of(initial=data | {"longitude_deg": lon}, intervals=20, mesh_tolerance=0.09)).cross_range_deg
+        for lon in (0.0, 170.0)
+    ]
+    assert reached[1] == pytest.approx(reached[0], rel=1e-5)
 
 
 def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
