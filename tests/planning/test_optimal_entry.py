@@ -211,7 +211,9 @@ def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
 
 def test_a_mesh_that_stays_too_coarse_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "COARSEST", 1e-14)
-    with pytest.raises(RunError, match=r"mesh error \S+ at \d+ s, above mesh_tolerance 1e-15 .*; relax a limit") as error:
+    with pytest.raises(
+        RunError, match=r"mesh error \S+ at \d+ s, above mesh_tolerance 1e-15 .*; relax a limit"
+    ) as error:
         fly_optimal(glide(mesh_tolerance=1e-15))
     assert "\n" not in str(error.value)
 
@@ -239,14 +241,18 @@ def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
     [
         ('"NOSECAP"', "no control point `NOSECAPS`; did you mean `NOSECAP`"),
         ("gamma_deg = -5.0", "unknown key `gamma_deq`; did you mean `gamma_deg`"),
-        ("velocity_m_s = 900.0", "`velocity_m_s`: must be below that of [initial]"),
+        ("velocity_m_s = 900.0", "`velocity_m_s`: 9000 must be below that of [initial], 7450"),
+        ("altitude_m = 26000.0", "`altitude_m`: 326000 must be below that of [initial], 121920"),
         ("[10.0, 45.0]", "the lower limit 45 must be below the upper limit 10"),
+        ("= [10.0,", "10 to 145 goes beyond the aerodynamic tables of orbiter, 0 to 50 deg"),
+        ("alpha_limits_deg", "`bank_limits_deg`: -200 to 0 must lie within -180 to 180 deg"),
     ],
 )
 def test_an_impossible_study_is_refused(tmp_path, change, message):
     new = {
         '"NOSECAP"': '"NOSECAPS"', "gamma_deg = -5.0": "gamma_deq = -5.0", "velocity_m_s = 900.0": "velocity_m_s = 9e3",
-        "[10.0, 45.0]": "[45.0, 10.0]",
+        "altitude_m = 26000.0": "altitude_m = 326e3", "[10.0, 45.0]": "[45.0, 10.0]",
+        "= [10.0,": "= [10.0, 145.0] #", "alpha_limits_deg": "bank_limits_deg = [-200.0, 0.0]\nalpha_limits_deg",
     }[change]  # fmt: skip
     path = tmp_path / "study.toml"
     path.write_text((STUDIES / "optimal_entry.toml").read_text().replace(change, new))

@@ -193,6 +193,22 @@ def test_an_impossible_study_is_refused_in_a_line(study, tmp_path, capsys, more,
     assert message in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize(
+    ("file", "advice"),
+    [
+        (
+            "studies/optimal_entry.toml",
+            "an optimal entry by itself: for `sim-heating plan`, write a study with format =",
+        ),
+        ("entry_3dof.toml", "the file is a scenario, for `sim-heating run`"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_what_to_write(file, advice, tmp_path, capsys):
+    assert cli.main(["plan", str(ROOT / "scenarios" / file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert advice in line
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
 def test_a_folder_that_cannot_hold_finished_batches_is_reported_in_a_line(study, capsys):
     assert cli.main(["plan", str(study), "--out", "/proc/nowhere"]) == 2
