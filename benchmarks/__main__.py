@@ -15,7 +15,7 @@ NAMES = (
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "switched_off",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "practice", "closure", "campaign",
-    "live", "mutants", "kills", "concurrency", "pages", "credibility", "live_page",
+    "live", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
     "live_picture", "waiting",
 )  # fmt: skip
 

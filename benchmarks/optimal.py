@@ -109,7 +109,7 @@ def first_study() -> OptimalStudy:
 
 
 def run() -> list[Figure]:
-    """Both cases of Betts, then the shipped studies and a new one; draws the first of them with the flight without limits."""
+    """Both cases of Betts, then the shipped studies and a new one; draws the first with the flight without limits."""
     figures = [*_betts_figures("free"), *_betts_figures("limited")]
     limited = load_optimal_study(STUDIES / "optimal_entry.toml")
     studies = {

@@ -193,7 +193,7 @@ def test_a_wall_that_stores_no_heat_has_the_temperature_that_a_long_march_settle
 
 
 def glide(**changes):
-    """A study of the last minutes without limits: on so short a flight all intervals are soon as short as they may be."""
+    """A study of the last minutes without limits, whose intervals are soon as short as they may be."""
     initial = {"altitude_m": 36e3, "velocity_m_s": 1600.0, "gamma_deg": -2.0, "heading_deg": 90.0, "latitude_deg": 0.0}
     return study_of(initial=initial, duration_s=[50.0, 600.0], intervals=10, **changes)
 

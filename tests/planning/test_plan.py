@@ -104,7 +104,8 @@ def by_a_fresh_process(tmp_path_factory):
 def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(
     by_a_fresh_process, tmp_path
 ):
-    """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`."""
+    """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`; twenty kills of
+    two: `python -m benchmarks study_kills`."""
     (study, whole), out, moments = by_a_fresh_process, tmp_path / "out", random.Random(7)
     wanted = moments.randint(1, 4)
     run = start(study, out, 2)

@@ -427,9 +427,9 @@ def _mesh_note(study: OptimalStudy, motion: Motion) -> str:
     worst = int(np.argmax(motion.errors))
     longest = float(np.max(np.diff(motion.mesh)[coarse])) * motion.duration_s
     return (
-        f"mesh error {motion.errors[worst]:.1e} at {motion.mesh[worst] * motion.duration_s:.0f} s, above mesh_tolerance "
-        f"{study.declared.mesh_tolerance:g} in {np.count_nonzero(coarse)} of {len(coarse)} intervals of at most "
-        f"{longest:.1f} s, which are not divided further"
+        f"mesh error {motion.errors[worst]:.1e} at {motion.mesh[worst] * motion.duration_s:.0f} s, "
+        f"above mesh_tolerance {study.declared.mesh_tolerance:g} in {np.count_nonzero(coarse)} of {len(coarse)} "
+        f"intervals of at most {longest:.1f} s, which are not divided further"
     )
 
 
