@@ -19,7 +19,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.march.history import march_points
 from sim_heating.planning.optimal.of_scenario import optimal_table
 from sim_heating.planning.optimal.report import draw_optimal
-from sim_heating.planning.optimal.search import OptimalEntry, fly_optimal
+from sim_heating.planning.optimal.search import COARSEST, OptimalEntry, fly_optimal
 from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study, without_limits
 from sim_heating.planning.study import load_study
 from sim_heating.templates.starters import write_new_study
@@ -47,11 +47,20 @@ def _betts_figures(case: str) -> list[Figure]:
     ]
 
 
+def _last_change_deg(entry: OptimalEntry) -> float:
+    """Change of the cross-range [deg] from the last mesh but one to the last."""
+    last = entry.rounds[-1]
+    before = [r.cross_range_deg for r in entry.rounds if r.intervals < last.intervals]
+    return last.cross_range_deg - before[-1]
+
+
 def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
     margins = [m for p in entry.peaks for m in p.margins() if np.isfinite(m)]
     figures = [
         Figure(f"{name}: cross-range", entry.cross_range_deg, "deg", note=f"{entry.motion.duration_s:.0f} s"),
         Figure(f"{name}: time", took, "s", note=f"{len(entry.rounds)} rounds, {len(entry.motion.errors)} intervals"),
+        Figure(f"{name}: mesh error", float(np.max(entry.motion.errors)), "", COARSEST),
+        Figure(f"{name}: change of cross-range with the last finer mesh", _last_change_deg(entry), "deg"),
     ]
     if entry.notes:
         figures.append(Figure(f"{name}: notes", len(entry.notes), "", note="; ".join(entry.notes)))
