@@ -19,10 +19,9 @@ from sim_heating.base.files import display_path
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.march.history import march_points
-from sim_heating.planning.optimal.spec import OptimalStudyFile
+from sim_heating.planning.optimal.spec import OptimalStudyFile, tabulated_alpha_deg
 from sim_heating.planning.soak import with_soak
 from sim_heating.simulation.run import fly_scenario
-from sim_heating.trajectory.aero import load_aero
 
 INITIAL = ("altitude_m", "velocity_m_s", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg")
 EAST_OVER_EQUATOR = {"heading_deg": 90.0, "latitude_deg": 0.0, "longitude_deg": 0.0}
@@ -55,13 +54,13 @@ def optimal_table(scenario: Scenario, names: Sequence[str]) -> StartingTable:
     names  : control points to be limited
     raises : InputError where the vehicle has no aerodynamic tables; RunError where the flight or a thermal step fails
     """
-    aero = load_aero(scenario.vehicle.directory)
+    tabulated = tabulated_alpha_deg(scenario.vehicle)
     flown = fly_scenario(scenario).conditions
     initial, notes = _initial(scenario, flown)
     duration = float(flown.time_s[-1] - flown.time_s[0])
     limits, above = _limits(scenario, flown, names)
     values = {
-        "alpha_limits_deg": _alpha_limits(flown, float(aero.basic.alpha_deg[0]), float(aero.basic.alpha_deg[-1])),
+        "alpha_limits_deg": _alpha_limits(flown, *tabulated),
         "duration_s": [round(SHORTEST * duration), round(LONGEST * duration)],
         "initial": initial,
         "end": {

@@ -147,18 +147,33 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
     return OptimalStudy(declared, vehicle, tuple(points))
 
 
+def tabulated_alpha_deg(vehicle: Vehicle) -> tuple[float, float]:
+    """Lowest and highest angle of attack of a vehicle's aerodynamic tables [deg].
+
+    raises : InputError where it has none
+    """
+    try:
+        alpha_deg = load_aero(vehicle.directory).basic.alpha_deg
+    except InputError as error:
+        raise InputError(
+            *(f"{line}; an optimal entry needs aerodynamic tables, as `sim-heating new vehicle` writes them"
+              for line in error.problems)
+        ) from None  # fmt: skip
+    return float(alpha_deg[0]), float(alpha_deg[-1])
+
+
 def _control_problems(declared: OptimalStudyFile, vehicle: Vehicle, where: str) -> list[str]:
     """Problems of the limits of angle of attack, beyond the vehicle's tables, and of bank."""
     problems = []
     try:
-        tabulated = load_aero(vehicle.directory).basic.alpha_deg
+        lowest, highest = tabulated_alpha_deg(vehicle)
     except InputError as error:
-        return [f"{where}: an optimal entry needs aerodynamic tables: {line}" for line in error.problems]
+        return [f"{where}: {line}" for line in error.problems]
     low, high = declared.alpha_limits_deg
-    if low < tabulated[0] or high > tabulated[-1]:
+    if low < lowest or high > highest:
         problems.append(
             f"{where}: `alpha_limits_deg`: {low:g} to {high:g} goes beyond the aerodynamic tables of {vehicle.name}, "
-            f"{tabulated[0]:g} to {tabulated[-1]:g} deg"
+            f"{lowest:g} to {highest:g} deg"
         )
     low, high = declared.bank_limits_deg
     if low < -180.0 or high > 180.0:
