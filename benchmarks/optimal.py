@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import click
 import numpy as np
 
 from benchmarks.betts import MESH_TOLERANCE, PUBLISHED, solve_betts
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.scenario import load_scenario
 from sim_heating.march.history import march_points
+from sim_heating.planning.optimal.of_scenario import optimal_table
 from sim_heating.planning.optimal.report import draw_optimal
-from sim_heating.planning.optimal.search import OptimalEntry, fly_optimal
-from sim_heating.planning.optimal.spec import load_optimal_study, without_limits
+from sim_heating.planning.optimal.search import COARSEST, OptimalEntry, fly_optimal
+from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study, without_limits
+from sim_heating.planning.study import load_study
+from sim_heating.templates.starters import write_new_study
 
 ROOT = Path(__file__).parent.parent
 STUDIES = ROOT / "scenarios" / "studies"
@@ -40,11 +47,20 @@ def _betts_figures(case: str) -> list[Figure]:
     ]
 
 
+def _last_change_deg(entry: OptimalEntry) -> float:
+    """Change of the cross-range [deg] from the last mesh but one to the last."""
+    last = entry.rounds[-1]
+    before = [r.cross_range_deg for r in entry.rounds if r.intervals < last.intervals]
+    return last.cross_range_deg - before[-1]
+
+
 def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
     margins = [m for p in entry.peaks for m in p.margins() if np.isfinite(m)]
     figures = [
         Figure(f"{name}: cross-range", entry.cross_range_deg, "deg", note=f"{entry.motion.duration_s:.0f} s"),
         Figure(f"{name}: time", took, "s", note=f"{len(entry.rounds)} rounds, {len(entry.motion.errors)} intervals"),
+        Figure(f"{name}: mesh error", float(np.max(entry.motion.errors)), "", COARSEST),
+        Figure(f"{name}: change of cross-range with the last finer mesh", _last_change_deg(entry), "deg"),
     ]
     if entry.notes:
         figures.append(Figure(f"{name}: notes", len(entry.notes), "", note="; ".join(entry.notes)))
@@ -89,19 +105,32 @@ def _probability_figures(name: str, entry: OptimalEntry) -> list[Figure]:
     return [Figure(f"{name}: limits kept", float(np.mean(kept)), "", least, True, note=note)]
 
 
+def first_study() -> OptimalStudy:
+    """The study that `sim-heating new study optimal` makes of scenarios/entry_3dof.toml, with all of its points."""
+    path = ROOT / "scenarios" / "entry_3dof.toml"
+    scenario = load_scenario(path)
+    table = optimal_table(scenario, scenario.names)
+    with tempfile.TemporaryDirectory() as folder:
+        made = write_new_study(folder, "optimal", path, optimal=table.values, above=table.above)
+        study = load_study(made).optimal()
+    assert study is not None
+    return study
+
+
 def run() -> list[Figure]:
-    """Both cases of Betts, then the shipped studies; draws the first of them with the flight without limits."""
+    """Both cases of Betts, then the shipped studies and a new one; draws the first with the flight without limits."""
     figures = [*_betts_figures("free"), *_betts_figures("limited")]
     limited = load_optimal_study(STUDIES / "optimal_entry.toml")
     studies = {
         "without limits": without_limits(limited),
         "limited": limited,
         "limited, 0.9 sure": load_optimal_study(STUDIES / "optimal_entry_sure.toml"),
+        "a new study of entry_3dof": first_study(),
     }
     entries = {}
     for name, study in studies.items():
         start = time.perf_counter()
-        entries[name] = fly_optimal(study)
+        entries[name] = fly_optimal(study, progress=partial(click.echo, err=True))
         figures += _entry_figures(f"Orbiter, {name}", entries[name], time.perf_counter() - start)
     figures += _probability_figures("Orbiter, limited, 0.9 sure", entries["limited, 0.9 sure"])
     drawn = {name: entries[name] for name in ("limited", "without limits")}

@@ -145,11 +145,15 @@ def write_new_study(
     title: str = "",
     points: Sequence[str] = (),
     flights: int = 128,
+    optimal: Mapping[str, Any] | None = None,
+    above: Mapping[str, Mapping[str, str]] | None = None,
 ) -> Path:
     """Write DIR/study.toml, a study of the flight of a scenario.
 
     kind    : dispersion, envelope or optimal
     flights : of a dispersion, a power of two
+    optimal : contents of the table [optimal]
+    above   : control point -> limit of it -> why it is above the vehicle's own, for the comments of [optimal]
     returns : the file
     raises  : InputError where the scenario or a point does not work
     """
@@ -167,9 +171,7 @@ def write_new_study(
         "flights": flights,
     }
     if kind == "optimal":
-        aero = load_aero(base.vehicle.directory)
-        values["alpha_limits_deg"] = [float(aero.basic.alpha_deg[0]), float(aero.basic.alpha_deg[-1])]
-        values["gamma_deg"] = entry_angle_deg(base.vehicle)
+        values |= {"optimal": optimal, "above": above}
     values["offsets"] = [-4.0, -2.0, 0.0, 2.0]
     return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", "study", **values)}, _no_check)
 

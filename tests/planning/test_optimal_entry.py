@@ -24,7 +24,7 @@ pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install '
 from benchmarks import betts
 from benchmarks.optimal import hottest_with_drawn_tables
 from sim_heating.planning.optimal import dynamics as od
-from sim_heating.planning.optimal import tables
+from sim_heating.planning.optimal import search, tables
 from sim_heating.planning.optimal.collocation import Transcription, refined_mesh
 from sim_heating.planning.optimal.search import fly_optimal
 from sim_heating.planning.optimal.spec import OptimalStudyFile, load_optimal_study, optimal_study, without_limits
@@ -192,6 +192,41 @@ def test_a_wall_that_stores_no_heat_has_the_temperature_that_a_long_march_settle
     assert 1e3 * float(wall([70e3, 6500.0, 35.0])) == pytest.approx(history.surface_K[-1], abs=3.0)
 
 
+def glide(**changes):
+    """A study of the last minutes without limits, whose intervals are soon as short as they may be."""
+    initial = {"altitude_m": 36e3, "velocity_m_s": 1600.0, "gamma_deg": -2.0, "heading_deg": 90.0, "latitude_deg": 0.0}
+    return study_of(initial=initial, duration_s=[50.0, 600.0], intervals=10, **changes)
+
+
+def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
+    asked, entry = fly_optimal(glide(mesh_tolerance=1e-4)), fly_optimal(glide(mesh_tolerance=1e-15))
+    assert asked.notes == ()
+    (note,) = entry.notes
+    assert "above mesh_tolerance 1e-15 in" in note
+    assert "which are not divided further" in note
+    assert np.max(np.diff(entry.motion.mesh)) * entry.motion.duration_s <= 4.0  # halves would be below 2 s
+    assert [r.intervals for r in entry.rounds] == sorted({r.intervals for r in entry.rounds})  # none twice
+    assert entry.cross_range_deg == pytest.approx(asked.cross_range_deg, rel=1e-4)
+
+
+def test_a_mesh_that_stays_too_coarse_is_refused_in_one_line(monkeypatch):
+    monkeypatch.setattr(search, "COARSEST", 1e-14)
+    with pytest.raises(
+        RunError, match=r"mesh error \S+ at \d+ s, above mesh_tolerance 1e-15 .*; relax a limit"
+    ) as error:
+        fly_optimal(glide(mesh_tolerance=1e-15))
+    assert "\n" not in str(error.value)
+
+
+def test_an_entry_across_180_deg_of_longitude_reaches_as_far_as_any():
+    data = tomllib.loads((STUDIES / "optimal_entry.toml").read_text())["initial"]
+    reached = [
+        fly_optimal(study_of(initial=data | {"longitude_deg": lon}, intervals=20, mesh_tolerance=0.09)).cross_range_deg
+        for lon in (0.0, 170.0)
+    ]
+    assert reached[1] == pytest.approx(reached[0], rel=1e-5)
+
+
 def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
     cold = COLD_LIMIT.replace("1900.0", "700.0")
     with pytest.raises(
@@ -206,14 +241,18 @@ def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
     [
         ('"NOSECAP"', "no control point `NOSECAPS`; did you mean `NOSECAP`"),
         ("gamma_deg = -5.0", "unknown key `gamma_deq`; did you mean `gamma_deg`"),
-        ("velocity_m_s = 900.0", "`velocity_m_s`: must be below that of [initial]"),
+        ("velocity_m_s = 900.0", "`velocity_m_s`: 9000 must be below that of [initial], 7450"),
+        ("altitude_m = 26000.0", "`altitude_m`: 326000 must be below that of [initial], 121920"),
         ("[10.0, 45.0]", "the lower limit 45 must be below the upper limit 10"),
+        ("= [10.0,", "10 to 145 goes beyond the aerodynamic tables of orbiter, 0 to 50 deg"),
+        ("alpha_limits_deg", "`bank_limits_deg`: -200 to 0 must lie within -180 to 180 deg"),
     ],
 )
 def test_an_impossible_study_is_refused(tmp_path, change, message):
     new = {
         '"NOSECAP"': '"NOSECAPS"', "gamma_deg = -5.0": "gamma_deq = -5.0", "velocity_m_s = 900.0": "velocity_m_s = 9e3",
-        "[10.0, 45.0]": "[45.0, 10.0]",
+        "altitude_m = 26000.0": "altitude_m = 326e3", "[10.0, 45.0]": "[45.0, 10.0]",
+        "= [10.0,": "= [10.0, 145.0] #", "alpha_limits_deg": "bank_limits_deg = [-200.0, 0.0]\nalpha_limits_deg",
     }[change]  # fmt: skip
     path = tmp_path / "study.toml"
     path.write_text((STUDIES / "optimal_entry.toml").read_text().replace(change, new))

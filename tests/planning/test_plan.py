@@ -104,7 +104,8 @@ def by_a_fresh_process(tmp_path_factory):
 def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(
     by_a_fresh_process, tmp_path
 ):
-    """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`."""
+    """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`; twenty kills of
+    two: `python -m benchmarks study_kills`."""
     (study, whole), out, moments = by_a_fresh_process, tmp_path / "out", random.Random(7)
     wanted = moments.randint(1, 4)
     run = start(study, out, 2)
@@ -191,6 +192,22 @@ def test_an_impossible_study_is_refused_in_a_line(study, tmp_path, capsys, more,
     study.write_text(STUDY.format(more=more))
     assert cli.main(["plan", str(study), "--out", str(tmp_path / "out")]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("file", "advice"),
+    [
+        (
+            "studies/optimal_entry.toml",
+            "an optimal entry by itself: for `sim-heating plan`, write a study with format =",
+        ),
+        ("entry_3dof.toml", "the file is a scenario, for `sim-heating run`"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_with_what_to_write(file, advice, tmp_path, capsys):
+    assert cli.main(["plan", str(ROOT / "scenarios" / file), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert advice in line
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from sim_heating.inputs.record import write_record
 from sim_heating.planning.study import load_study
 from tests.support.paths import ROOT
 
+ENTRY, STUDIES = ROOT / "scenarios" / "entry_3dof.toml", ROOT / "scenarios" / "studies"
 POD = (
     "--length", "2m", "--mass", "800kg", "--area", "3m2", "--nose-radius", "1.2m",
     "--point", "NOSE=RCG 0.4 mm / LI-900 60 mm / al2024 3 mm", "--point", "SIDE=inconel625 2 mm", "--place", "SIDE=0.5",
@@ -178,6 +180,34 @@ def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
         assert "was changed since" in str(edited.exception)
 
 
+def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() -> None:
+    """One point that its flight does not heat to a limit. All four points of the scenario: `python -m benchmarks
+    optimal`."""
+    pytest.importorskip("casadi", reason="optimal entries need CasADi: pip install 'sim-heating[plan]'")
+    made("study", "optimal", "--scenario", ENTRY, "--point", "V09T9527", "--out", "study")
+    optimal, flown = load_study("study/study.toml").optimal(), sh.load_scenario(ENTRY).declared.trajectory
+    assert optimal is not None
+    assert flown.initial is not None
+    assert optimal.declared.initial == flown.initial.model_copy(update={"bank_deg": 0.0})
+    planned = run("plan", "study/study.toml", "--out", "results")
+    assert planned.exit_code == 0, planned.exception
+    found = json.loads(Path("results/study.json").read_text())["optimal"]
+    assert found["status"].endswith("all limits are kept and none is active")
+    assert found["cross_range_deg"] > 20.0
+
+
+def test_a_limit_that_the_scenarios_own_flight_exceeds_is_raised_and_said_so() -> None:
+    shown = made("study", "optimal", "--scenario", ENTRY, "--point", "V07T9975", "--out", "study").output
+    own = sh.load_vehicle("orbiter").control_point("V07T9975").limits
+    optimal = load_study("study/study.toml").optimal()
+    assert optimal is not None
+    peak = float(sh.run(ENTRY).histories(["V07T9975"])[0].surface_K.max())
+    assert own.surface_K < peak < optimal.points[0].surface_K <= peak + 12.0
+    assert f"the scenario's flight reaches {peak:.0f} K, the vehicle's own limit is {own.surface_K:.0f} K" in shown
+    kept = made("study", "optimal", "--scenario", ENTRY, "--point", "V09T9527", "--out", "other").output
+    assert "own limit" not in kept
+
+
 def test_new_effects_are_found_checked_and_flown() -> None:
     """The checks run in a process of its own, as a person runs them: the folder of effects is read once."""
     for mode, variable in (("multiply", "mach"), ("add", "alpha_deg"), ("emittance", "wall_K")):
@@ -221,6 +251,9 @@ def test_the_practice_flight_of_a_new_effect_moves_its_variable(variable: str) -
         (("scenario", "--vehicle", "capsule", "--point", "FAC", "--out", "x"), "did you mean `FACE`?"),
         (("scenario", "--vehicle", "capsule", "--speed", "7 km", "--out", "x"), "`km` is not a unit"),
         (("study", "envelope", "--scenario", "none.toml", "--out", "x"), "there is no such file"),
+        (("study", "optimal", "--scenario", STUDIES / "optimal_entry.toml", "--out", "x"), "optimal entry by itself"),
+        (("study", "optimal", "--scenario", STUDIES / "small_envelope.toml", "--out", "x"), "for `sim-heating plan`"),
+        (("study", "optimal", "--scenario", ENTRY, "--point", "BODYFLAPS", "--out", "x"), "did you mean `BODYFLAP`?"),
         (("effect", "Shock", "--out", "x"), "write a name of small letters"),
         (("effect", "transition", "--out", "x"), "there is an effect of this name already"),
         (("effect", "my-shock", "--variable", "macht", "--out", "x"), "did you mean `mach`?"),

@@ -353,6 +353,20 @@ _BOUNDS = {
 }
 
 
+FILES_OF: Mapping[str, str] = {
+    "scenario/1": "the file is a scenario, for `sim-heating run`",
+    "study/1": "the file is a study, for `sim-heating plan`",
+    "optimal-entry/1": "the file is an optimal entry by itself: for `sim-heating plan`, write a study with format = "
+    '"study/1", title, vehicle and scenario, and the other keys of this file below [optimal], its tables as '
+    "[optimal.initial] (`sim-heating new study optimal` writes one)",
+    "campaign/1": "the file is a campaign, for `sim-heating campaign`",
+    "link/1": "the file is a link, for `sim-heating live`",
+    "vehicle/1": "the file is a vehicle's; name its folder as `vehicle`",
+    "flight-record/1": "the file is a record's; `sim-heating estimate` and others take its folder",
+}
+"""What a file of each format is and where it goes, for one that is given in place of another."""
+
+
 def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     """The rule that a value violates, from pydantic's error type."""
     kind, value, ctx = error["type"], error["input"], error.get("ctx", {})
@@ -372,7 +386,8 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
-        return f"{abbreviated(value)} is not {description or ctx['pattern']}"
+        other = f"; {FILES_OF[value]}" if key == "format" and value in FILES_OF else ""
+        return f"{abbreviated(value)} is not {description or ctx['pattern']}{other}"
     if kind == "literal_error":
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind in ("too_short", "too_long"):

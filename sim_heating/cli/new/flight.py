@@ -9,7 +9,7 @@ import click
 
 from sim_heating.cli.console import COMPILING, OUT, PATH, progress_line
 from sim_heating.cli.new.options import points_option, quantity_option, title_option
-from sim_heating.cli.new.printing import print_made
+from sim_heating.cli.new.printing import print_made, print_notes
 
 
 @click.command("scenario")
@@ -85,5 +85,18 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
     from sim_heating.cli.path_check import check_path
     from sim_heating.templates.starters import write_new_study
 
-    path = write_new_study(out, kind, scenario, title=title, points=points, flights=flights)
-    print_made(check_path(path).summary, path, f"sim-heating plan {path} --out {out}/results")
+    more: dict[str, Any] = {}
+    notes: tuple[str, ...] = ()
+    if kind == "optimal":
+        from sim_heating.inputs.scenario import load_scenario
+        from sim_heating.planning.optimal.of_scenario import optimal_table
+
+        base = load_scenario(scenario)
+        with progress_line("new study") as progress:
+            progress(0.1, COMPILING)
+            table = optimal_table(base, points or base.names)
+        more, notes = {"optimal": table.values, "above": table.above}, table.notes
+    path = write_new_study(out, kind, scenario, title=title, points=points, flights=flights, **more)
+    if notes:
+        print_notes(notes)
+    print_made(check_path(path).summary, path, f"sim-heating plan {path} --out {out}/results", notes=notes)

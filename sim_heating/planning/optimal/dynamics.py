@@ -33,7 +33,7 @@ CONTROL_SCALE = np.array([10.0, 30.0])
 """Typical sizes of states and controls."""
 LOWEST = np.array([0.0, -np.pi, -1.5, 100.0, -1.5, -2.0 * np.pi])
 HIGHEST = np.array([150e3, np.pi, 1.5, 12e3, 1.5, 2.0 * np.pi])
-"""Bounds of the states."""
+"""Bounds of the states; those of longitude and heading count from the start."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 The optimiser bounds, at each point, the temperature of a wall that stores no heat (T_e) along the flight, and its
 integral over time. The thermal model itself is then marched along the flight found, soak after the end included, and
 each bound is changed by the distance of the marched peak from its limit (for the bondline, along the secant), until
-every active limit is met. The mesh is refined on the way.
+every active limit is met. The mesh is refined on the way, until its error is small enough or, where a control jumps,
+no interval can be halved any more.
 
 With a probability P, tables are ratio + z sigma, z the normal quantile of 1 - (1 - P)/n for n limited points. The error
 of a table is assumed to be the same number of sigma everywhere in it, while errors of several points may be correlated
@@ -122,14 +123,21 @@ class EntrySearch:
         return 1.0 if sum(self.study.declared.bank_limits_deg) <= 0.0 else -1.0
 
     def _lowest(self) -> FloatArray:
-        low, end = od.LOWEST.copy(), self.study.declared.end
+        low, end = od.LOWEST + self._turned(), self.study.declared.end
         low[od.ALTITUDE], low[od.SPEED] = 0.7 * end.altitude_m, 0.6 * end.velocity_m_s
         return low
 
     def _highest(self) -> FloatArray:
-        high, start = od.HIGHEST.copy(), self.study.declared.initial
+        high, start = od.HIGHEST + self._turned(), self.study.declared.initial
         high[od.ALTITUDE], high[od.SPEED] = 1.05 * start.altitude_m, 1.08 * start.velocity_m_s
         return high
+
+    def _turned(self) -> FloatArray:
+        """Initial longitude and heading, from which their bounds count: an entry may cross 180 deg."""
+        angles = np.array([od.LONGITUDE, od.HEADING])
+        turned = np.zeros(od.STATES)
+        turned[angles] = _initial_state(self.study)[angles]
+        return turned
 
     def guess(self) -> Motion:
         """First guess: straight lines to a final state with some 20 deg of cross-range."""
@@ -230,6 +238,9 @@ ROUNDS = 25
 """Largest number of optimisations with their marches."""
 BEND = np.array([0.1, 0.5])
 """Largest distance of alpha and bank from a straight line within an interval [deg]."""
+COARSEST = 4e-3
+"""Largest error of an interval, over the scale of the states, with which a mesh that cannot be refined further is
+accepted: 80 m, 12 m/s, 0.01 deg of path angle. Where alpha jumps by tens of degrees, the path angle is off by this."""
 Progress = Callable[[str], None]
 """Called with one line after each round."""
 
@@ -254,7 +265,8 @@ class OptimalEntry:
     histories  : marched temperatures of the limited points, soak included, with the tables of `probability`
     peaks      : of these;  nominal : of the same flight with the tables as declared
     rounds     : of the search
-    status     : one line: the limits that are active;  notes : where the flight leaves a ratio table or is not trimmed
+    status     : one line: the limits that are active
+    notes      : where the flight leaves a ratio table or is not trimmed, and where its mesh is coarser than asked
     """
 
     study: OptimalStudy
@@ -342,11 +354,14 @@ def fly_optimal(study: OptimalStudy, *, progress: Progress = lambda _: None) -> 
         changed = _steer(steering, search, motion, peaks, study.declared.tolerance_K)
         finer = refined_mesh(motion, study.declared.mesh_tolerance, BEND)
         fine = worst <= study.declared.mesh_tolerance
-        if not changed and fine:
+        finest = len(finer) == len(motion.mesh)
+        if not changed and (fine or finest):
+            if not fine and worst > COARSEST:
+                raise RunError(_failure(study, rounds, f"{_mesh_note(study, motion)}; relax a limit"))
             return _entry(search, motion, rounds)
-        # A new mesh makes a new program without a previous solution; while the mesh is fine enough the old one starts
-        # warm.
-        if not fine:
+        # A new mesh makes a new program without a previous solution; while the mesh is fine enough, or as fine as it
+        # can be, the old one starts warm.
+        if not fine and not finest:
             transcription = Transcription(search.problem, finer)
     why = f"no convergence in {ROUNDS} rounds, mesh error {worst:.1e}; raise mesh_tolerance or tolerance_K"
     raise RunError(_failure(study, rounds, why))
@@ -396,11 +411,26 @@ def _entry(search: EntrySearch, motion: Motion, rounds: Sequence[OptimisationRou
     histories = search.march(flown, search.models)
     peaks = search.peaks(histories)
     nominal = search.peaks(search.march(flown, search.nominal_models))
+    notes = search.notes(flown)
+    if np.max(motion.errors) > search.study.declared.mesh_tolerance:
+        notes.append(_mesh_note(search.study, motion))
     entry = OptimalEntry(
         search.study, motion, flown, float(motion.goal) * tables.PLANET.radius_m / 1e3,
-        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(search.notes(flown)),
+        tuple(histories), peaks, nominal, tuple(rounds), "", tuple(notes),
     )  # fmt: skip
     return replace(entry, status=_status(entry))
+
+
+def _mesh_note(study: OptimalStudy, motion: Motion) -> str:
+    """What a mesh that cannot be refined further leaves, and where."""
+    coarse = motion.errors > study.declared.mesh_tolerance
+    worst = int(np.argmax(motion.errors))
+    longest = float(np.max(np.diff(motion.mesh)[coarse])) * motion.duration_s
+    return (
+        f"mesh error {motion.errors[worst]:.1e} at {motion.mesh[worst] * motion.duration_s:.0f} s, "
+        f"above mesh_tolerance {study.declared.mesh_tolerance:g} in {np.count_nonzero(coarse)} of {len(coarse)} "
+        f"intervals of at most {longest:.1f} s, which are not divided further"
+    )
 
 
 def _status(entry: OptimalEntry) -> str:

@@ -24,6 +24,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, display_path, raise_problems, read_toml
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
 from sim_heating.planning.limited_point import LimitedPoint
+from sim_heating.trajectory.aero import load_aero
 from sim_heating.trajectory.spec import Initial, VehicleState
 
 
@@ -118,7 +119,8 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
     """Check a study of a vehicle that has been loaded.
 
     where  : the file and table, for messages
-    raises : InputError with one line a problem: an unknown or repeated control point, a table without the sigma needed
+    raises : InputError with one line a problem: an unknown or repeated control point, a table without the sigma
+             needed, an end above the start, angles of attack outside the aerodynamic tables or none of these
     """
     points: list[LimitedPoint] = []
     problems: list[str] = []
@@ -134,7 +136,48 @@ def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "st
             problems.append(f"{where}, [limit]: `{point.name}` is repeated; name it once")
         bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
         points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
-    if declared.initial.velocity_m_s <= declared.end.velocity_m_s:
-        problems.append(f"{where}, [end]: `velocity_m_s`: must be below that of [initial]")
+    problems += [
+        f"{where}, [end]: `{key}`: {getattr(declared.end, key):g} must be below that of [initial], "
+        f"{getattr(declared.initial, key):g}"
+        for key in ("altitude_m", "velocity_m_s")
+        if getattr(declared.initial, key) <= getattr(declared.end, key)
+    ]
+    problems += _control_problems(declared, vehicle, where)
     raise_problems(problems)
     return OptimalStudy(declared, vehicle, tuple(points))
+
+
+def tabulated_alpha_deg(vehicle: Vehicle) -> tuple[float, float]:
+    """Lowest and highest angle of attack of a vehicle's aerodynamic tables [deg].
+
+    raises : InputError where it has none
+    """
+    try:
+        alpha_deg = load_aero(vehicle.directory).basic.alpha_deg
+    except InputError as error:
+        raise InputError(
+            *(f"{line}; an optimal entry needs aerodynamic tables, as `sim-heating new vehicle` writes them"
+              for line in error.problems)
+        ) from None  # fmt: skip
+    return float(alpha_deg[0]), float(alpha_deg[-1])
+
+
+def _control_problems(declared: OptimalStudyFile, vehicle: Vehicle, where: str) -> list[str]:
+    """Problems of the limits of angle of attack, beyond the vehicle's tables, and of bank."""
+    problems = []
+    try:
+        lowest, highest = tabulated_alpha_deg(vehicle)
+    except InputError as error:
+        return [f"{where}: {line}" for line in error.problems]
+    low, high = declared.alpha_limits_deg
+    if low < lowest or high > highest:
+        problems.append(
+            f"{where}: `alpha_limits_deg`: {low:g} to {high:g} goes beyond the aerodynamic tables of {vehicle.name}, "
+            f"{lowest:g} to {highest:g} deg"
+        )
+    low, high = declared.bank_limits_deg
+    if low < -180.0 or high > 180.0:
+        problems.append(f"{where}: `bank_limits_deg`: {low:g} to {high:g} must lie within -180 to 180 deg")
+    if declared.duration_s[0] <= 0.0:
+        problems.append(f"{where}: `duration_s`: the shortest, {declared.duration_s[0]:g} s, must be above 0")
+    return problems
