@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -93,6 +94,26 @@ def test_a_vehicle_is_good_only_where_it_can_be_flown(file: str, old: str, new: 
     assert "good. vehicle pod" in run("validate", f"pod/{file}").output
 
 
+def test_an_estimate_of_a_capsule_does_not_speak_of_its_elevon_and_a_margin_that_is_not_final_says_so() -> None:
+    """Lines on surfaces that the vehicle lacks, and +160 K for a bondline that the heat has not reached yet."""
+    made("vehicle", *POD, "--out", "pod")
+    made("scenario", "--vehicle", "pod", "--until-mach", "22", "--point", "NOSE", "--out", "flight")
+    flown = " ".join(run("run", "flight/scenario.toml", "--out", "flown").output.split())
+    assert "The bondline of NOSE still rises at the end, and its margin is that so far" in flown
+    assert "Wrote flown: report.html, " in flown
+    assert "still rises at the end" in Path("flown/report.html").read_text()
+
+    run("synthesize", "flight/scenario.toml", "--out", "records")
+    fitted = run("estimate", "records" if Path("records/record.toml").exists() else "records/NOSE", "--out", "fit")
+    assert "ratio.scale" in fitted.output
+    assert "ratio.d_alpha: not estimated" in fitted.output
+    done = re.search(r"iteration 1 \((\d+) %", fitted.output)  # 10 % of it meant minutes for a fit of seconds
+    assert done is not None
+    assert int(done[1]) > 25
+    assert "elevon" not in fitted.output
+    assert "bodyflap" not in fitted.output
+
+
 CAPSULE_TABLE = "mach,alpha_deg,CN,CA,Cm\n" + "".join(
     f"{mach},{alpha},{0.005 * alpha},1.4,0\n" for mach in (1.5, 25) for alpha in (-30, 0, 15)
 )
@@ -114,7 +135,9 @@ def test_an_angle_of_attack_outside_the_tables_is_refused_and_a_lift_that_is_dow
     with pytest.warns(UserWarning, match=r"lift is down at Mach 30 and 15 deg \(CL -0\.\d+.*negative angles of attack"):
         run("validate", "pod")
 
-    up = down.replace("[1.0, 15.0], [30.0, 15.0]", "[1.0, -15.0], [30.0, -15.0]").replace("alpha_limits_deg = [0.0", "alpha_limits_deg = [-30.0")
+    up = down.replace("[1.0, 15.0], [30.0, 15.0]", "[1.0, -15.0], [30.0, -15.0]").replace(
+        "alpha_limits_deg = [0.0", "alpha_limits_deg = [-30.0"
+    )
     Path("pod/guidance.toml").write_text(up)
     assert "good. vehicle pod" in run("validate", "pod").output
 
@@ -203,6 +226,7 @@ def test_new_effects_are_found_checked_and_flown() -> None:
         (("scenario", "--vehicle", "capsule", "--point", "FAC", "--out", "x"), "did you mean `FACE`?"),
         (("scenario", "--vehicle", "capsule", "--speed", "7 km", "--out", "x"), "`km` is not a unit"),
         (("study", "envelope", "--scenario", "none.toml", "--out", "x"), "there is no such file"),
+        (("study", "dispersion", "--scenario", "none.toml", "--flights", "100", "--out", "x"), "give 64 or 128"),
         (("effect", "Shock", "--out", "x"), "write a name of small letters"),
         (("effect", "transition", "--out", "x"), "there is an effect of this name already"),
         (("effect", "my-shock", "--variable", "macht", "--out", "x"), "did you mean `mach`?"),
