@@ -32,6 +32,8 @@ def main() -> None:
     parser.add_argument("host", type=Path, help="CSV file that the host wrote")
     parser.add_argument("run", type=Path, help="directory that `sim-heating run` wrote")
     given = parser.parse_args()
+    if not given.host.is_file():
+        raise SystemExit(f"{given.host}: there is no such file; give the CSV file that the host wrote")
     host = columns(given.host)
     clock = next((host[name] for name in ("time_s", "time") if name in host), None)
     if clock is None:

@@ -73,6 +73,8 @@ def main() -> None:
     parser.add_argument("--until", type=float, help="end in s; default: that of the system's experiment")
     parser.add_argument("--out", type=Path, default=Path("ecos.csv"))
     given = parser.parse_args()
+    if not given.system.exists():
+        raise SystemExit(f"{given.system}: there is no such file; `sim-heating fmu export VEHICLE --ssp` writes one")
     names, stop_s = described(given.system)
     rows = simulate(given.system, names, given.step, stop_s if given.until is None else given.until)
     with given.out.open("w", newline="") as file:

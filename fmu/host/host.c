@@ -4,7 +4,8 @@
        unzip -q orbiter.fmu -d orbiter
        ./host orbiter reached conditions.csv V09T9527.surface_K V09T9527.bondline_K > temperatures.csv
 
-   Columns of conditions.csv: time_s, then inputs of the FMU by their names. How inputs are meant, second argument:
+   Columns of conditions.csv: time_s, then inputs of the FMU by their names; others, as those of `sim-heating run`, are
+   skipped and told. How inputs are meant, second argument:
 
        reached   values at the end of a step, reached along a straight line: what a host gives that has flown the step
        held      values at the start of a step, held over it
@@ -79,10 +80,15 @@ static char *attribute(const char *element, const char *name) {
     return value ? memcpy(value, at, length) : NULL;
 }
 
-static fmi3ValueReference reference(const char *description, const char *name) {
+/* The element of a variable in the description, NULL where there is none. */
+static const char *variable(const char *description, const char *name) {
     char key[LINE];
     snprintf(key, sizeof key, " name=\"%s\" valueReference=", name);
-    const char *at = strstr(description, key);
+    return strstr(description, key);
+}
+
+static fmi3ValueReference reference(const char *description, const char *name) {
+    const char *at = variable(description, name);
     if (!at) stop("the FMU has no variable ", name);
     return (fmi3ValueReference)strtoul(attribute(at, "valueReference"), NULL, 10);
 }
@@ -119,6 +125,19 @@ static void intermediate(fmi3InstanceEnvironment environment, double time, bool 
     if (set) fmu.set(flown->instance, flown->refs, flown->count, flown->next, flown->count);
 }
 
+/* The next row of the conditions: its time, then the columns that are inputs; 0 behind the last row. */
+static size_t read_inputs(FILE *file, const size_t columns[], size_t count, double row[]) {
+    double all[MOST];
+    size_t found = read_line(file, all);
+    if (!found) return 0;
+    row[0] = all[0];
+    for (size_t k = 0; k < count; k++) {
+        if (columns[k] >= found) stop("a row of the conditions is too short", "");
+        row[k + 1] = all[columns[k]];
+    }
+    return found;
+}
+
 int main(int n, char *arguments[]) {
     if (n < 5) stop("usage: host FOLDER reached|held|updated CONDITIONS.csv OUTPUT...", "");
     char path[LINE], names[LINE], resources[LINE];
@@ -136,7 +155,18 @@ int main(int n, char *arguments[]) {
     if (!conditions || !fgets(names, sizeof names, conditions)) stop("cannot read ", arguments[3]);
     Flown flown = {0};
     strtok(names, ",\r\n");
-    for (char *name; (name = strtok(NULL, ",\r\n")) && flown.count < MOST; flown.count++) flown.refs[flown.count] = reference(description, name);
+    size_t columns[MOST], column = 1, skipped = 0;
+    for (char *name; (name = strtok(NULL, ",\r\n")) && column < MOST; column++) {
+        const char *found = variable(description, name);
+        if (!found || strcmp(attribute(found, "causality"), "input") != 0) {
+            fprintf(stderr, "%s%s", skipped++ ? ", " : "host: columns that are no inputs of the FMU, skipped: ", name);
+            continue;
+        }
+        columns[flown.count] = column;
+        flown.refs[flown.count++] = reference(description, name);
+    }
+    if (skipped) fprintf(stderr, "\n");
+    if (!flown.count) stop("no column is an input of the FMU: ", arguments[3]);
     fmi3ValueReference wanted[MOST], timing = reference(description, "input_timing");
     size_t n_wanted = 0;
     for (int k = 4; k < n && n_wanted < MOST; k++) wanted[n_wanted++] = reference(description, arguments[k]);
@@ -148,7 +178,7 @@ int main(int n, char *arguments[]) {
     double instantiated = now() - began, row[2][MOST], out[MOST], spent = 0.0, fastest = 1e9;
     int64_t meaning = reached ? 2 : 1;
     int current = 0, steps = 0;
-    if (!read_line(conditions, row[0])) stop("there are no conditions in ", arguments[3]);
+    if (!read_inputs(conditions, columns, flown.count, row[0])) stop("there are no conditions in ", arguments[3]);
     bool good = fmu.set_integer(flown.instance, &timing, 1, &meaning, 1) == fmi3OK &&
                 fmu.enter(flown.instance, false, 0.0, row[0][0], false, 0.0) == fmi3OK &&
                 fmu.set(flown.instance, flown.refs, flown.count, row[0] + 1, flown.count) == fmi3OK &&
@@ -160,7 +190,7 @@ int main(int n, char *arguments[]) {
         printf("\n%.17g", time);
         for (size_t k = 0; k < n_wanted; k++) printf(",%.17g", out[k]);
         double *last = row[current], *next = row[current = 1 - current];
-        if (!read_line(conditions, next)) break;
+        if (!read_inputs(conditions, columns, flown.count, next)) break;
         bool event, end, early;
         double done, at = now();
         flown.next = next + 1;

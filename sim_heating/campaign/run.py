@@ -55,6 +55,10 @@ COMMAND = "campaign"
 RECORDS, CLOSED, FITS, JOINT, TABLES = "records", "closed", "fits", "joint", "tables"
 LEDGER = "finished"
 """Folder of finished parts below the results."""
+NO_MANOEUVRE = (
+    "no flight has a manoeuvre: nothing is fitted, and no table revised; name its manoeuvres in [[manoeuvre]] of the "
+    "records, or fly one with [[trajectory.manoeuvre]] of the scenario"
+)
 STAGES = {"flights": 0.1, "close-loop": 0.55, "fits": 0.75, "joint fits": 0.9, "tables": 1.0}
 """Part of the time by which each stage has ended."""
 
@@ -120,6 +124,8 @@ def run_campaign(
         flights, checks = _flights(campaign, engine, _stage(progress, "flights"))
         groups = groups_of(flights, campaign.declared.joint.speed_tolerance)
         result = CampaignResult(campaign, out, tuple(flights), frozenset(checks), tuple(groups))
+        if not groups:
+            result.omitted.append(NO_MANOEUVRE)
         if campaign.declared.close_loop:
             result.closed.extend(_close(result, engine, _stage(progress, "close-loop")))
         carried = _carried(result)

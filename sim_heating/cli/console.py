@@ -223,7 +223,7 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
     report_files(out, names)
     report_results(out / results if isinstance(results, str) else results)
     pictures = [n for n in names if n.endswith(".png")]
-    files = [n for n in names if not n.endswith(".png")]
+    files = sorted((n for n in names if not n.endswith(".png")), key=lambda n: (n != "report.html", "/" in n))
     shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:

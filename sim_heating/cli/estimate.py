@@ -291,7 +291,8 @@ def _estimate_trend(
             fixed=stated.fix, priors=stated.priors, bounds=stated.bounds, progress=progress,
         )  # fmt: skip
         names = write_trend(found, out)
-    CONSOLE.print(f"{len(found.segments)} segments of {length_s:g} s fitted, {len(found.left_out)} left out")
+    many = "s" if len(found.segments) != 1 else ""
+    CONSOLE.print(f"{len(found.segments)} segment{many} of {length_s:g} s fitted, {len(found.left_out)} left out")
     for line in found.left_out[:3]:
         CONSOLE.print(f"left out: {line}")
     for line in found.warnings:
@@ -345,7 +346,7 @@ def design(
 ) -> None:
     """Design a scenario's manoeuvres: the bounds they would give, the most informative ones, other instruments."""
     from sim_heating.base.files import require_writable
-    from sim_heating.estimation.design.report import FILES, bounds_table, notes, summary, write_design
+    from sim_heating.estimation.design.report import FILES, bounds_table, changes, notes, summary, write_design
     from sim_heating.estimation.design.report import design as design_manoeuvres
     from sim_heating.inputs.scenario import load_scenario, with_design
 
@@ -359,12 +360,8 @@ def design(
     found = summary(designed)
     print_table(bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
     CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
-    for varied in found["varied"]:
-        planned, best = (found[k]["manoeuvres"][varied["manoeuvre"] - 1][varied["key"]] for k in ("planned", "optimal"))
-        kind = found["planned"]["manoeuvres"][varied["manoeuvre"] - 1]["kind"]
-        CONSOLE.print(
-            f"manoeuvre {varied['manoeuvre']}, {kind}: {varied['key']} {planned:.4g} planned, {best:.4g} optimal"
-        )
+    for line in changes(found):
+        CONSOLE.print(line)
     _print_checks(found)
     for line in notes(designed):
         CONSOLE.print(line)

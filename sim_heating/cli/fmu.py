@@ -13,6 +13,7 @@ from sim_heating.cli.console import COMPILING, CONSOLE, FORCE, PATH, ROOT, Helpf
 from sim_heating.cli.output import report_files, report_results
 
 if TYPE_CHECKING:
+    from sim_heating.inputs.scenario import Scenario
     from sim_heating.inputs.vehicle import Vehicle
     from sim_heating.simulation.fmu_export.parts.image import Image
 
@@ -155,12 +156,11 @@ def _export_system(
 ) -> dict[str, Any]:
     """Write the heating of a vehicle and the trajectory of a scenario as one system; what --json states of it."""
     from sim_heating.base.files import display_path
-    from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.fmu_export.entry import require_entry_source
     from sim_heating.simulation.fmu_export.export import targets_of
     from sim_heating.simulation.fmu_export.ssp import FMI, export_ssp
 
-    flown = load_scenario(scenario, root=root)
+    flown = _scenario_of(scenario, vehicle, root)
     with error_context(f"{display_path(scenario)}, [trajectory]"):
         require_entry_source(flown.declared.trajectory)
     if flown.vehicle.directory.resolve() != vehicle.directory.resolve():
@@ -183,6 +183,17 @@ def _export_system(
         "ssp": "1.0", "fmi": f"{FMI}.0", "connections": system.connections, "platforms": platforms,
         "stop_time_s": system.stop_s, "bytes": out.stat().st_size, "control_points": _names(vehicle, points),
     }  # fmt: skip
+
+
+def _scenario_of(place: Path, vehicle: Vehicle, root: Path | None) -> Scenario:
+    """A scenario; its vehicle may lie anywhere where it is the one that the command names."""
+    from sim_heating.base.files import read_toml
+    from sim_heating.inputs.scenario import ScenarioFile, load_scenario, make_scenario
+
+    declared = read_toml(place, ScenarioFile)
+    if (place.parent / declared.vehicle).resolve() == vehicle.directory.resolve():
+        return make_scenario(place, declared, vehicle, root=root)
+    return load_scenario(place, root=root)
 
 
 def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:

@@ -71,12 +71,15 @@ def _print_run_warnings(found: dict[str, Any]) -> None:
 
     found : summary of a run
     """
+    from sim_heating.march.history import rising_bondlines
     from sim_heating.trajectory.manoeuvres import NOT_FLOWN
 
     for event in found["events"]:
         if event["what"].endswith(NOT_FLOWN):
             print_warning(event["what"])
     _print_range_warnings(found["control_points"])
+    for line in rising_bondlines(found["control_points"], SHOWN_NAMES):
+        CONSOLE.print(line)
     if found["beyond_reference"]:
         print_warning(found["beyond_reference"])
     difference = found["plugin_apart_K"]

@@ -44,6 +44,7 @@ from sim_heating.estimation.inference.observability import (
     default_names,
     default_thermal_names,
     deviations,
+    lacks_surface,
     least_determined,
     mean_ratio,
     parameters_without_heating,
@@ -353,7 +354,7 @@ def _default_labels(names: Sequence[str] | None, owners: Owners) -> list[str]:
         return []
     of_heating = default_names(owners.records)
     if not parameters_without_heating(of_heating, owners.records):
-        return owners.labels(of_heating)
+        return [label for label in owners.labels(of_heating) if not lacks_surface(label, owners.covered(label))]
     return owners.labels(default_thermal_names(owners.records))
 
 
@@ -477,13 +478,18 @@ def is_d0(parameter: Parameter) -> bool:
     return parameter.name == MAGNITUDES[1]
 
 
+def _part_done(steps: int) -> float:
+    """Part of a fit that is done after a number of steps, which is usually three to five and not known before."""
+    return 0.9 * (1.0 - 0.65**steps)
+
+
 def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None, progress: Progress) -> Fit:
     """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
     def report(at: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
-        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
+        progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
     unknown_noise = any(
         c.sensor.noise_sigma_K is None for record_fit in problem.record_fits for c in record_fit.channels
@@ -513,7 +519,7 @@ def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress
 
     def report(at: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
-        progress(min(0.9, 0.1 * steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
+        progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
 
     fit, innovations = fit_innovations(problem, noise, first.values, report)
     return replace(fit, iterations=steps[0]), innovations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -207,7 +208,7 @@ def point_summary(
     limits  : `surface_K` and `bondline_K`, limits [K]; a limit that is None or absent has no margin
     outside : excursions beyond the ratio table
     returns : peaks [K], [W/m2] and their times [s], limits and margins limit minus peak [K], positive below the limit,
-              heat load [J/m2], excursions, time of negative ratio [s]
+              heat load [J/m2], excursions, time of negative ratio [s], and whether a bondline with a limit still rises
 
     Derived in docs/theory/equations_march.md, equations 19 to 21.
     """
@@ -221,6 +222,11 @@ def point_summary(
         "surface_margin_K": None if surface_limit is None else surface_limit - surface,
         "peak_bondline_K": bondline,
         "peak_bondline_s": bond_at_s,
+        "bondline_rises": bool(
+            bondline_limit is not None
+            and bond_at_s == history.time_s[-1]
+            and history.bondline_K[-1] > history.bondline_K[0]
+        ),
         "bondline_margin_K": None if bondline_limit is None else bondline_limit - bondline,
         "surface_limit_K": surface_limit,
         "bondline_limit_K": bondline_limit,
@@ -232,3 +238,21 @@ def point_summary(
         "nodes": history.nodes,
         "mesh_error_K": history.mesh_error_K,
     }
+
+
+def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None = None) -> list[str]:
+    """A line that names the points whose bondline is hottest at the end of a flight, if there are any.
+
+    points : `point_summary` by name;  shown : how many points it names; None for all
+
+    Heat soaks on into a structure after a flight, so that the margin of such a bondline is no bound.
+    """
+    rising = [name for name, p in points.items() if p["bondline_rises"]]
+    if not rising:
+        return []
+    named = rising if shown is None else rising[:shown]
+    more = f" and {len(rising) - len(named)} more" if len(named) < len(rising) else ""
+    return [
+        f"The bondline of {', '.join(named)}{more} still rises at the end, and its margin is that so far: end the "
+        "flight later (`[trajectory.stop]`), or `plan` with `soak_s`"
+    ]

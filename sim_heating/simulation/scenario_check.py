@@ -72,8 +72,8 @@ def check_vehicle(vehicle: Vehicle) -> None:
         except InputError as error:
             problems += error.problems
     raise_problems(problems)
-    if len(found) > 1:
-        check_alpha_schedule(*found.values(), display_path(vehicle.directory))
+    if len(found) == 2:
+        check_alpha_schedule(found["aero/aero.toml"], found["guidance.toml"], display_path(vehicle.directory))
     check_effects([use.effect for point in vehicle.control_points.values() for use in point.effects])
 
 

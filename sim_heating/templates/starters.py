@@ -155,8 +155,13 @@ def write_new_study(
     optimal : contents of the table [optimal]
     above   : control point -> limit of it -> why it is above the vehicle's own, for the comments of [optimal]
     returns : the file
-    raises  : InputError where the scenario or a point does not work
+    raises  : InputError where the scenario or a point does not work, or the flights are no power of two
     """
+    if flights & (flights - 1):
+        raise InputError(
+            f"--flights {flights}: is no power of two, which its sequences need to be even; "
+            f"give {2 ** (flights.bit_length() - 1)} or {2 ** flights.bit_length()}"
+        )
     base = load_scenario(scenario)
     names = list(points) or list(base.names)
     for name in names:

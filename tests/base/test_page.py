@@ -18,8 +18,8 @@ from rich.text import Text
 from benchmarks.browser import Browser
 from sim_heating.base.errors import printable
 from sim_heating.base.report.chart import Chart, Curve, Panel, Span
-from sim_heating.base.report.figure import add_grid_and_title, new_figure
-from sim_heating.base.report.page import Page, Picture, Section, page_html
+from sim_heating.base.report.figure import DPI, add_grid_and_title, new_figure, save_figure
+from sim_heating.base.report.page import Page, Picture, SavedPicture, Section, page_html
 from sim_heating.base.report.table import Column, Table
 from sim_heating.cli.console import PlainConsole
 from tests.support.browser import (
@@ -127,6 +127,23 @@ def test_a_page_that_is_wider_than_a_telephone_scrolls_within_itself_and_is_whol
         opened = browser.open(path, 390)
         wide = "[...document.querySelectorAll('.table, figure')].map((e) => e.scrollWidth > e.clientWidth)"
         assert opened.evaluate(wide) == [True, True]
+
+
+@needs_browser
+def test_a_small_picture_is_not_blown_up_and_a_telephone_is_told_that_one_goes_on(tmp_path):
+    figure, (axes,) = new_figure(4.0, 3.0, 1)
+    save_figure(figure, tmp_path / "small.png", "small", np.array([axes]))
+    path = tmp_path / "report.html"
+    path.write_text(page_html(Page("", "", [Section("", pictures=[SavedPicture(tmp_path / "small.png", "small")])])))
+    width = "document.querySelector('figure > img').getBoundingClientRect().width"
+    hint = "getComputedStyle(document.querySelector('figcaption'), '::after').content"
+    with Browser() as browser:
+        opened = browser.open(path, 1280)
+        assert opened.evaluate(width) == pytest.approx(1.2 * 4.0 * DPI, abs=1.0)  # 1024 before, with coarse letters
+        assert "right" not in opened.evaluate(hint)
+        opened = browser.open(path, 390)
+        assert opened.evaluate(width) == pytest.approx(1.2 * 4.0 * DPI, abs=1.0)
+        assert "goes on to the right" in opened.evaluate(hint)
 
 
 @needs_browser

@@ -154,6 +154,22 @@ def test_one_line_states_what_is_wrong_with_a_campaign(
     assert not (home / "wrong").exists()
 
 
+def test_a_campaign_without_a_manoeuvre_says_that_it_fits_nothing(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended well, with a table of zeros."""
+    flight = (home / "doublet.toml").read_text()
+    head, _, tail = flight.partition("[[trajectory.manoeuvre]]")
+    quiet = head + tail[tail.index("\n[") :] if "\n[" in tail else head
+    assert "manoeuvre" not in quiet
+    (tmp_path / "doublet.toml").write_text(quiet)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace("seeds = [11, 12]", "seeds = [11]"))
+    arguments = ["campaign", str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert main(arguments) == 0
+    assert "no flight has a manoeuvre: nothing is fitted" in " ".join(capsys.readouterr().out.split())
+    assert "no flight has a manoeuvre" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_records_of_one_flight_that_state_other_manoeuvres_are_refused(home: Path, tmp_path: Path) -> None:
     source = home / "out" / "records" / FITTED[0]
     for name in ("a", "b"):

@@ -326,7 +326,8 @@ def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, cwd=workdir, env=environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        while "flying" not in process.stderr.readline():
+        while "flying" not in (line := process.stderr.readline()):
+            assert line, "it ended before it flew"
             time.sleep(0.01)
         process.send_signal(number)
         errors = process.stderr.read()

@@ -281,6 +281,14 @@ def test_simulated_fits_that_err_as_the_bounds_say_are_evidence_for_a_design(pla
     assert not evidence(replace(fits, failed=1))
 
 
+def test_the_page_of_a_design_states_the_design(flap_design):
+    """The numbers to be flown stood in design.json and on the terminal alone."""
+    page = (flap_design / "report.html").read_text().replace("<wbr>", "")
+    found = json.loads((flap_design / "design.json").read_text())
+    planned, optimal = (found[which]["manoeuvres"][1]["hold_s"] for which in ("planned", "optimal"))
+    assert f"manoeuvre 2, elevon-pulse: hold_s {planned:.4g} planned, {optimal:.4g} optimal" in page
+
+
 @needs_browser
 def test_the_page_of_a_design_fits_a_screen_a_telephone_and_paper(flap_design):
     assert_fits(flap_design / "report.html")

@@ -13,6 +13,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import FitProblem, joint_reference
+from sim_heating.estimation.report.plots import ratio_limits
 from sim_heating.estimation.trend import Trend, trend
 from sim_heating.estimation.unknown_heating import after_unknown_heating, temperatures_at
 from sim_heating.heating.ratio.lookup import table_ratios_at
@@ -88,6 +89,17 @@ def test_segments_longer_than_their_data_or_of_no_length_are_refused():
     lost = {k: v if k == "time_s" else np.where(v > 2000.0, v, np.nan) for k, v in record.thermocouples.items()}
     with pytest.raises(InputError, match="no segment of 20 s can be fitted"):
         trend(replace(record, thermocouples=lost), 20.0)
+
+
+def test_one_segment_that_says_nothing_does_not_flatten_the_others_on_the_page():
+    """Where h_ref is near 0, at the end of an entry: 60 +- 250 beside ratios of 0.1."""
+    found = trend(remade({}), 50.0)
+    lost = replace(found.segments[-1], ratio=60.0, sigma=250.0)
+    limits = ratio_limits(replace(found, segments=(*found.segments, lost)))
+    assert limits == ratio_limits(found)
+    assert limits is not None
+    assert all(limits[0] < s.ratio < limits[1] for s in found.segments)
+    assert ratio_limits(replace(found, segments=(lost,))) is None
 
 
 def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():

@@ -21,7 +21,7 @@ from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.march.ensemble import histories
 from sim_heating.march.history import march_points
 from sim_heating.march.linearised import LinearMarch, Track
-from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase, alpha_schedule, cross_range_km
+from sim_heating.planning.envelope.case import BaseEntry, Case, FlownCase, alpha_schedule, cross_range_km, held_alpha
 from sim_heating.planning.envelope.margins import EvaluatedCase, MarginEvaluator
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.plan import parts_of
@@ -125,6 +125,15 @@ def test_a_flight_outside_a_table_is_reported_with_variable_and_distance() -> No
     assert m.margin == pytest.approx(m.value + 10.0)
     assert m.margin < 0.0
     assert any(line.startswith("BODYFLAP: elevon_deg up to") for line in result.outside)
+
+
+def test_an_offset_that_the_limits_of_guidance_hold_is_told() -> None:
+    """A map had a column for an angle that was never flown."""
+    guidance = base().guidance
+    assert held_alpha(Case(alpha_offset_deg=-2.0), guidance) == ""
+    low, high = guidance.alpha_limits_deg
+    assert max(alpha for _, alpha in alpha_schedule(Case(alpha_offset_deg=60.0), guidance, 1.0)) == high
+    assert f"and is flown within {low:g} to {high:g} deg" in held_alpha(Case(alpha_offset_deg=60.0), guidance)
 
 
 def test_a_station_holds_its_angle_of_attack_and_leaves_the_rest() -> None:

@@ -119,6 +119,18 @@ def test_plain_c_host_has_the_same_bits(fmus, vehicle, flown, tmp_path, timing):
     np.testing.assert_array_equal(out, plugin_temperatures(vehicle, given))
 
 
+def test_the_c_host_takes_the_conditions_of_a_run_and_tells_which_columns_it_skips(fmus, flown, tmp_path):
+    """A run writes more columns than a heating FMU has inputs: the host refused them."""
+    given = frames(flown, 1.0, 20.0)
+    more = [{"time_s": f["time_s"], "mach": 20.0, **f, "log10_re": 6.0} for f in given]  # log10_re is an output
+    host = compile_host(tmp_path)
+    exact = run_host(host, fmus[3], "reached", given, SURFACES)
+    np.testing.assert_array_equal(run_host(host, fmus[3], "reached", more, SURFACES), exact)
+    table, folder = fmus[3].with_suffix(".csv"), fmus[3].with_suffix("")
+    told = subprocess.run([host, folder, "reached", table, SURFACES[0]], capture_output=True, text=True, check=True)
+    assert "columns that are no inputs of the FMU, skipped: mach, log10_re\n" in told.stderr
+
+
 def test_parameters_do_what_they_do_in_the_simulator(fmus, vehicle, flown):
     changed = {
         "ratio.scale": 0.1, "ratio.d_alpha2": 1e-4, "stack.coating.thickness_factor": 1.2,

@@ -283,6 +283,25 @@ def test_command_refuses_in_one_line(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_vehicle_of_ones_own_is_exported_with_its_flight_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scenario names its vehicle beside its own folder, as `new scenario` writes it; the command names it too."""
+    own, elsewhere = tmp_path / "own" / "capsule", tmp_path / "elsewhere"
+    shutil.copytree(load_vehicle("capsule").directory, own)
+    (tmp_path / "own" / "flight").mkdir()
+    elsewhere.mkdir()
+    text = (SCENARIOS / "capsule.toml").read_text().replace('vehicle = "capsule"', 'vehicle = "../capsule"')
+    (tmp_path / "own" / "flight" / "scenario.toml").write_text(text)
+    monkeypatch.chdir(elsewhere)
+    flight = ["--trajectory", "../own/flight/scenario.toml"]
+    assert main(["fmu", "export", "../own/capsule", "--ssp", "capsule.ssp", *flight]) == 0, capsys.readouterr().err
+    assert {c.name for c in described(elsewhere / "capsule.ssp", "trajectory").modelVariables} >= {"altitude_m"}
+    # any other vehicle that the scenario leads to stays out of reach
+    assert main(["fmu", "export", "capsule", "--ssp", "other.ssp", *flight]) == 2
+    assert "outside the folders that may be read from here" in capsys.readouterr().err
+
+
 def test_command_leaves_a_file_that_it_did_not_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "other.ssp"
     other.write_bytes(b"a user's notes")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -94,6 +95,26 @@ def test_a_vehicle_is_good_only_where_it_can_be_flown(file: str, old: str, new: 
         assert message in str(run("validate", named).exception)
     Path("pod", file).write_text(text)
     assert "good. vehicle pod" in run("validate", f"pod/{file}").output
+
+
+def test_an_estimate_of_a_capsule_does_not_speak_of_its_elevon_and_a_margin_that_is_not_final_says_so() -> None:
+    """Lines on surfaces that the vehicle lacks, and +160 K for a bondline that the heat has not reached yet."""
+    made("vehicle", *POD, "--out", "pod")
+    made("scenario", "--vehicle", "pod", "--until-mach", "22", "--point", "NOSE", "--out", "flight")
+    flown = " ".join(run("run", "flight/scenario.toml", "--out", "flown").output.split())
+    assert "The bondline of NOSE still rises at the end, and its margin is that so far" in flown
+    assert "Wrote flown: report.html, " in flown
+    assert "still rises at the end" in Path("flown/report.html").read_text()
+
+    run("synthesize", "flight/scenario.toml", "--out", "records")
+    fitted = run("estimate", "records" if Path("records/record.toml").exists() else "records/NOSE", "--out", "fit")
+    assert "ratio.scale" in fitted.output
+    assert "ratio.d_alpha: not estimated" in fitted.output
+    done = re.search(r"iteration 1 \((\d+) %", fitted.output)  # 10 % of it meant minutes for a fit of seconds
+    assert done is not None
+    assert int(done[1]) > 25
+    assert "elevon" not in fitted.output
+    assert "bodyflap" not in fitted.output
 
 
 CAPSULE_TABLE = "mach,alpha_deg,CN,CA,Cm\n" + "".join(
@@ -254,6 +275,7 @@ def test_the_practice_flight_of_a_new_effect_moves_its_variable(variable: str) -
         (("study", "optimal", "--scenario", STUDIES / "optimal_entry.toml", "--out", "x"), "optimal entry by itself"),
         (("study", "optimal", "--scenario", STUDIES / "small_envelope.toml", "--out", "x"), "for `sim-heating plan`"),
         (("study", "optimal", "--scenario", ENTRY, "--point", "BODYFLAPS", "--out", "x"), "did you mean `BODYFLAP`?"),
+        (("study", "dispersion", "--scenario", "none.toml", "--flights", "100", "--out", "x"), "give 64 or 128"),
         (("effect", "Shock", "--out", "x"), "write a name of small letters"),
         (("effect", "transition", "--out", "x"), "there is an effect of this name already"),
         (("effect", "my-shock", "--variable", "macht", "--out", "x"), "did you mean `mach`?"),

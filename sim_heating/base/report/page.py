@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
+from typing import ClassVar
 
 import jinja2
 import matplotlib as mpl
@@ -49,6 +50,8 @@ CODE = re.compile(r"`([^`\n]+)`")
 """Names, keys and commands in a text, which messages mark by backticks."""
 PALETTE = 200
 """Colours of a picture of pixels on a page."""
+LARGEST_SCALE = 1.2
+"""Width of a picture of pixels on a page over its own: larger, its letters are coarse, and larger than those around."""
 RASTER_DPI = 80
 """Resolution of the rasterized parts of a figure."""
 
@@ -60,6 +63,8 @@ class Picture:
     A figure that cannot be drawn is replaced by one that says why.
     """
 
+    widest_px: ClassVar[int | None] = None
+    """Vector graphics look well at any width."""
     figure: Figure | Callable[[], Figure]
     caption: str = ""
 
@@ -87,6 +92,12 @@ class SavedPicture:
         with Image.open(self.path) as picture:
             _few_colours(picture.convert("RGB")).save(buffer, "PNG")
         return _data_url("image/png", buffer.getvalue())
+
+    @property
+    def widest_px(self) -> int:
+        """The width beyond which the picture would look coarse on a page."""
+        with Image.open(self.path) as picture:
+            return round(LARGEST_SCALE * picture.width)
 
 
 def _svg(figure: Figure) -> bytes:

@@ -232,6 +232,21 @@ def notes(designed: DesignResult) -> list[str]:
     return lines
 
 
+def changes(found: dict[str, Any]) -> list[str]:
+    """What the search varied, as planned and as found to be the best, one line each.
+
+    found : contents of design.json
+    """
+    lines = []
+    for varied in found["varied"]:
+        number, key = varied["manoeuvre"], varied["key"]
+        planned, best = (found[which]["manoeuvres"][number - 1] for which in ("planned", "optimal"))
+        lines.append(
+            f"manoeuvre {number}, {planned['kind']}: {key} {planned[key]:.4g} planned, {best[key]:.4g} optimal"
+        )
+    return lines
+
+
 def bounds_table(designed: DesignResult, flights: Sequence[int]) -> Table:
     """Standard deviations of the wanted parameters: as planned, optimal, and after several optimal flights.
 
@@ -289,7 +304,7 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     }
     shown = [SavedPicture(folder / name, caption) for name, caption in pictures.items()]
     sections = [
-        Section("Bounds", [count], notes(designed), [bounds], shown[:2]),
+        Section("Bounds", [count], [*changes(found), *notes(designed)], [bounds], shown[:2]),
         Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
         credibility_section(found["credibility"]),
     ]

@@ -19,6 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import AT, LAYER, MODEL, SHORT_NAMES
 from sim_heating.estimation.inference.identifiability import SINGULAR, covariance, directions
 from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.heating.ratio.table import depends_on
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import predict
@@ -126,6 +127,19 @@ def constant_variables(names: Sequence[str], records: Sequence[Record]) -> dict[
                     f"{variable} is constant over the fit segments (standard deviation {sigma[i]:.2g}){advice}"
                 )
     return reasons
+
+
+def lacks_surface(name: str, records: Sequence[Record]) -> bool:
+    """Whether a derivative is against the deflection of a control surface that the vehicle of the records lacks.
+
+    name : dotted name of a parameter
+
+    Of such a surface the whole record has the deflection 0 [deg], and no ratio table of it has nodes in the deflection.
+    """
+    columns = [RATIO_VARIABLES[i] for i in variables_of(name) if RATIO_VARIABLES[i] in SURFACES]
+    return any(
+        not (depends_on(c, r.ratio_table, r.turbulent) or np.any(r.conditions[c])) for c in columns for r in records
+    )
 
 
 def unsupported_derivatives(names: Sequence[str], records: Sequence[Record]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.credibility.section import credibility_section
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
-from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart
+from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, ratio_limits
 from sim_heating.estimation.report.ratio_plot import derivatives_about
 from sim_heating.estimation.report.remarks import floor_in_words, further_warnings
 from sim_heating.estimation.trend import Trend
@@ -151,8 +151,9 @@ def trend_page(trend: Trend, picture: Path) -> Page:
     if record.ratio_table is not None:
         curves.append(Curve("declared model, same conditions", middle, declared, BEFORE))
     chart = Chart(
-        "Heating ratio", [Panel("heating ratio", curves), *flown_panels(record.conditions)],
-        "The heating ratio of each segment at its middle; band: 2 sigma.",
+        "Heating ratio", [Panel("heating ratio", curves, limits=ratio_limits(trend)), *flown_panels(record.conditions)],
+        "The heating ratio of each segment at its middle; band: 2 sigma. The first view shows segments whose ratio is "
+        "known to half of itself, triangles those beyond.",
         (float(segments[0].start_s), float(segments[-1].end_s)), picture=SavedPicture(picture),
     )  # fmt: skip
     rows = [[f"{s.start_s:g} to {s.end_s:g} s", s.samples, s.ratio, s.sigma, s.declared, s.misfit] for s in segments]

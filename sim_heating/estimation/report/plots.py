@@ -127,6 +127,22 @@ def plot_flown(a: Axes, conditions: Conditions, start_s: float, end_s: float) ->
         legend_above(a)
 
 
+def ratio_limits(trend: Trend) -> tuple[float, float] | None:
+    """Limits of the ratio that show every segment which determines it; None where none does.
+
+    Where h_ref is near 0, at the ends of an entry, the ratio of a segment is unknown to many times its value: one such
+    segment would flatten all others.
+    """
+    ratio, sigma, declared = np.array([[s.ratio, s.sigma, s.declared] for s in trend.segments]).T.reshape(3, -1)
+    determined = sigma < 0.5 * np.abs(ratio)
+    if not np.any(determined):
+        return None
+    low, high = np.min((ratio - 2 * sigma)[determined]), np.max((ratio + 2 * sigma)[determined])
+    # a line that the legend names lies within the axes
+    low, high = min(low, np.min(declared)), max(high, np.max(declared))
+    return float(low - 0.05 * (high - low)), float(high + 0.05 * (high - low))
+
+
 @replaced_if_undrawable
 def draw_trend(path: Path, trend: Trend) -> None:
     """Draw the heating ratio over short segments against time and Reynolds number, together with the declared table."""
@@ -142,12 +158,9 @@ def draw_trend(path: Path, trend: Trend) -> None:
             order = np.argsort(x)
             a.plot(x[order], declared[order], color=BEFORE, linewidth=1.2, label="declared model, same conditions")
         a.set_xlabel(label)
-    determined = sigma < 0.5 * np.abs(ratio)
-    if np.any(determined):
-        low, high = np.min((ratio - 2 * sigma)[determined]), np.max((ratio + 2 * sigma)[determined])
-        # a line that the legend names lies within the axes
-        low, high = min(low, np.min(declared)), max(high, np.max(declared))
-        axes[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+    limits = ratio_limits(trend)
+    if limits is not None:
+        axes[0].set_ylim(*limits)
     axes[0].set_ylabel("heating ratio")
     axes[0].legend(fontsize=8, loc="best")
     length = segments[0].end_s - segments[0].start_s

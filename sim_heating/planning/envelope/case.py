@@ -250,6 +250,20 @@ def _bracket_reversal(excess_km: Callable[[float], float], slowest: float, faste
     raise RunError("no single reversal of the bank leads to the required cross-range")
 
 
+def held_alpha(case: Case, guidance: Guidance) -> str:
+    """Where the limits of guidance hold an offset schedule in whole or in part, what is flown instead; else empty."""
+    low, high = guidance.alpha_limits_deg
+    if case.alpha_offset_deg == 0.0 or case.alpha_station is not None:
+        return ""
+    asked = [alpha + case.alpha_offset_deg for _, alpha in guidance.alpha_deg]
+    if all(low <= alpha <= high for alpha in asked):
+        return ""
+    return (
+        f"alpha_offset_deg {case.alpha_offset_deg:g}: asks for {min(asked):g} to {max(asked):g} deg, and is flown "
+        f"within {low:g} to {high:g} deg, `alpha_limits_deg` of guidance"
+    )
+
+
 def alpha_schedule(case: Case, guidance: Guidance, station_width: float) -> tuple[tuple[float, float], ...]:
     """The angle-of-attack schedule of a case: (place on its axis, alpha [deg])."""
     low, high = guidance.alpha_limits_deg

@@ -19,6 +19,7 @@ from sim_heating.inputs.vehicle import vehicle_place
 from sim_heating.planning.envelope import plots
 from sim_heating.planning.envelope import tables as files
 from sim_heating.planning.envelope.boundary import END_OF_STUDY
+from sim_heating.planning.envelope.case import held_alpha
 from sim_heating.planning.envelope.envelope import (
     CONSERVATIVE,
     FOLDER,
@@ -26,6 +27,7 @@ from sim_heating.planning.envelope.envelope import (
     FlownBoundary,
     ForecastEvidence,
     StudyFlights,
+    base_entry,
     fly_boundary,
     fly_map,
 )
@@ -107,6 +109,8 @@ def envelope_part(study: Study, folder: Path, engine: Engine, progress: Progress
         output.tables.append(files.boundary_table(boundary))
         data["boundaries"][boundary.declared.name] = files.boundary_data(boundary)
     output.notes += files.flight_notes(flights.flown)
+    guidance = base_entry(study).guidance
+    output.notes += filter(None, (held_alpha(f.case, guidance) for f in flights.flown))
     if any(f.case.lateral_cg_m != 0.0 for f in flights.flown):
         output.notes.append(NOT_TESTABLE)
     if envelope.before is not None and boundaries:

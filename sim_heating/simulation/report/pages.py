@@ -17,7 +17,7 @@ from sim_heating.base.report.page import Page, SavedPicture, Section
 from sim_heating.base.report.table import SORTABLE, Column, Table
 from sim_heating.credibility.section import credibility_section
 from sim_heating.inputs.record import Record
-from sim_heating.march.history import PointHistory
+from sim_heating.march.history import PointHistory, rising_bondlines
 from sim_heating.simulation.report.charts import (
     MEASURED,
     ModelCurve,
@@ -83,8 +83,9 @@ def run_page(
     beyond = [i for i, row in enumerate(peaks.rows) if any((row[k] or 0.0) < 0.0 for k in margins)]
     table = replace(peaks, title="Bold: a limit is exceeded." if beyond else "", strong=beyond, sortable=_long(peaks))
     temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
+    lines = [*_range_lines(found["control_points"]), *rising_bondlines(found["control_points"])]
     sections = [
-        Section("Peak temperatures", points=_range_lines(found["control_points"]), tables=[table]),
+        Section("Peak temperatures", points=lines, tables=[table]),
         Section("Temperatures", charts=[temperatures]),
         *_compared_section(compared, pictures.compared),
         Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),

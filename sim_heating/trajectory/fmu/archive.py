@@ -67,7 +67,9 @@ def read_archive(path: Path) -> Archive:
     except OSError as error:
         raise InputError(f"{name}: cannot be read ({os_error_reason(error)}); give an FMU") from None
     except Exception as error:  # zipfile, zlib and struct raise their own for damaged archives
-        raise InputError(f"{name}: is not an FMU ({str(error) or type(error).__name__})") from None
+        raise InputError(
+            f"{name}: is not an FMU, or is cut off ({str(error) or type(error).__name__}); export or copy it again"
+        ) from None
     return Archive(files)
 
 
