@@ -21,6 +21,7 @@ from sim_heating.planning.optimal.of_scenario import optimal_table
 from sim_heating.planning.optimal.report import draw_optimal
 from sim_heating.planning.optimal.search import COARSEST, OptimalEntry, fly_optimal
 from sim_heating.planning.optimal.spec import OptimalStudy, load_optimal_study, without_limits
+from sim_heating.planning.soak import with_soak
 from sim_heating.planning.study import load_study
 from sim_heating.templates.starters import write_new_study
 
@@ -75,29 +76,39 @@ def _entry_figures(name: str, entry: OptimalEntry, took: float) -> list[Figure]:
     return figures
 
 
-def hottest_with_drawn_tables(entry: OptimalEntry, draws: int, seed: int, longest_step_s: float) -> FloatArray:
-    """(point, draw) peak surface temperature [K] of a flown entry, each time with another ratio table of each point.
+def peaks_with_drawn_tables(entry: OptimalEntry, draws: int, seed: int, longest_step_s: float) -> FloatArray:
+    """(surface and bondline, point, draw) peak temperatures [K] of a flown entry and its soak, each time with another
+    ratio table of each point.
 
     draws, seed    : a standard normal number each, times the table's sigma, is added to all nodes of a table
     longest_step_s : of the conditions and of the marches [s]
     """
     flown = entry.conditions.at(np.arange(0.0, entry.motion.duration_s, longest_step_s))
     shifts = np.random.default_rng(seed).standard_normal((len(entry.study.points), draws))
-    hottest = []
-    for limited, shift in zip(entry.study.points, shifts, strict=True):
+    peaks = np.empty((2, *shifts.shape))
+    for i, (limited, shift) in enumerate(zip(entry.study.points, shifts, strict=True)):
         model, table = point_of_vehicle(entry.study.vehicle, limited.point), limited.point.ratio
         assert table.sigma is not None
-        drawn = [replace(model, ratio=replace(table, ratio=table.ratio + z * table.sigma)) for z in shift]
+        # Where sigma is as large as the ratio itself, far draws make it negative, and with it the film: the wall would
+        # run away. No heating at all is as cool as a limit needs to know.
+        ratios = [np.maximum(table.ratio + z * table.sigma, 0.0) for z in shift]
+        drawn = [replace(model, ratio=replace(table, ratio=ratio)) for ratio in ratios]
         conditions = conditions_at_point(entry.study.vehicle, limited.point, flown)
+        conditions = with_soak(conditions, entry.study.declared.soak_s)
         histories = march_points(drawn, [conditions] * draws, longest_step_s=longest_step_s)
-        hottest.append([float(np.max(h.surface_K)) for h in histories])
-    return np.array(hottest)
+        peaks[:, i] = [
+            [float(np.max(h.surface_K)) for h in histories],
+            [float(np.max(h.bondline_K)) for h in histories],
+        ]
+    return peaks
 
 
 def _probability_figures(name: str, entry: OptimalEntry) -> list[Figure]:
-    """How often all limits of the surface are kept, where each table is off by its sigma times one normal number."""
-    limits = np.array([[point.surface_K] for point in entry.study.points])
-    kept = np.all(hottest_with_drawn_tables(entry, DRAWS, 11, 4.0) <= limits, axis=0)
+    """How often all limits are kept, where each table is off by its sigma times one normal number."""
+    points = entry.study.points
+    bondlines = [np.inf if p.bondline_K is None else p.bondline_K for p in points]
+    limits = np.array([[p.surface_K for p in points], bondlines])
+    kept = np.all(peaks_with_drawn_tables(entry, DRAWS, 11, 4.0) <= limits[:, :, np.newaxis], axis=(0, 1))
     asked = entry.study.declared.probability
     assert asked is not None
     least = asked - 3.0 * float(np.sqrt(asked * (1.0 - asked) / DRAWS))
