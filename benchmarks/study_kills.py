@@ -30,8 +30,18 @@ MOST_BATCHES = 6
 
 def start(study: Path, out: Path, workers: int) -> subprocess.Popen[bytes]:
     """The command in a session of its own, so that its workers can be killed with it."""
-    command = [sys.executable, "-m", "sim_heating", "plan", str(study), "--out", str(out)]
-    command += ["--workers", str(workers), "--quiet"]
+    command = [
+        sys.executable,
+        "-m",
+        "sim_heating",
+        "plan",
+        str(study),
+        "--out",
+        str(out),
+        "--workers",
+        str(workers),
+        "--quiet",
+    ]
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
