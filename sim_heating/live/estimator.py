@@ -37,6 +37,7 @@ from sim_heating.estimation.filter.online import (
     PointReadings,
     Prior,
     no_readings,
+    own_readings,
 )
 from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms, middle_K
 from sim_heating.estimation.inference.likelihood import word_intervals
@@ -605,7 +606,7 @@ class LiveEstimator:
         """Filter the frames since the last step; where filters take over that have taken the flight again, a second
         call goes on from there."""
         assert self._now is not None
-        new = self.timeline.frames_after((self._passed or [self._now])[-1].time_s)
+        new = self.timeline.frames_after(self._passed[-1].time_s if self._passed else self._now.time_s)
         frames, first, at = [*self._passed, *new], len(self._passed), 0
         time_s, columns = np.array([f.time_s for f in frames]), self.source.columns
         values = np.array([[f.values[c] for c in columns] for f in frames])
@@ -665,6 +666,8 @@ class LiveEstimator:
             self._kept.append(self._now)
         else:
             self._now = _Kept(frame.time_s, decided_s, values, vectors, (), self._logged, len(self._past))
+        if last.filters and not any(last is kept for kept in self._kept):
+            self._done_with(last)
         self._passed = []
         self.steps += 1
 
@@ -714,8 +717,7 @@ class LiveEstimator:
             first = k * LANES
             along = histories[first : first + LANES]
             mine = np.flatnonzero((given.point >= first) & (given.point < first + LANES))
-            own = PointReadings(*(a[mine] for a in given))
-            own = own._replace(point=own.point - first, direct=own.direct[:, : f.most_parameters])
+            own = own_readings(given, mine, first, f.most_parameters)
             if isinstance(f, LaggingFilter):
                 own = f.behind_lags(time_s, along, own, number[mine])
 
@@ -892,13 +894,16 @@ class LiveEstimator:
         del self._log[kept.logged - self._log_from :], self._past[kept.past :]
         self._now, self._provisional, self._passed = kept, False, []
 
+    def _done_with(self, kept: _Kept) -> None:
+        for f, snapshot in zip(self.filters, kept.filters, strict=True):
+            f.done_with(snapshot)
+
     def _forget(self) -> None:
         """Drop snapshots and samples that no sample to come can reach."""
         line = self.timeline
         window = min(line.newest_s - self.options.lateness_s, line.held_s, line.differs_from(NEAR_S))
         while len(self._kept) > 1 and self._kept[1].decided_s < window:
-            for f, snapshot in zip(self.filters, self._kept.pop(0).filters, strict=True):
-                f.done_with(snapshot)
+            self._done_with(self._kept.pop(0))
         if self._begun_s is not None:
             self._filter_again(self._kept[0].past)
         # filters that took over may stand before the window
@@ -1097,7 +1102,7 @@ class _SensorTable:
         """
         number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
         skipped = ~self.used[number]
-        if any([o.spans for o in out]):
+        if any(o.spans for o in out):
             skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
         lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
         gain, bias = np.ones(len(t)), np.zeros(len(t))

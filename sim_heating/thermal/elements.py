@@ -143,8 +143,21 @@ def _set_bends(B: FloatArray, lane: int, nodes: int, p: FloatArray) -> None:
 
 @inline_always
 def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
-    """Write moisture and radiation of a lane into every node, where loops over lanes read them."""
-    for i in range(len(layer) + 1):
+    """Write moisture and radiation of a lane into every node, where loops over lanes read them; not twice the same."""
+    within = 0
+    while within < len(layer) - 1 and layer[within] != insulation:
+        within += 1
+    first, moist = HEAD_ROWS * LANES + lane, (HEAD_ROWS + within * NODE_ROWS) * LANES + lane
+    is_there = (
+        B[first + RADIATES_FROM * LANES] == p[RADIATION_FROM]
+        and B[first + LATENT * LANES] == p[LATENT_HEAT]
+        and B[first + BOIL * LANES] == p[BOILS]
+        and B[first + DEPOSIT * LANES] == p[DEPOSITED]
+        and B[first + CONDENSE * LANES] == p[CONDENSES]
+        and B[first + PHASE_RATE * LANES] == 1.0 / p[WIDTH]
+        and B[moist + VAPOUR * LANES] == p[CARRIED]
+    )
+    for i in range(0 if is_there else len(layer) + 1):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
         B[a + RADIATES_FROM * LANES] = p[RADIATION_FROM]
         B[a + LATENT * LANES], B[a + BOIL * LANES] = p[LATENT_HEAT], p[BOILS]
@@ -174,6 +187,9 @@ def _set_gap(
     """
     n = len(layer) + 1
     fraction, depth = p[GAP_FRACTION], p[GAP_DEPTH]
+    # without a gap now and before, all fractions are 0
+    if fraction == 0.0 and B[SURFACE_SHARE * LANES + lane] == 1.0:
+        return
     B[SURFACE_SHARE * LANES + lane] = 1.0 - fraction
     bottom = 0.0
     # A stack of one layer has its bondline at node 0: its gaps reach the back face.
@@ -184,7 +200,7 @@ def _set_gap(
     for i in range(n):
         length = length_m[i] if i < n - 1 and layer[i] >= 0 else 0.0
         edge = x + 0.5 * length
-        below = exp(-min(edge, bottom) / depth) if fraction != 0.0 else 0.0
+        below = exp(-min(edge, bottom) / depth)
         B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / whole)
         x, above = x + length, below
         if fraction > 0.0:

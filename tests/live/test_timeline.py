@@ -160,3 +160,14 @@ def test_what_no_sample_to_come_can_reach_is_forgotten():
     line.forget(9.5)
     assert line.frames_s[0] >= 9.5
     assert [w[0] for w in line.words] == [9.8]
+
+
+def test_a_jump_is_noted_whichever_of_its_readings_comes_last():
+    given = [reading(0.1 * k, s, 560.0 if (k, s) == (6, "a") else 500.0) for k in range(12) for s in "ab"]
+    rng = np.random.default_rng(2)
+    for order in [np.arange(len(given)), *(rng.permutation(len(given)) for _ in range(5))]:
+        line = Timeline(SENSORS, gate_K=[20.0, 20.0])
+        for k in order:
+            line.put(given[k])
+        assert {(0.1 * 6, 0), (0.1 * 7, 0)} <= set(line.jumps)
+        assert {n for _, n in line.jumps} == {0}

@@ -278,7 +278,7 @@ def predict_readings(
 def add_rows(out: FloatArray, size: int, shares: FloatArray, rows: FloatArray, count: int) -> None:
     """Add shares of several rows to a vector, out[k] += sum_j shares[j] rows[j, k], in the order of j.
 
-    out : (size,) at least, changed;  shares : (count,), rows : (count, size) at least, in units whose product is its own
+    out : (size,) at least, changed;  shares : (count,), rows : (count, size) at least, products in its unit ([K2], [K])
 
     Four rows a time, so that the vector is read and written a quarter as often; the sums are those of one row after the
     other. Used for the products of docs/theory/filter.md, equations 4, 6, 8 and 11.

@@ -121,6 +121,21 @@ class PointReadings(NamedTuple):
     direct: FloatArray
 
 
+def own_readings(readings: PointReadings, mine: IntArray, first: int, parameters: int) -> PointReadings:
+    """Readings of the points of one filter, by its own numbers of the points.
+
+    readings : of the points of several filters;  mine : numbers of those that are of this one
+    first    : number of its first point;  parameters : number of parameters of its point that has most of them
+
+    Temperatures [K] and direct terms of docs/theory/filter.md, equation 12, are as they were.
+    """
+    point, time_s, node, lower, upper, variance, gain, bias, direct = readings
+    return PointReadings(
+        point[mine] - first, time_s[mine], node[mine], lower[mine], upper[mine], variance[mine], gain[mine],
+        bias[mine], direct[mine, :parameters],
+    )  # fmt: skip
+
+
 class Innovations(NamedTuple):
     """Readings as the filter of state and parameters together expected them, (reading,) as they were given.
 
@@ -617,7 +632,9 @@ class PackedModel:
     def rows(
         self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
     ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much."""
+        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much in its
+        unit ([-], [K] ...), and a disturbance of the ratio d [-]; source: docs/theory/equations_march.md, equation 9.
+        """
         stack, heating = self.values(at, 0.0, "", 0.0)
         stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
         stacks[:], heatings[:] = stack, heating
