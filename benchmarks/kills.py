@@ -306,6 +306,11 @@ def without_ledger(files: Mapping[str, str]) -> dict[str, str]:
     return {name: digest for name, digest in files.items() if "batches" not in Path(name).parts}
 
 
+def _without_remains(files: Mapping[str, str]) -> dict[str, str]:
+    """The files but for those under a temporary name and locks: nobody's results, which the next writer removes."""
+    return {name: digest for name, digest in files.items() if ".partial-" not in name and not name.endswith(".lock")}
+
+
 def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) -> Counter[str]:
     """Kill a case at file operations, and count what readers find and what the same command leaves then.
 
@@ -334,16 +339,15 @@ def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) ->
         counted["kills"] += 1
         settle(place / chosen.results)
         files = without_ledger(state(place))
-        # A file that was being written under a temporary name is nobody's result; the next writer removes it.
-        seen = {
-            name: digest for name, digest in files.items() if ".partial-" not in name and not name.endswith(".lock")
-        }
+        seen = _without_remains(files)
         kind = "before" if seen == before else "after" if seen == without_ledger(after) else "mixed"
         counted[f"readers find: {kind}"] += 1
         again = _forked(lambda: chosen.act(place), place, None)[0]  # noqa: B023
-        # What has been done to a vehicle is refused a second time: evidence would count twice.
+        # What has been done to a vehicle is refused a second time: evidence would count twice. Nothing is written then,
+        # so that a lock whose owner was killed in the act of removing it stays for the next writer.
         done = chosen.results != "out" and kind == "after"
-        same = (again == 0 or done) and state(place) == after
+        files = state(place)
+        same = files == after if again == 0 else done and _without_remains(files) == after
         counted["again: same" if same else "again: differs or refused"] += 1
     return counted
 

@@ -399,7 +399,8 @@ def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
 
     where  : vehicle or scenario, for messages
     raises : InputError where an angle lies outside those of the longitudinal table, which is constant beyond its ends
-    warns  : where the lift is down at hypersonic speed, as of a capsule whose angle of attack has the other sign
+    warns  : where the lift is down at hypersonic speed, as of a capsule whose angle of attack has the other sign;
+             surfaces undeflected
     """
     scale = 1.0 if guidance.alpha_against == "mach" else 1.0 / SCHEDULE_SOUND_M_S
     low, high = aero.basic.alpha_deg[[0, -1]]
@@ -412,7 +413,7 @@ def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
                 f"of aero ends at {low:g} and {high:g} deg; extend the table, or correct `alpha_deg` of guidance"
             )
     mach, alpha = max(flown)
-    CL, CD, _ = aero.coefficients(mach, alpha)
+    CL, CD = _undeflected_lift_drag(aero.basic, mach, alpha)
     if mach >= HYPERSONIC_MACH and CL < -LEAST_DOWN_LIFT * CD:
         warnings.warn(
             f"{where}: the lift is down at Mach {mach:.3g} and {alpha:g} deg (CL {CL:.2f}, CD {CD:.2f}); guidance "
@@ -420,6 +421,17 @@ def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
             "at negative angles of attack (`alpha_deg` of guidance, of the tables of aero and of the heating ratios)",
             stacklevel=3,
         )
+
+
+def _undeflected_lift_drag(basic: Grid, mach: float, alpha_deg: float) -> tuple[float, float]:
+    """CL and CD [-] of the longitudinal table, without a compiled kernel: a check of files loads no compiler."""
+    body = basic.values[:, :, 0]
+    CN, CA, _ = (
+        np.interp(alpha_deg, basic.alpha_deg, [np.interp(mach, basic.mach, column) for column in body[:, :, k].T])
+        for k in range(3)
+    )
+    sine, cosine = math.sin(math.radians(alpha_deg)), math.cos(math.radians(alpha_deg))
+    return float(CN * cosine - CA * sine), float(CA * cosine + CN * sine)
 
 
 def _read_control(folder: Path, name: str | None) -> Grid:

@@ -49,8 +49,10 @@ CONTENT = {
 }  # fmt: skip
 ATTRIBUTES = {
     "lang", "charset", "name", "content", "class", "id", "href", "scope", "role", "src", "alt", "http-equiv",
-    "type", "data-rows", "data-choice", "data-value",
+    "type", "data-rows", "data-choice", "data-value", "style",
 }  # fmt: skip
+STYLE = re.compile(r"--widest: \d+px")
+"""What an element may have as its own style: the width of its picture."""
 
 SCRIPTS = (*SHARED_SCRIPTS, *CHART_SCRIPTS, *TABLE_SCRIPTS)
 """Scripts that a page may have, in this order."""
@@ -128,6 +130,7 @@ def assert_harmless(html: str, folder: Path) -> None:
     assert _Elements(dom).scripts == [*elements.scripts, EVERY_EVENT.split(">", 1)[1].rsplit("<", 1)[0]]
     assert elements.tags <= CONTENT
     assert elements.attributes <= ATTRIBUTES
+    assert all(map(STYLE.fullmatch, elements.styles))
     assert all(re.match(r"#s\d+$|\./|data:image/(svg\+xml|png);base64,", address) for address in elements.addresses)
     assert not re.search("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e]", html)
 
@@ -139,6 +142,7 @@ class _Elements(HTMLParser):
         super().__init__()
         self.tags, self.attributes, self.addresses = set[str](), set[str](), list[str]()
         self.scripts: list[str] = []
+        self.styles: list[str] = []
         self._in_script = False
         self.feed(html)
 
@@ -148,6 +152,7 @@ class _Elements(HTMLParser):
         if self._in_script:
             self.scripts.append("")
         self.attributes |= {name for name, _ in attrs}
+        self.styles += [value or "" for name, value in attrs if name == "style"]
         self.addresses += [value or "" for name, value in attrs if name in ("href", "src")]
 
     def handle_endtag(self, tag: str) -> None:
