@@ -1,0 +1,1 @@
+"""The running filter: samples in order, steps, what sensors ought to show, starts and estimates."""
