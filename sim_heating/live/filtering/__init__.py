@@ -1,1 +1,1 @@
-"""The running filter: samples in order, steps, what sensors ought to show, starts and estimates."""
+"""The running filter: samples in order, gaps and spikes in them, steps, what sensors ought to show, estimates."""

@@ -45,9 +45,9 @@ from sim_heating.live.filtering.heated_start import reading_sigma_K, start_of_he
 from sim_heating.live.filtering.parameters import check_estimated, default_prior, is_of_march
 from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint, line_tolerance
 from sim_heating.live.filtering.sensors import LeftOut, SensorTable
+from sim_heating.live.filtering.spikes import AWAY_SIGMAS, JUMP_SIGMAS, NEAR_S, suspected
 from sim_heating.live.filtering.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline
 from sim_heating.live.types import Frame, Reading, Sample
-from sim_heating.live.watch.spikes import AWAY_SIGMAS, JUMP_SIGMAS, NEAR_S, suspected
 from sim_heating.march.point import initial_temperatures
 
 BRIDGED_S = 60.0
