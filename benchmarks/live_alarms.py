@@ -18,8 +18,8 @@ from benchmarks.live_streams import PRACTICE, SIX, Progress, practice, samples_o
 from benchmarks.measure import Figure
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.live.estimator import LiveEstimator
-from sim_heating.live.points import RecordPoints
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame
 from sim_heating.live.watch.checks import SensorChecks
 from sim_heating.live.watch.sequential import Alarm, SequentialTest, score_of_word

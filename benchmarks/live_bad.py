@@ -24,14 +24,14 @@ from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
 from sim_heating.inputs.record import write_record
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.estimator import LiveEstimator
-from sim_heating.live.journal import NAME
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.timeline import Counts
+from sim_heating.live.recording.journal import NAME
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.sources.json_lines import JsonDecoder
 from sim_heating.live.sources.replay import lines
 from sim_heating.live.spec import make_link
 from sim_heating.live.state import plain
-from sim_heating.live.timeline import Counts
 from sim_heating.live.types import Frame
 
 TOGETHER = 16

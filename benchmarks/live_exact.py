@@ -16,8 +16,10 @@ from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.record_fit import least_sigma_K
 from sim_heating.inputs.points import conditions_of_record
-from sim_heating.live.estimator import LiveEstimator, LiveOptions, default_prior
-from sim_heating.live.points import RecordPoints
+from sim_heating.live.filtering.estimates import LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.parameters import default_prior
+from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 

@@ -15,10 +15,11 @@ from benchmarks.live_streams import EIGHT, SIX, flown_frames, orbiter_of, practi
 from benchmarks.measure import Figure
 from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.filter import online
-from sim_heating.live.ahead import LookAhead
-from sim_heating.live.estimator import LiveEstimator, LiveOptions
-from sim_heating.live.futures import FlownPath, Futures
-from sim_heating.live.points import RecordPoints, VehiclePoints
+from sim_heating.live.ahead.futures import FlownPath, Futures
+from sim_heating.live.ahead.look_ahead import LookAhead
+from sim_heating.live.filtering.estimates import LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.trajectory.flight import Window
 

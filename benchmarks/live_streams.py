@@ -17,7 +17,7 @@ from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, sample
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record, Segments, load_record
-from sim_heating.live.points import LivePoint, RecordPoints
+from sim_heating.live.filtering.points import LivePoint, RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from sim_heating.thermal.stack import Sensor

@@ -86,8 +86,8 @@ def _check_options(link: Path | None, replay: Path | None, demo: bool, speed: fl
 
 
 def _make_records(journal: Path, link: Path | None, out: Path | None, root: Path | None) -> None:
+    from sim_heating.live.recording.to_record import to_record
     from sim_heating.live.spec import load_link
-    from sim_heating.live.to_record import to_record
 
     if out is None:
         raise click.UsageError("--to-record needs --out, the directory of the records")
@@ -127,10 +127,10 @@ def _follow(
     is_repeatable: bool,
 ) -> None:
     from sim_heating.live.engine import LinkEngine
-    from sim_heating.live.journal import NAME, Journal, remove_ended
+    from sim_heating.live.recording.journal import NAME, Journal, remove_ended
+    from sim_heating.live.recording.to_record import RECORDS
     from sim_heating.live.results.files import RESULT, write_results
     from sim_heating.live.run import run
-    from sim_heating.live.to_record import RECORDS
 
     if is_repeatable:
         remove_ended(directory / NAME)

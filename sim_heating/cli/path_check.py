@@ -145,7 +145,7 @@ def _campaign(place: Path, root: Path | None) -> CheckedPath:
 
 def _link(place: Path, root: Path | None) -> CheckedPath:
     from sim_heating.live.engine import check_estimate
-    from sim_heating.live.mapping import FieldMapping
+    from sim_heating.live.sources.mapping import FieldMapping
     from sim_heating.live.spec import load_link
 
     link = load_link(place, root=root)

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sim_heating.live.engine import LinkEngine as LinkEngine
-    from sim_heating.live.estimator import LiveEstimator as LiveEstimator
+    from sim_heating.live.filtering.estimator import LiveEstimator as LiveEstimator
+    from sim_heating.live.filtering.points import VehiclePoints as VehiclePoints
     from sim_heating.live.outputs.jsbsim_properties import JSBSimProperties as JSBSimProperties
-    from sim_heating.live.points import VehiclePoints as VehiclePoints
     from sim_heating.live.run import run_link as run_link
     from sim_heating.live.spec import load_link as load_link
     from sim_heating.live.state import State as State
@@ -32,10 +32,10 @@ _HOME = {
     "Frame": "types",
     "JSBSimProperties": "outputs.jsbsim_properties",
     "LinkEngine": "engine",
-    "LiveEstimator": "estimator",
+    "LiveEstimator": "filtering.estimator",
     "Reading": "types",
     "State": "state",
-    "VehiclePoints": "points",
+    "VehiclePoints": "filtering.points",
     "load_link": "spec",
     "run_link": "run",
 }

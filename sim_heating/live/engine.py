@@ -22,14 +22,16 @@ from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
 from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.inference.observability import default_names, heating_names
 from sim_heating.heating.atmosphere import free_stream_kernel
-from sim_heating.live.ahead import AheadOfLink
-from sim_heating.live.estimator import Innovation, LiveEstimate, LiveEstimator, LiveOptions, check_estimated
-from sim_heating.live.journal import Journal, read_journal
-from sim_heating.live.mapping import FieldMapping, clock_skew_s
-from sim_heating.live.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
+from sim_heating.live.ahead.look_ahead import AheadOfLink
+from sim_heating.live.filtering.estimates import Innovation, LiveEstimate, LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.parameters import check_estimated
+from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
+from sim_heating.live.recording.journal import Journal, read_journal
 from sim_heating.live.results.followed import Followed
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
+from sim_heating.live.sources.mapping import FieldMapping, clock_skew_s
 from sim_heating.live.spec import Link
 from sim_heating.live.state import (
     STALLED_S,

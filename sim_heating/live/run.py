@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from sim_heating.base.errors import InputError
 from sim_heating.base.progress import SAME_REQUEST_S, Progress
 from sim_heating.live.engine import IN_A_ROW, LinkEngine
-from sim_heating.live.journal import read_journal
+from sim_heating.live.recording.journal import read_journal
 from sim_heating.live.sources import Remark, SourceStream, open_source
 from sim_heating.live.spec import Link, Network, Replay
 from sim_heating.live.state import State

@@ -10,11 +10,12 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.vehicle import load_vehicle
-from sim_heating.live.ahead import RESOLUTION_S, LookAhead, Predicted, passing_probability
+from sim_heating.live.ahead.futures import Course, FlownPath, Futures
+from sim_heating.live.ahead.look_ahead import RESOLUTION_S, LookAhead, Predicted, passing_probability
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.estimator import LiveEstimate, LiveEstimator, LiveOptions, Prior
-from sim_heating.live.futures import Course, FlownPath, Futures
-from sim_heating.live.points import VehiclePoints
+from sim_heating.live.filtering.estimates import LiveEstimate, LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator, Prior
+from sim_heating.live.filtering.points import VehiclePoints
 from sim_heating.live.types import Frame, Message, Reading
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.point import PointModel

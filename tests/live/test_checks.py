@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_heating.live.estimator import Innovation
+from sim_heating.live.filtering.estimates import Innovation
 from sim_heating.live.watch.checks import Failure, SensorChecks
 from sim_heating.thermal.stack import Sensor
 

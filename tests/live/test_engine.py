@@ -14,11 +14,11 @@ import pytest
 
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.journal import NAME, Journal
+from sim_heating.live.recording.journal import NAME, Journal
+from sim_heating.live.recording.to_record import link_of, to_record
 from sim_heating.live.run import run, run_link
 from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State, plain, state_json
-from sim_heating.live.to_record import link_of, to_record
 from sim_heating.live.types import Message
 from tests.live.links import FRAME, free_port, json_lines, link, messages_of, part_of_record
 from tests.support.paths import ROOT

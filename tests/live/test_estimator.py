@@ -18,8 +18,10 @@ from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.record_fit import least_sigma_K
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record
-from sim_heating.live.estimator import Innovation, LiveEstimator, LiveOptions, default_prior
-from sim_heating.live.points import RecordPoints, VehiclePoints
+from sim_heating.live.filtering.estimates import Innovation, LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.parameters import default_prior
+from sim_heating.live.filtering.points import RecordPoints, VehiclePoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import initial_temperatures

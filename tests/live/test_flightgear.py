@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from sim_heating.live.mapping import FieldMapping
 from sim_heating.live.sources.json_lines import JsonDecoder
+from sim_heating.live.sources.mapping import FieldMapping
 from sim_heating.live.spec import load_link
 from sim_heating.live.types import Message
 from tests.support.paths import ROOT

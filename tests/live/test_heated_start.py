@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_heating.inputs.points import conditions_of_record
-from sim_heating.live.heated_start import start_of_heated
+from sim_heating.live.filtering.heated_start import start_of_heated
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import mesh_of_nodes
 from sim_heating.march.point import initial_temperatures

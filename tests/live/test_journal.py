@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.live.journal import NAME, Journal, read_head, read_journal
+from sim_heating.live.recording.journal import NAME, Journal, read_head, read_journal
 
 LINK = {"format": "link/1", "vehicle": "orbiter"}
 PLACE = Path("scenarios/live/test.toml")
@@ -109,7 +109,7 @@ def test_a_link_that_is_killed_has_lost_nothing_that_it_took(tmp_path):
 def test_messages_wait_while_the_disk_is_full_and_are_written_in_order_afterwards(tmp_path, monkeypatch):
     import resource
 
-    monkeypatch.setattr("sim_heating.live.journal.RETRY_S", 0.0)
+    monkeypatch.setattr("sim_heating.live.recording.journal.RETRY_S", 0.0)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     own = journal(tmp_path)

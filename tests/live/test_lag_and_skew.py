@@ -13,8 +13,9 @@ from sim_heating.estimation.filter.online import Prior
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, load_record, make_record
-from sim_heating.live.estimator import LiveEstimator, LiveOptions
-from sim_heating.live.points import RecordPoints
+from sim_heating.live.filtering.estimates import LiveOptions
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.points import RecordPoints
 from sim_heating.live.types import Frame, Reading, Sample
 from sim_heating.march.ensemble import condition_history
 from tests.support.paths import PRACTICE

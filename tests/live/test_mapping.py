@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.live.mapping import GRACE_MESSAGES, FieldMapping, column_unit
+from sim_heating.live.sources.mapping import GRACE_MESSAGES, FieldMapping, column_unit
 from sim_heating.live.types import Frame, Message, Reading
 from tests.live.links import FRAME, link
 

@@ -11,7 +11,7 @@ import pytest
 
 from sim_heating.base.files import read_json
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.journal import NAME, Journal
+from sim_heating.live.recording.journal import NAME, Journal
 from sim_heating.live.results.files import RESULT, write_results
 from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sim_heating.live.timeline import Placed, Timeline
+from sim_heating.live.filtering.timeline import Placed, Timeline
 from sim_heating.live.types import Frame, Reading
 
 SENSORS = {("P", "a"): 0, ("P", "b"): 1}

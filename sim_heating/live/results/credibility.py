@@ -25,7 +25,7 @@ from sim_heating.credibility.validation.own_cases import samples_of
 from sim_heating.credibility.validation.region import Samples
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.points import LivePoint
+from sim_heating.live.filtering.points import LivePoint
 from sim_heating.live.spec import Link, Replay
 from sim_heating.live.state import PointState, State
 

@@ -12,9 +12,9 @@ from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.inputs.record import Record, write_record
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.journal import NAME
+from sim_heating.live.recording.journal import NAME
+from sim_heating.live.recording.to_record import RECORDS, longest_stretch, records_of, samples_of
 from sim_heating.live.state import State, plain
-from sim_heating.live.to_record import RECORDS, longest_stretch, records_of, samples_of
 
 FORMAT = "live/1"
 RESULT, PAGE = "live.json", "report.html"

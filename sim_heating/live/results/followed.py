@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.live.estimator import Innovation, LiveEstimate
+from sim_heating.live.filtering.estimates import Innovation, LiveEstimate
 from sim_heating.live.outputs.history import Thinned
 
 EVERY_S = 2.0

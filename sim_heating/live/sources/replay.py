@@ -13,7 +13,7 @@ import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from sim_heating.inputs.record import Record
-from sim_heating.live.mapping import default_fields
+from sim_heating.live.sources.mapping import default_fields
 from sim_heating.live.types import TIME
 
 EARLY_S = 0.002

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim_heating.live.estimator import Innovation
+from sim_heating.live.filtering.estimates import Innovation
 from sim_heating.live.watch.sequential import score_of_word
 from sim_heating.thermal.stack import Sensor
 

@@ -141,7 +141,7 @@ def weigh(journal: str, point: str, left_out: Sequence[str] = (), root: str | No
     """
     from sim_heating.closure.close import close_loop
     from sim_heating.inputs.record import load_record
-    from sim_heating.live.to_record import link_of, to_record
+    from sim_heating.live.recording.to_record import link_of, to_record
 
     until_s = float("nan")
     try:

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
 
+from sim_heating.live.filtering.gaps import is_gap
 from sim_heating.live.types import Frame, Reading, Sample
-from sim_heating.live.watch.gaps import is_gap
 
 CONFIRMED_BY = 3
 """Number of frames in a row that make a new clock."""

@@ -34,9 +34,10 @@ from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parameters import SENSOR_PREFIX
 from sim_heating.base.threads import one_thread
 from sim_heating.estimation.filter.online import PackedModel, PointEstimate
-from sim_heating.live.estimator import LiveEstimate, LiveEstimator
-from sim_heating.live.futures import Course, Future, Futures, held
-from sim_heating.live.points import ConditionsOfFrame, LivePoint
+from sim_heating.live.ahead.futures import Course, Future, Futures, held
+from sim_heating.live.filtering.estimates import LiveEstimate
+from sim_heating.live.filtering.estimator import LiveEstimator
+from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint
 from sim_heating.live.spec import Link
 from sim_heating.live.state import AheadState, KnockOff
 from sim_heating.live.types import Frame

@@ -20,13 +20,13 @@ from sim_heating.base.files import display_path, output_directory
 from sim_heating.heating.atmosphere import free_stream
 from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
-from sim_heating.live.estimator import BRIDGED_S
-from sim_heating.live.journal import journal_file, read_head, read_journal
-from sim_heating.live.mapping import FieldMapping
+from sim_heating.live.filtering.estimator import BRIDGED_S
+from sim_heating.live.filtering.timeline import Placed, Timeline
+from sim_heating.live.recording.journal import journal_file, read_head, read_journal
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
+from sim_heating.live.sources.mapping import FieldMapping
 from sim_heating.live.spec import Link, LinkPoint, make_link
-from sim_heating.live.timeline import Placed, Timeline
 from sim_heating.live.types import Frame, Sample
 from sim_heating.simulation.synthesize import flown_columns, ratio_table_of, record_declaration, turbulent_table_of
 

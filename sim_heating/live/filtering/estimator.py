@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
-from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX, Parameter
-from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter, online_filter
+from sim_heating.estimation.filter.lagging import LaggingFilter, online_filter
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack, Samples
 from sim_heating.estimation.filter.online import (
     FilterSnapshot,
@@ -39,25 +38,18 @@ from sim_heating.estimation.filter.online import (
     no_readings,
     own_readings,
 )
-from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms, middle_K
-from sim_heating.estimation.inference.likelihood import word_intervals
-from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
+from sim_heating.estimation.filter.records import middle_K
 from sim_heating.estimation.starts import START_SIGMA_K
-from sim_heating.live.heated_start import reading_sigma_K, start_of_heated
-from sim_heating.live.points import ConditionsOfFrame, LivePoint, line_tolerance
-from sim_heating.live.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline, Word
+from sim_heating.live.filtering.estimates import Innovation, LiveEstimate, LiveOptions
+from sim_heating.live.filtering.heated_start import reading_sigma_K, start_of_heated
+from sim_heating.live.filtering.parameters import check_estimated, default_prior, is_of_march
+from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint, line_tolerance
+from sim_heating.live.filtering.sensors import LeftOut, SensorTable
+from sim_heating.live.filtering.spikes import AWAY_SIGMAS, JUMP_SIGMAS, NEAR_S, suspected
+from sim_heating.live.filtering.timeline import CONFIRMED_BY, Counts, Jump, Placed, Repeated, Timeline
 from sim_heating.live.types import Frame, Reading, Sample
-from sim_heating.live.watch.spikes import AWAY_SIGMAS, JUMP_SIGMAS, NEAR_S, suspected
-from sim_heating.march.point import PointModel, initial_temperatures
-from sim_heating.thermal.stack import Sensor
+from sim_heating.march.point import initial_temperatures
 
-WIDE = 0.5
-"""Prior standard deviation of `ratio.scale`, and of what a derivative adds to a ratio over a usual range, over the
-ratio [-]; where neither the model nor the caller states one."""
-USUAL_RANGE = {"alpha": 5.0, "beta": 2.0, "logre": 0.5, "elevon": 5.0, "bodyflap": 5.0}
-"""Change of a variable of the ratio over which WIDE holds, in deg or decades."""
-LARGEST_RATIO = 1.0
-"""Heating ratio of which WIDE is a part where there is no table [-]."""
 BRIDGED_S = 60.0
 """Longest time without frames [s] that is bridged; after a longer one the state is taken over as it was."""
 TOGETHER = 32
@@ -73,93 +65,6 @@ START_AGREES = 4.0
 GAP_ERROR_1_S, LARGEST_GAP_ERROR = 0.01, 0.3
 """Standard deviation of the heating over a gap, for each second of it, and at most, over the heating itself [1/s], [-]:
 conditions that go straight from one end of the gap to the other are not those that were flown."""
-
-
-@dataclass(frozen=True)
-class LiveOptions:
-    """How the estimator works.
-
-    lateness_s     : how late a sample may come and still be used [s]
-    jump_s         : a frame further ahead is a jump of the clock, or a gap [s]
-    longest_step_s : longest step of the filter [s]
-    wait_s         : longest time over which frames on a straight line are passed over [s]; 0 makes a step of each
-    linearise_s    : time after which a point is linearised about its estimate again, where that has moved [s]; infinite
-                     for never
-    snapshot_s     : time between snapshots [s]
-    start          : temperatures at the first frame: as the stack declares (`declared`), by conduction from the first
-                     readings (`readings`), or the latter where these contradict the former (`auto`)
-    again_s        : time since the start [s] at which the flight so far is filtered again about its estimate, and again
-                     whenever that time has doubled; infinite for never
-    start_s        : time of the first readings that a start is made from [s]
-    node_noise_K_sqrt_s : white noise of every node [K s^-1/2]
-    ratio_noise    : standard deviation [-] and correlation time [s] of a ratio that wanders; None for none
-    corrects_mesh  : whether the error of the meshes is found beside the filter and corrected
-    """
-
-    lateness_s: float = 2.0
-    jump_s: float = 2.5
-    longest_step_s: float = 1.0
-    wait_s: float = 0.4
-    linearise_s: float = 1.0
-    again_s: float = 60.0
-    snapshot_s: float = 0.5
-    start: Literal["auto", "declared", "readings"] = "auto"
-    start_s: float = 2.0
-    node_noise_K_sqrt_s: float = 0.0
-    ratio_noise: tuple[float, float] | None = None
-    corrects_mesh: bool = True
-
-
-@dataclass(frozen=True)
-class SensorEstimate:
-    """What a sensor ought to show now: prediction and its standard deviation, noise of the sensor included [K]."""
-
-    predicted_K: float
-    sigma_K: float
-
-
-@dataclass(frozen=True, eq=False)
-class LiveEstimate:
-    """Estimate of a control point at the time of the newest frame.
-
-    surface_K, bondline_K and their _sigma_K : estimates and standard deviations [K]
-    sensors : what each sensor ought to show, by name
-    state   : node temperatures, ratio and parameters with covariances
-    """
-
-    surface_K: float
-    surface_sigma_K: float
-    bondline_K: float
-    bondline_sigma_K: float
-    sensors: Mapping[str, SensorEstimate]
-    state: PointEstimate
-
-    @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
-        """Estimate and standard deviation of each parameter by name, in its unit."""
-        sigma = np.sqrt(np.diag(self.state.covariance)).tolist()
-        return dict(zip(self.state.names, zip(self.state.values.tolist(), sigma, strict=True), strict=True))
-
-
-class Innovation(NamedTuple):
-    """A reading as it was expected.
-
-    innovation_K, variance_K2 : reading less prediction [K], and the variance that it ought to have [K2]; of a recorder
-                                word those of docs/theory/filter.md, equation 10
-    predicted_K, predicted_variance_K2 : the expected reading [K] and its variance with its noise [K2]
-    read_K : the reading itself [K], the middle of the interval of a word
-    is_left_out : whether it is a single spike, which the filter did not use
-    """
-
-    time_s: float
-    point: str
-    sensor: str
-    innovation_K: float
-    variance_K2: float
-    predicted_K: float
-    predicted_variance_K2: float
-    read_K: float
-    is_left_out: bool = False
 
 
 _LOGGED = 8
@@ -212,40 +117,10 @@ class _Second:
     due: int = 0
 
 
-def check_estimated(sensors: Mapping[str, Sequence[Sensor]], names: Sequence[str]) -> None:
-    """Refuse parameters of sensors and clock that a running estimate cannot have.
-
-    sensors : of each control point, by its name;  names : parameters to estimate
-    raises  : InputError with one line
-    """
-    known = {s.name for own in sensors.values() for s in own if s.used}
-    for name in names:
-        if not name.startswith((SENSOR_PREFIX, "clock.", "sensors.")) or name == CLOCK_SKEW.name:
-            continue
-        sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
-        if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
-            raise InputError(
-                f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
-                f"clock `{CLOCK_SKEW.name}`. Leave it out here and `estimate` the record"
-            )
-        if sensor not in known:
-            raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
-
-
-@dataclass
-class _Out:
-    """Times [s] from which on, and to which, a sensor is left out."""
-
-    spans: list[tuple[float, float]] = field(default_factory=list)
-
-    def covers(self, time_s: float) -> bool:
-        return any(begin <= time_s <= end for begin, end in self.spans)
-
-
 class LiveEstimator:
     """Running estimate of temperatures and parameters at the control points of a link.
 
-    source  : the control points, and what a frame is for them (live/points.py)
+    source  : the control points, and what a frame is for them (live/filtering/points.py)
     names   : parameters to estimate, by their dotted names, also `sensor.NAME.bias`, `.gain` and `.drift`, of the point
               that has the sensor, and `clock.skew`, of each point; readings come with the mean of its prior taken out
     priors  : by name; those of the model, and wide ones for the heating ratio, where not given
@@ -268,7 +143,7 @@ class LiveEstimator:
         self.names = tuple(p.name for p in self.points)
         self._of_point = {p.name: i for i, p in enumerate(self.points)}
         check_estimated({p.name: p.sensors for p in self.points}, names)
-        self._sensors = _SensorTable(self.points, names)
+        self._sensors = SensorTable(self.points, names)
         self._tracks, self._priors = zip(
             *(_track(p, self._sensors.names[i], priors or {}, self.options) for i, p in enumerate(self.points)),
             strict=True,
@@ -296,7 +171,7 @@ class LiveEstimator:
         self.failed_clocks: list[tuple[str, str, float, str]] = []
         self._clocks_out: set[int] = set()
         self.refused = 0
-        self._out = [_Out() for _ in self._sensors.sensors]
+        self._out = [LeftOut() for _ in self._sensors.sensors]
         self._wrong: dict[int, tuple[float, float]] = {}
         self._restart()
         self._warm_up()
@@ -1055,137 +930,11 @@ class LiveEstimator:
         return [self.names[k * LANES + i] for k, f in enumerate(self.filters) for i in f.diverged]
 
 
-class _SensorTable:
-    """Sensors of all points by number, and what their readings are to the filter."""
-
-    def __init__(self, points: Sequence[LivePoint], names: Sequence[str]) -> None:
-        self.place = [(p.name, s.name) for p in points for s in p.sensors]
-        self.numbers = {place: n for n, place in enumerate(self.place)}
-        self.sensors = [s for p in points for s in p.sensors]
-        self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
-        self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
-        sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
-        self.sigma_K, self.variance_K2 = np.array(sigma), np.array(sigma) ** 2
-        words = [s.bits is not None and s.range_K is not None for s in self.sensors]
-        pairs = list(zip(self.sensors, words, strict=True))
-        self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
-        self.lsb = np.array([s.lsb_K if w else np.nan for s, w in pairs])
-        self.last = np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs])
-        self.tau_s = np.array([s.tau_s for s in self.sensors])
-        self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
-        self.used = np.array([s.used for s in self.sensors])
-        self.of_point = [[n for n, i in enumerate(self.point) if i == k] for k in range(len(points))]
-        self.names = [self._names_of(p, names) for p in points]
-        self._begun: dict[int, float] = {}
-        self._terms = [
-            direct_terms(s, self.names[self.point[n]], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
-            for n, s in enumerate(self.sensors)
-        ]
-        self._any_terms = any(np.any(t) for t in self._terms)
-
-    @staticmethod
-    def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
-        """Parameters of a point: those of its march, then those of its own sensors and of the clock."""
-        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR} | {CLOCK_SKEW.name}
-        march = tuple(n for n in names if _is_of_march(n))
-        return march + tuple(n for n in names if n in own)
-
-    def lagging(self, first: int) -> Lagging:
-        """Sensors that lag among the points of one filter, which begins with point number `first`."""
-        mine = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
-        return Lagging(mine, self.point[mine] - first, self.node[mine], self.tau_s[mine])
-
-    def readings(self, words: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[_Out]) -> PointReadings:
-        """Readings of the points of all filters as these take them, with what is estimated of the sensors' own errors.
-
-        words : (reading, 4) as of `_words` of the estimator;  filters : of LANES points each
-        """
-        number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
-        skipped = ~self.used[number]
-        if any(o.spans for o in out):
-            skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
-        lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
-        gain, bias = np.ones(len(t)), np.zeros(len(t))
-        direct = np.zeros((len(t), max(f.most_parameters for f in filters), 3))
-        for n in self.curved:
-            at = number == n
-            if np.any(at):
-                gain[at], bias[at] = calibration_line(self.sensors[n], value[at])
-        if self._any_terms:
-            for q, n in enumerate(number):
-                self._add_terms(q, int(n), t[q], filters, gain, bias, direct)
-        lower = np.where(skipped, np.nan, lower)
-        point, node, variance = self.point[number], self.node[number], self.variance_K2[number]
-        return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
-
-    def _add_terms(
-        self, q: int, n: int, t: float, filters: Sequence[OnlineFilter], gain: FloatArray, bias: FloatArray,
-        direct: FloatArray,
-    ) -> None:  # fmt: skip
-        """Add the sensor's own errors, where these are estimated, to a reading."""
-        slope, since = gain[q], t - self._begun.setdefault(n, t)
-        k, point = divmod(int(self.point[n]), LANES)
-        wrong = sensor_errors(self.sensors[n], filters[k].parameters(point))
-        bias[q] += slope * (wrong.bias_K + wrong.drift_K_s * since)
-        gain[q] = slope * wrong.gain
-        terms = slope * self._terms[n]
-        drifts = np.array([name.endswith(".drift") for name in self.names[self.point[n]]], dtype=bool)
-        terms[drifts] *= since
-        direct[q, : len(terms)] = terms
-
-    def first_readings(self, words: Sequence[Word]) -> dict[int, float]:
-        """First reading of each used sensor as a temperature [K], by its number. Later ones may be much hotter."""
-        found: dict[int, float] = {}
-        for _, n, value in words:
-            if self.used[n] and n not in found:
-                found[n] = value
-        for n, value in found.items():
-            if n in self.curved:
-                slope, constant = calibration_line(self.sensors[n], np.array([value]))
-                found[n] = float((value - constant[0]) / slope[0])
-        return found
-
-    def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
-        """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
-        found = {}
-        if not self._any_terms and not self.curved and not np.any(self.tau_s):
-            nodes = list(point.mesh.sensors)
-            sigma = np.hypot(state.sigma_K[nodes], self.sigma_K[self.of_point[i]]).tolist()
-            pairs = zip(point.sensors, state.temperature_K[nodes].tolist(), sigma, strict=True)
-            return {sensor.name: SensorEstimate(T, own) for sensor, T, own in pairs}
-        values = dict(zip(state.names, state.values.tolist(), strict=True))
-        for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
-            node = point.mesh.sensors[k]
-            T, wrong = float(state.temperature_K[node]), sensor_errors(sensor, values)
-            per_T = state.sensitivity[node]
-            if isinstance(f, LaggingFilter) and self.tau_s[n] > 0.0:
-                offset_K, per_offset = f.offset_of(n, state.values)
-                T, per_T = T + offset_K, per_T + per_offset
-            mean, slope = wrong.gain * T + wrong.bias_K, 1.0
-            mean += wrong.drift_K_s * (state.time_s - self._begun.get(n, state.time_s))
-            if sensor.calibration is not None:
-                curve = np.polynomial.Polynomial(sensor.calibration)
-                mean, slope = float(curve(mean)), float(curve.deriv()(mean))
-            variance = float(state.sigma_K[node]) ** 2
-            if self._any_terms or self.tau_s[n] > 0.0:
-                terms = self._terms[n]
-                row = wrong.gain * per_T + terms[:, 0] + terms[:, 1] * T
-                variance = float(row @ state.covariance @ row)
-                variance += wrong.gain**2 * float(state.state_covariance[node, node])
-            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + float(self.sigma_K[n]) ** 2))
-        return found
-
-
-def _is_of_march(name: str) -> bool:
-    """Whether a parameter is one of the march, and not of sensors or clock."""
-    return not name.startswith(SENSOR_PREFIX) and name != CLOCK_SKEW.name
-
-
 def _track(
     point: LivePoint, names: tuple[str, ...], priors: Mapping[str, Prior], options: LiveOptions
 ) -> tuple[FilterTrack, dict[str, Prior]]:
     """A point as the filter takes it, and the priors of its parameters."""
-    march = tuple(n for n in names if _is_of_march(n))
+    march = tuple(n for n in names if is_of_march(n))
     nothing = np.zeros(0)
     empty = Samples(nothing, np.zeros(0, dtype=np.int64), *(nothing,) * 5)
     wanders = Disturbance() if options.ratio_noise is None else Disturbance.gauss_markov(*options.ratio_noise)
@@ -1195,34 +944,3 @@ def _track(
         noise_K2_s=options.node_noise_K_sqrt_s**2, disturbance=wanders,
     )  # fmt: skip
     return track, {n: priors[n] if n in priors else default_prior(point.model, n) for n in names}
-
-
-def default_prior(model: PointModel, name: str) -> Prior:
-    """Prior of a parameter that none was given for: its definition's, and a wide one for the heating ratio.
-
-    model : of the control point;  name : dotted name, or that of a sensor's error
-
-    The derivative of a ratio may change it by half over a usual range of its variable; a scale may be off by half.
-    """
-    if name.startswith(SENSOR_PREFIX):
-        known: Parameter = SENSOR[name.rpartition(".")[2]]
-        return Prior(known.value, known.sigma)
-    if name == CLOCK_SKEW.name:
-        return Prior(CLOCK_SKEW.value, CLOCK_SKEW.sigma)
-    known = model.definition(name)
-    mean = model.value(name)
-    if math.isfinite(known.sigma) and known.sigma > 0.0:
-        return Prior(mean, known.sigma)
-    if name == "ratio.scale":
-        return Prior(mean, WIDE)
-    ratio = LARGEST_RATIO if model.ratio is None else float(np.max(np.abs(model.ratio.ratio)))
-    spans = [USUAL_RANGE[v] for v in _variables(name)]
-    return Prior(mean, WIDE * ratio / math.prod(spans))
-
-
-def _variables(name: str) -> list[str]:
-    """Variables of a derivative of the heating ratio by its name: `ratio.d_alpha_elevon` has two."""
-    what = name.removeprefix("ratio.d").strip("_0")
-    if what.endswith("2"):
-        return [what[:-1]] * 2
-    return [v for v in what.split("_") if v in USUAL_RANGE]

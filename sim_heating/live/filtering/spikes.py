@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sim_heating.live.timeline import Word
+from sim_heating.live.filtering.timeline import Word
 
 JUMP_SIGMAS = 8.0
 """Standard deviations of its noise by which a suspected reading is away from the one before it [-]."""

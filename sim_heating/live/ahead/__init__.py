@@ -1,0 +1,1 @@
+"""What is ahead: the futures of a flight, and the temperatures on them."""

@@ -1,0 +1,153 @@
+"""Sensors of all points of a link: their readings as the filter takes them, and what they ought to show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.kernels.block import LANES
+from sim_heating.base.parameters import CLOCK_SKEW, SENSOR, SENSOR_PREFIX
+from sim_heating.estimation.filter.lagging import Lagging, LaggingFilter
+from sim_heating.estimation.filter.online import OnlineFilter, PointEstimate, PointReadings
+from sim_heating.estimation.filter.records import UNDECLARED_SIGMA_K, calibration_line, direct_terms
+from sim_heating.estimation.inference.likelihood import word_intervals
+from sim_heating.estimation.record_fit import least_sigma_K, sensor_errors
+from sim_heating.live.filtering.estimates import SensorEstimate
+from sim_heating.live.filtering.parameters import is_of_march
+from sim_heating.live.filtering.points import LivePoint
+from sim_heating.live.filtering.timeline import Word
+
+
+@dataclass
+class LeftOut:
+    """Times [s] from which on, and to which, a sensor is left out."""
+
+    spans: list[tuple[float, float]] = field(default_factory=list)
+
+    def covers(self, time_s: float) -> bool:
+        return any(begin <= time_s <= end for begin, end in self.spans)
+
+
+class SensorTable:
+    """Sensors of all points by number, and what their readings are to the filter."""
+
+    def __init__(self, points: Sequence[LivePoint], names: Sequence[str]) -> None:
+        self.place = [(p.name, s.name) for p in points for s in p.sensors]
+        self.numbers = {place: n for n, place in enumerate(self.place)}
+        self.sensors = [s for p in points for s in p.sensors]
+        self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
+        self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
+        sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
+        self.sigma_K, self.variance_K2 = np.array(sigma), np.array(sigma) ** 2
+        words = [s.bits is not None and s.range_K is not None for s in self.sensors]
+        pairs = list(zip(self.sensors, words, strict=True))
+        self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
+        self.lsb = np.array([s.lsb_K if w else np.nan for s, w in pairs])
+        self.last = np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs])
+        self.tau_s = np.array([s.tau_s for s in self.sensors])
+        self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
+        self.used = np.array([s.used for s in self.sensors])
+        self.of_point = [[n for n, i in enumerate(self.point) if i == k] for k in range(len(points))]
+        self.names = [self._names_of(p, names) for p in points]
+        self._begun: dict[int, float] = {}
+        self._terms = [
+            direct_terms(s, self.names[self.point[n]], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
+            for n, s in enumerate(self.sensors)
+        ]
+        self._any_terms = any(np.any(t) for t in self._terms)
+
+    @staticmethod
+    def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
+        """Parameters of a point: those of its march, then those of its own sensors and of the clock."""
+        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR} | {CLOCK_SKEW.name}
+        march = tuple(n for n in names if is_of_march(n))
+        return march + tuple(n for n in names if n in own)
+
+    def lagging(self, first: int) -> Lagging:
+        """Sensors that lag among the points of one filter, which begins with point number `first`."""
+        mine = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
+        return Lagging(mine, self.point[mine] - first, self.node[mine], self.tau_s[mine])
+
+    def readings(self, words: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[LeftOut]) -> PointReadings:
+        """Readings of the points of all filters as these take them, with what is estimated of the sensors' own errors.
+
+        words : (reading, 4) as of `_words` of the estimator;  filters : of LANES points each
+        """
+        number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
+        skipped = ~self.used[number]
+        if any(o.spans for o in out):
+            skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
+        lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
+        gain, bias = np.ones(len(t)), np.zeros(len(t))
+        direct = np.zeros((len(t), max(f.most_parameters for f in filters), 3))
+        for n in self.curved:
+            at = number == n
+            if np.any(at):
+                gain[at], bias[at] = calibration_line(self.sensors[n], value[at])
+        if self._any_terms:
+            for q, n in enumerate(number):
+                self._add_terms(q, int(n), t[q], filters, gain, bias, direct)
+        lower = np.where(skipped, np.nan, lower)
+        point, node, variance = self.point[number], self.node[number], self.variance_K2[number]
+        return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
+
+    def _add_terms(
+        self, q: int, n: int, t: float, filters: Sequence[OnlineFilter], gain: FloatArray, bias: FloatArray,
+        direct: FloatArray,
+    ) -> None:  # fmt: skip
+        """Add the sensor's own errors, where these are estimated, to a reading."""
+        slope, since = gain[q], t - self._begun.setdefault(n, t)
+        k, point = divmod(int(self.point[n]), LANES)
+        wrong = sensor_errors(self.sensors[n], filters[k].parameters(point))
+        bias[q] += slope * (wrong.bias_K + wrong.drift_K_s * since)
+        gain[q] = slope * wrong.gain
+        terms = slope * self._terms[n]
+        drifts = np.array([name.endswith(".drift") for name in self.names[self.point[n]]], dtype=bool)
+        terms[drifts] *= since
+        direct[q, : len(terms)] = terms
+
+    def first_readings(self, words: Sequence[Word]) -> dict[int, float]:
+        """First reading of each used sensor as a temperature [K], by its number. Later ones may be much hotter."""
+        found: dict[int, float] = {}
+        for _, n, value in words:
+            if self.used[n] and n not in found:
+                found[n] = value
+        for n, value in found.items():
+            if n in self.curved:
+                slope, constant = calibration_line(self.sensors[n], np.array([value]))
+                found[n] = float((value - constant[0]) / slope[0])
+        return found
+
+    def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
+        """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
+        found = {}
+        if not self._any_terms and not self.curved and not np.any(self.tau_s):
+            nodes = list(point.mesh.sensors)
+            sigma = np.hypot(state.sigma_K[nodes], self.sigma_K[self.of_point[i]]).tolist()
+            pairs = zip(point.sensors, state.temperature_K[nodes].tolist(), sigma, strict=True)
+            return {sensor.name: SensorEstimate(T, own) for sensor, T, own in pairs}
+        values = dict(zip(state.names, state.values.tolist(), strict=True))
+        for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
+            node = point.mesh.sensors[k]
+            T, wrong = float(state.temperature_K[node]), sensor_errors(sensor, values)
+            per_T = state.sensitivity[node]
+            if isinstance(f, LaggingFilter) and self.tau_s[n] > 0.0:
+                offset_K, per_offset = f.offset_of(n, state.values)
+                T, per_T = T + offset_K, per_T + per_offset
+            mean, slope = wrong.gain * T + wrong.bias_K, 1.0
+            mean += wrong.drift_K_s * (state.time_s - self._begun.get(n, state.time_s))
+            if sensor.calibration is not None:
+                curve = np.polynomial.Polynomial(sensor.calibration)
+                mean, slope = float(curve(mean)), float(curve.deriv()(mean))
+            variance = float(state.sigma_K[node]) ** 2
+            if self._any_terms or self.tau_s[n] > 0.0:
+                terms = self._terms[n]
+                row = wrong.gain * per_T + terms[:, 0] + terms[:, 1] * T
+                variance = float(row @ state.covariance @ row)
+                variance += wrong.gain**2 * float(state.state_covariance[node, node])
+            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + float(self.sigma_K[n]) ** 2))
+        return found

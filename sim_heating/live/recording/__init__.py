@@ -1,0 +1,1 @@
+"""What came: the journal of a link, and the flight records that it closes as."""
