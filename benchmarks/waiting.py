@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -22,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from benchmarks.measure import Figure, save
+from benchmarks.measure import Figure, save, spent_by_children_s
 
 ROUNDS = 3
 GOAL_OVER_FLOOR = 1.3
@@ -67,12 +66,11 @@ COMMANDS = (
 def _seconds(arguments: list[str], changed: Mapping[str, str] | None = None) -> tuple[float, float]:
     """Wall and processor time [s] of a process of Python."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}  # as a user has it
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    before, start = spent_by_children_s(), time.perf_counter()
     subprocess.run(
         [sys.executable, *arguments], check=True, capture_output=True, env=environment | dict(changed or {}), cwd=ROOT
     )
-    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - start, spent_by_children_s() - before
 
 
 def _timed(command: Command) -> tuple[float, float]:

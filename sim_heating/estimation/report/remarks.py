@@ -154,7 +154,7 @@ def _correlations(fitted: FitResult) -> Iterator[Remark]:
 
 
 def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:
-    """Of sensors without a declared noise: that which the fit left, where the readings themselves scatter by less."""
+    """Remarks on sensors without a declared noise, where the readings scatter by less than what the fit left."""
     for record_fit in fitted.problem.record_fits:
         record = record_fit.record
         for channel in record_fit.channels:
@@ -172,7 +172,7 @@ def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:
 
 
 def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
-    """Of sensors whose readings stay at an end of their range while the model goes on."""
+    """Remarks on sensors whose readings stay at an end of their range while the model goes on."""
     for s in fitted.samples():
         intervals, sensor, record = s.channel.intervals, s.channel.sensor, s.record_fit.record
         if sensor.range_K is None:
