@@ -164,8 +164,9 @@ def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insula
         B[a + DEPOSIT * LANES], B[a + CONDENSE * LANES] = p[DEPOSITED], p[CONDENSES]
         B[a + PHASE_RATE * LANES] = 1.0 / p[WIDTH]
         B[a + VAPOUR * LANES] = p[CARRIED] if i < len(layer) and layer[i] == insulation else 0.0
-    # One flag for the group, only ever set here: a dry lane next to a moist one computes zeros.
-    if p[LATENT_HEAT] > 0.0 or p[DEPOSITED] > 0.0 or p[CARRIED] > 0.0 or p[RADIATIVE] != 0.0:
+    # One flag for the group, only ever set here: a dry lane next to a moist one computes zeros. A perturbed lane may be
+    # below 0 and in a group of its own.
+    if p[LATENT_HEAT] != 0.0 or p[DEPOSITED] != 0.0 or p[CARRIED] != 0.0 or p[RADIATIVE] != 0.0:
         J[IN_DEPTH] = 1
 
 
@@ -203,7 +204,7 @@ def _set_gap(
         below = exp(-min(edge, bottom) / depth)
         B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / whole)
         x, above = x + length, below
-        if fraction > 0.0:
+        if fraction != 0.0:
             J[GAPS] = 1
             J[NODE_INTS + i * INTS_PER_NODE + IS_FACE] = 1
 

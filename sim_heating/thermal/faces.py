@@ -185,7 +185,7 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
         for lane in range(LANES):
             part = B[a + GAP * LANES + lane]
             source, slope = 0.0, 0.0
-            if part > 0.0:
+            if part != 0.0:
                 H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + T * LANES + lane])
                 film = part * B[(FILM + stage) * LANES + lane]
                 source, slope = film * (B[(RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w

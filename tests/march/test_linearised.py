@@ -149,7 +149,8 @@ def differences(model: PointModel, steps: dict[str, float]) -> dict[str, np.ndar
 def worst(model: PointModel, names: Sequence[str]) -> dict[str, float]:
     """Error of the sensitivities to each parameter, against the differences that agree best with the next."""
     exact = marched([model], tuple(names))[0].sensitivity
-    scale = {n: min(model.definition(n).sigma, max(abs(model.value(n)), 1.0)) for n in names}
+    sigma = {n: model.definition(n).sigma for n in names}
+    scale = {n: min(s, max(abs(model.value(n)), 1.0)) if model.value(n) else s for n, s in sigma.items()}
     first = {n: min(STEP_K / np.max(np.abs(exact[..., k])), 0.1 * scale[n]) for k, n in enumerate(names)}
     tried = [differences(model, {n: step * part for n, step in first.items()}) for part in PARTS]
     result = {}
@@ -202,6 +203,31 @@ def test_a_gap_that_opens_between_two_marches_takes_heat_in_the_second():
     assert np.array_equal(found.temperature_K, again.temperature_K)
     assert errors(found.sensitivity[..., 0], again.sensitivity[..., 0]) < 1e-12
     assert np.allclose(found.sensitivity, again.sensitivity, rtol=1e-9, atol=1e-9 * np.max(np.abs(again.sensitivity)))
+
+
+ABSENT = dict.fromkeys(
+    ["stack.moisture.latent_J_kg", "stack.moisture.deposit_J_kg", "stack.moisture.vapour_W_m", "stack.gap.fraction",
+     "stack.rsi.radiative_conductivity"], 0.0
+)  # fmt: skip
+"""What a dry, dense wall without gaps has none of."""
+
+
+def test_sensitivities_to_what_a_wall_has_none_of_are_exact():
+    # one side of their perturbations is below 0
+    assert_exact(worst(point().with_parameters(ABSENT), [*ABSENT]))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("moisture", {"latent_J_kg": 0.0, "condense_K": 700.0}), ("gap-flow", {"gap_fraction": 0.0})],
+)
+def test_sensitivities_to_what_a_wall_has_none_of_are_the_same_bits_beside_others(name, values):
+    bare = replace(point().with_parameters(ABSENT), effects=(use(name, values),))
+    own = [f"{EFFECT_PREFIX}{name}.{p}" for p in ("latent_J_kg", "deposit_J_kg", "gap_fraction")]
+    for wanted in (n for n in own if n.rpartition(".")[2] in {p.name for p in bare.effects[0].effect.parameters}):
+        alone = marched([bare], (wanted,))[0].sensitivity
+        # of nine perturbed lanes, three a track, the last one is in a group without that of the other side
+        assert all(np.array_equal(run.sensitivity, alone) for run in marched([bare] * 3, (wanted,)))
 
 
 # Clocks, sensors and starts: through the fit's own problem ----------------------------------------------------------
