@@ -26,7 +26,7 @@ from benchmarks.estimator_peers import (
 from benchmarks.measure import Figure, Task, Times, in_turn, save
 from benchmarks.problems import RECORD, mesh_of
 from sim_heating.base.kernels.block import LANES
-from sim_heating.estimation import problem as fitting
+from sim_heating.base.threads import march_threads
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise
@@ -173,10 +173,9 @@ class JointFit:
 
     def iteration(self, threads: int) -> None:
         """A different vector each time, because the march of the last one is kept."""
-        before, fitting.THREADS = fitting.THREADS, threads
         self.at = self.at + 1e-9
-        self.problem.evaluate(self.at)
-        fitting.THREADS = before
+        with march_threads(threads):
+            self.problem.evaluate(self.at)
 
 
 def _beside(turn: Barrier, asked: EventType, done: EventType) -> None:

@@ -1,17 +1,28 @@
-"""One thread for linear algebra, where matrices are small and where results must be reproducible byte by byte.
+"""Threads: one for linear algebra, where matrices are small and results must be the same byte by byte; several for
+marches side by side.
 
 A BLAS that splits products of a few hundred rows over all cores waits for the slowest of them; with other work on the
 machine (several records at once are such work) the wait costs ten times what the split saves. The split also changes
 last digits: with the number of cores, with OMP_NUM_THREADS, and in a Dask worker, which has one thread.
+
+Marches release Python's lock, and their results do not depend on how they are shared out: they run in one thread for
+each core, except in a process that is one of several on its machine.
 """
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
+from typing import TypeVar
 
 import scipy.linalg  # noqa: F401  its BLAS is not numpy's; both must be loaded before the search below
 from threadpoolctl import ThreadpoolController
+
+R = TypeVar("R")
+_threads = os.cpu_count() or 1
 
 
 @cache
@@ -22,3 +33,30 @@ def _libraries() -> ThreadpoolController:
 def one_thread() -> AbstractContextManager[object]:
     """Context in which BLAS uses one thread."""
     return _libraries().limit(limits=1, user_api="blas")
+
+
+def thread_count() -> int:
+    """Number of threads that `in_threads` uses."""
+    return _threads
+
+
+@contextmanager
+def march_threads(count: int) -> Iterator[None]:
+    """Context in which `in_threads` uses so many threads: one in a process that shares its cores with others like it.
+
+    count : 1 or more
+    """
+    global _threads
+    before, _threads = _threads, count
+    try:
+        yield
+    finally:
+        _threads = before
+
+
+def in_threads(one: Callable[[int], R], count: int) -> list[R]:
+    """one(0), ..., one(count - 1), in threads where there are several."""
+    if min(count, _threads) <= 1:
+        return [one(k) for k in range(count)]
+    with ThreadPoolExecutor(min(count, _threads)) as pool:
+        return list(pool.map(one, range(count)))

@@ -9,12 +9,9 @@ times are marched side by side, others in threads.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +22,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
+from sim_heating.base.threads import in_threads
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
@@ -55,8 +53,6 @@ from sim_heating.march.mesh_choice import choose_meshes, meshes_on_flights
 from sim_heating.march.point import PointModel, check_one_name
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.mesh import Mesh
-
-THREADS = os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -626,17 +622,6 @@ def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> li
     present = {u.effect.name for u in given}
     wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
     return [use(name) for name in wanted if name not in present]
-
-
-R = TypeVar("R")
-
-
-def in_threads(one: Callable[[int], R], count: int) -> list[R]:
-    """one(0), ..., one(count - 1), in threads where there are several."""
-    if min(count, THREADS) <= 1:
-        return [one(k) for k in range(count)]
-    with ThreadPoolExecutor(min(count, THREADS)) as pool:
-        return list(pool.map(one, range(count)))
 
 
 def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None = None) -> tuple[float, ...]:

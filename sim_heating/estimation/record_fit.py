@@ -403,13 +403,18 @@ class PredictedSamples:
         return whole
 
 
-def lane_groups(record_fits: Iterable[RecordFit]) -> list[list[RecordFit]]:
-    """Groups of records on common times and with meshes of one size, LANES records at most in a group."""
+def lane_groups(record_fits: Iterable[RecordFit], shares: int = 1) -> list[list[RecordFit]]:
+    """Groups of records on common times and with meshes of one size, LANES records at most in a group.
+
+    shares : groups that each LANES * shares records are dealt out to, so that as many threads are equally busy; most of
+             a march with sensitivities is in lanes that each record adds (march/linearised.py)
+    """
     groups: dict[tuple[bytes, int], list[RecordFit]] = {}
     for record_fit in record_fits:
         # lanes of a kernel share steps and array sizes
         groups.setdefault((record_fit.time_s.tobytes(), record_fit.mesh.nodes), []).append(record_fit)
-    return [group[k : k + LANES] for group in groups.values() for k in range(0, len(group), LANES)]
+    chunks = (g[k : k + LANES * shares] for g in groups.values() for k in range(0, len(g), LANES * shares))
+    return [chunk[k::shares] for chunk in chunks for k in range(min(shares, len(chunk)))]
 
 
 def group_march(group: Sequence[RecordFit]) -> LinearMarch:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.threads import in_threads, thread_count
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration
-from sim_heating.estimation.problem import FitProblem, in_threads
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
 
@@ -41,7 +42,7 @@ class JointMarch:
         ordered = sorted(place, key=lambda record_fit: -record_fit.march_columns)
         self._groups = [
             _LaneGroup(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
-            for group in lane_groups(ordered)
+            for group in lane_groups(ordered, shares=thread_count())
         ]
 
     def march(self, vectors: Sequence[FloatArray]) -> list[bool]:

@@ -30,13 +30,14 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import LANES
+from sim_heating.base.threads import in_threads
 from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Levels, ProcessNoise
 from sim_heating.estimation.filter.records import filter_samples
 from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status, StepCallback, maximise
-from sim_heating.estimation.problem import FitProblem, in_threads
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples, least_sigma_K
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.point import PointModel
