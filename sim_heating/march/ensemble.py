@@ -187,7 +187,12 @@ class Ensemble:
         # Lanes without a point repeat the last one, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.lane_offsets = [LaneOffsets(0, 0, 0, 0)] * len(self.models)
-        self._elements = [elements_of(m.construction, mesh) for m, mesh in zip(self.models, self.meshes, strict=True)]
+        made: dict[tuple[int, int], Elements] = {}
+        for m, mesh in zip(self.models, self.meshes, strict=True):
+            # most lanes of a march with sensitivities are of one wall
+            if (id(m.construction), id(mesh)) not in made:
+                made[id(m.construction), id(mesh)] = elements_of(m.construction, mesh)
+        self._elements = [made[id(m.construction), id(mesh)] for m, mesh in zip(self.models, self.meshes, strict=True)]
         for g, group in enumerate(members):
             for lane, i in enumerate(group):
                 end = LANES if i == group[-1] else lane + 1

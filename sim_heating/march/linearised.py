@@ -30,12 +30,14 @@ from sim_heating.thermal.sensitivity import (
     ACTS_AT_FACES,
     ACTS_IN_ROWS,
     OWN_PERTURBATION,
+    VECTOR,
     PerturbedGroups,
     PerturbedOffsets,
     assemble_perturbed,
     assembly_addresses,
     begin_columns,
     content_columns,
+    copy_columns,
     first_right_hand_side,
     net_columns,
     no_perturbed_groups,
@@ -406,7 +408,7 @@ class LinearMarch:
             self._groups,
             self._offsets(m),
             self._flights,
-            self._start(m),
+            self._start_columns(m),
             requested,
             out,
         )
@@ -432,16 +434,18 @@ class LinearMarch:
         """Blocks of the perturbed lanes."""
         return np.zeros(0) if self.perturbed is None else self.perturbed.state
 
-    def _start(self, m: int) -> FloatArray:
-        """(LANES, node, m) sensitivities at the start."""
-        start = np.zeros((LANES, int(self._nodes.max()), m))
+    def _start_columns(self, m: int) -> Columns:
+        """Room for m sensitivities, in whole vectors of four, with those at the start in `end`."""
+        size = (LANES, int(self._nodes.max()), -(-m // VECTOR) * VECTOR)
+        columns = Columns(*np.zeros((len(Columns._fields), *size)))
+        start = columns.end
         for i, track in enumerate(self.tracks):
             if track.initial_columns is not None:
                 first = track.columns - track.initial_columns.shape[1]
                 start[self._lane_of[i], : track.mesh.nodes, first : track.columns] = track.initial_columns
             if track.named_columns is not None:
                 start[self._lane_of[i], : track.mesh.nodes, : len(track.names)] = track.named_columns
-        return start
+        return columns
 
     def _requested(self, times: Sequence[FloatArray]) -> Requested:
         """Samples that are read of each lane; a lane without a track has no samples and no columns."""
@@ -473,11 +477,20 @@ def initial_profile(track: Track) -> FloatArray:
 
 
 class Columns(NamedTuple):
-    """Sensitivities of the node temperatures of a lane in one step, each (node, parameter) [K over its unit]."""
+    """Sensitivities of the node temperatures in one step, each (LANES, node, width) [K over the parameter's unit], and
+    the work space of their march, all of one size.
+
+    start, middle, end : sensitivities at the start, the first stage and the end of the step
+    e, f, star, content : heat content [J/m2], net heat [W/m2], right-hand side and heat content at the first stage
+    """
 
     start: FloatArray
     middle: FloatArray
     end: FloatArray
+    e: FloatArray
+    f: FloatArray
+    star: FloatArray
+    content: FloatArray
 
 
 @njit
@@ -494,26 +507,19 @@ def _read_samples(
             i = requested.nodes[lane, j]
             a = (HEAD_ROWS + i * NODE_ROWS) * LANES + lane
             T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
-            out[j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
-            out[j, k, 1] = d0 * T0 + d1 * T1 + d2 * T2
+            out[lane, j, k, 0] = w0 * T0 + w1 * T1 + w2 * T2
+            out[lane, j, k, 1] = d0 * T0 + d1 * T1 + d2 * T2
             for q in range(m):
-                out[j, k, 2 + q] = w0 * S.start[i, q] + w1 * S.middle[i, q] + w2 * S.end[i, q]
+                middle, end = S.middle[lane, i, q], S.end[lane, i, q]
+                out[lane, j, k, 2 + q] = w0 * S.start[lane, i, q] + w1 * middle + w2 * end
         k += 1
     return k
 
 
 @njit
-def copy_matrix(given: FloatArray, out: FloatArray) -> None:
-    """Copy a matrix number by number: numba's own assignment spends 4 s on compiling the message of its error."""
-    for i in range(given.shape[0]):
-        for j in range(given.shape[1]):
-            out[i, j] = given[i, j]
-
-
-@njit
 def march_linear(
     group: LaneGroup, X: FloatArray, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights,
-    start: FloatArray, requested: Requested, out: FloatArray,
+    S: Columns, requested: Requested, out: FloatArray,
 ) -> None:  # fmt: skip
     """March one lane group with the sensitivities of its lanes.
 
@@ -523,8 +529,8 @@ def march_linear(
     X                  : blocks of the perturbed lanes, changed
     perturbed, offsets : groups of the perturbed lanes, and where those of each nominal lane are
     flights            : steps of the march and conditions
-    start              : (LANES, node, m) sensitivities of the temperatures at the start [K over the parameter's unit]
-    requested             : samples and nodes
+    S                  : sensitivities, at the start of the march in `end`, and work space; changed
+    requested          : samples and nodes
     out                : (LANES, node read, sample, 2 + m) temperature [K], rate [K/s], sensitivities; filled
 
     A lane that fails leaves numbers that are not finite in its own part of `out`. Derived in
@@ -532,12 +538,13 @@ def march_linear(
     """
     B, time_s = group.B, flights.time_s
     b, j, t = pointer(B), pointer(group.J), pointer(group.table)
-    n, m = start.shape[1], start.shape[2]
-    S, S_stage, S_start = start.copy(), np.zeros((LANES, n, m)), start.copy()
+    n, width, m = S.end.shape[1], S.end.shape[2], offsets.plus.shape[1]
+    count = n * width
+    x, begun, stage, end = pointer(X), pointer(S.start), pointer(S.middle), pointer(S.end)
     # e and f are carried from step to step: the end of one is the start of the next, as for the temperatures.
-    e, f = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
-    star, middle = np.zeros((LANES, n, m)), np.zeros((LANES, n, m))
-    reduced = np.zeros(n)
+    e, f, star, middle = pointer(S.e), pointer(S.f), pointer(S.star), pointer(S.content)
+    work = np.zeros(n)
+    reduced = pointer(work)
     next_sample = np.zeros(LANES, dtype=np.int64)
     set_flight_conditions(B, flights, 0)
     call_step(group.advance, b, j, t, group.dispatcher, EVALUATE_START)
@@ -545,7 +552,7 @@ def march_linear(
     assemble_perturbed(group, X, perturbed, T, 2, 1.0)
     for lane in range(LANES):
         if requested.columns[lane] > 0:
-            begin_columns(X, offsets, lane, m, S[lane], e[lane], f[lane])
+            begin_columns(x, offsets, lane, m, end, e, f, lane * count, width)
     for k in range(1, len(time_s)):
         dt = time_s[k] - time_s[k - 1]
         shift_conditions(b)
@@ -556,19 +563,20 @@ def march_linear(
         assemble_perturbed(group, X, perturbed, T_STAGE, 1, ddt)
         for lane in range(LANES):
             if requested.columns[lane] > 0:
-                copy_matrix(S[lane], S_start[lane])
-                first_right_hand_side(e[lane], f[lane], dt, star[lane])
-                solve_columns(X, offsets, lane, m, ddt, star[lane], S_stage[lane], reduced)
-                content_columns(X, offsets, lane, m, S_stage[lane], middle[lane])
+                at = lane * count
+                copy_columns(end, begun, at, count)
+                first_right_hand_side(e, f, dt, star, at, count)
+                solve_columns(x, offsets, lane, m, ddt, star, stage, at, width, reduced)
+                content_columns(x, offsets, lane, m, stage, middle, at, width)
         assemble_perturbed(group, X, perturbed, T, 2, ddt)
         for lane in range(LANES):
             if requested.columns[lane] > 0:
-                second_right_hand_side(e[lane], middle[lane], star[lane])
-                solve_columns(X, offsets, lane, m, ddt, star[lane], S[lane], reduced)
-                content_columns(X, offsets, lane, m, S[lane], e[lane])
-                net_columns(e[lane], star[lane], dt, f[lane])
+                at = lane * count
+                second_right_hand_side(e, middle, star, at, count)
+                solve_columns(x, offsets, lane, m, ddt, star, end, at, width, reduced)
+                content_columns(x, offsets, lane, m, end, e, at, width)
+                net_columns(e, star, dt, f, at, count)
         for lane in range(LANES):
-            columns = Columns(S_start[lane], S_stage[lane], S[lane])
-            next_sample[lane] = _read_samples(
-                B, lane, time_s[k - 1], dt, columns, requested, next_sample[lane], out[lane]
-            )
+            next_sample[lane] = _read_samples(B, lane, time_s[k - 1], dt, S, requested, next_sample[lane], out)
+    # A pointer does not keep what it points to: the array is still needed here.
+    work[0] = 0.0

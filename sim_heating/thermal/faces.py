@@ -177,6 +177,30 @@ def evaluate_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, st
         _evaluate_gaps(B, J, table, stage)
 
 
+@njit
+def evaluate_perturbed_faces(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
+    """Heat from outside [W/m2] as of `evaluate_faces`, of lanes that were heated at their present temperatures.
+
+    Slopes are those without effects: they are in the matrix of the unperturbed lane, and nobody reads them here. The
+    film is that at the surface temperature already, so that an effect which depends on it is evaluated once and not
+    four times. Source: docs/theory/equations_thermal_step.md, equations 14 to 16 and 34.
+    """
+    _cache_walls(B, J, table, stage)
+    emitting = 0
+    for lane in range(LANES):
+        emitting += J[N_EMITTING + lane]
+        eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
+        _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+    for lane in range(LANES if emitting > 0 else 0):
+        if J[N_EMITTING + lane] > 0:
+            wall, film = B[(HEAD_ROWS + T) * LANES + lane], B[(FILM + stage) * LANES + lane]
+            eps = _emittance(B, lane) * emittance_factor(B, J, dispatcher, lane, stage, wall)
+            _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+    evaluate_back(B, J, stage)
+    if J[GAPS] == 1:
+        _evaluate_gaps(B, J, table, stage)
+
+
 @inline_always
 def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
     """Heat from hot gas at the nodes along a gap, each with its own wall enthalpy and the film of the surface."""
@@ -246,6 +270,19 @@ def _emittance(B: FloatArray, lane: int) -> float:
 
 
 @inline_always
+def _cache_walls(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> None:
+    """Look up the pieces of emittance and air enthalpy of all lanes again where a lane has left its own."""
+    outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
+    for lane in range(LANES):
+        f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
+        outside += 0 if (f >= 0.0) & (f < 1.0) else 1
+    # The count is of pairs of lanes and does not identify one: all eight are looked up again.
+    if outside > 0:
+        for lane in range(LANES):
+            _cache_wall(B, J, table, lane, stage)
+
+
+@inline_always
 def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, stage: int) -> None:  # type: ignore[no-untyped-def]
     """Heat that enters at the surface [W/m2] and its slope against the surface temperature [W/(m2 K)], of all lanes.
 
@@ -256,16 +293,10 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     A negative film coefficient, from a negative ratio, is not clipped.
     Source: docs/theory/equations_thermal_step.md, equations 14 and 17.
     """
-    outside = lanes_outside(B, (HEAD_ROWS + T) * LANES, WALL_LOW * LANES, WALL_HIGH * LANES)
     affected = 0
     for lane in range(LANES):
-        f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
-        outside += 0 if (f >= 0.0) & (f < 1.0) else 1
         affected += J[N_EMITTING + lane] + J[N_EFFECTS + lane] - J[FIRST_AT_WALL + lane]
-    # The count is of pairs of lanes and does not identify one: all eight are looked up again.
-    if outside > 0:
-        for lane in range(LANES):
-            _cache_wall(B, J, table, lane, stage)
+    _cache_walls(B, J, table, stage)
     for lane in range(LANES):
         eps, film = _emittance(B, lane), B[(FILM + stage) * LANES + lane]
         _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)

@@ -15,7 +15,8 @@ the temperatures of the nominal lane (equation 34). No equation so has a second,
 parameters the difference is exact to rounding. A parameter that acts at the faces only has G_p = -d dt dF/dp there and
 E_p = 0, and its perturbed lane needs no rows.
 
-Arrays of a lane: (node, parameter), parameters contiguous.
+Arrays of a lane: (node, parameter), parameters contiguous. They are passed as pointers: a view of an array costs more
+than a column of one node.
 """
 
 from __future__ import annotations
@@ -60,18 +61,20 @@ from sim_heating.base.kernels.block import (
     TIME,
     T,
 )
-from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, njit
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, force_inline, njit
 from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.heating.film import heat_perturbed_lanes
 from sim_heating.heating.ratio.lookup import linear_ratio_derivative
 from sim_heating.thermal.assembly import SHARE, WHOLE_ROWS, assemble, heat_content, select_pressure
-from sim_heating.thermal.faces import evaluate_faces
+from sim_heating.thermal.faces import evaluate_faces, evaluate_perturbed_faces
 from sim_heating.thermal.step import BDF_WEIGHT, GAMMA, STAGE_WEIGHT, LaneGroup
 
 NODE = NODE_ROWS * LANES
 """Numbers in the block from a node to the next."""
 ACTS_NOWHERE, ACTS_AT_FACES, ACTS_ALONG_GAP, ACTS_IN_ROWS = range(4)
 """Where a parameter acts: not in the march; at the two faces; at the nodes along a gap as well; in whole rows."""
+VECTOR = 4
+"""Columns that are computed together; a march has whole vectors of them."""
 OWN_PERTURBATION = -1
 """Marks a parameter whose perturbed lane has that parameter itself perturbed."""
 
@@ -140,7 +143,7 @@ def faces_at(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, ddt: flo
     16.
     """
     heat_perturbed_lanes(B, J, table, dispatcher, END)
-    evaluate_faces(B, J, table, dispatcher, END)
+    evaluate_perturbed_faces(B, J, table, dispatcher, END)
 
 
 @cache
@@ -225,7 +228,9 @@ def start_from_copy(B: FloatArray, lane: int, X: FloatArray, at: int, n: int) ->
 
 
 @njit
-def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, ddt: float, S: FloatArray) -> None:
+def _subtract_forcing(  # type: ignore[no-untyped-def]
+    x, p: PerturbedOffsets, lane: int, forced: int, ddt: float, S, at: int, width: int
+) -> None:
     """S - G_p in the first `forced` columns, with the perturbed lanes assembled for ddt [s] (equation 34)."""
     n = p.nodes[lane]
     for k in range(forced):
@@ -233,14 +238,14 @@ def _subtract_forcing(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int
         if reach == ACTS_IN_ROWS:
             for i in range(n):
                 row = i * NODE + RESIDUAL * LANES
-                S[i, k] -= (X[plus + row] - X[minus + row]) * inverse
+                S[at + i * width + k] -= (x[plus + row] - x[minus + row]) * inverse
         elif reach != ACTS_NOWHERE:
             if p.linear[lane, k] != OWN_PERTURBATION:
-                inverse *= against_ratio(X, p.at[lane], p.linear[lane, k])
+                inverse *= against_ratio(x, p.at[lane], p.linear[lane, k])
             # ACTS_AT_FACES: the first and the last node; ACTS_ALONG_GAP: every node.
             for i in range(0, n, n - 1 if reach == ACTS_AT_FACES else 1):
                 row = i * NODE + SOURCE * LANES
-                S[i, k] += ddt * ((X[plus + row] - X[minus + row]) * inverse)
+                S[at + i * width + k] += ddt * ((x[plus + row] - x[minus + row]) * inverse)
 
 
 @njit
@@ -257,145 +262,192 @@ def against_ratio(X: FloatArray, at: int, k: int) -> float:
     return linear_ratio_derivative(X, p, c, X[first + CELL_WORK * LANES], k)
 
 
+@force_inline
+def _weighted_sum(  # type: ignore[no-untyped-def]
+    to, at: int, a: float, x, i: int, b: float, y, j: int, c: float, z, k: int, width: int
+) -> None:
+    """to = a x + b y + c z for rows of `width` numbers that begin at `at`, i, j and k; rows may be the same.
+
+    Four numbers a time, all read before any is written: LLVM packs them into vectors, and asks at no row whether rows
+    overlap.
+    """
+    for q in range(0, width - 3, VECTOR):
+        x0, x1, x2, x3 = x[i + q], x[i + q + 1], x[i + q + 2], x[i + q + 3]
+        y0, y1, y2, y3 = y[j + q], y[j + q + 1], y[j + q + 2], y[j + q + 3]
+        z0, z1, z2, z3 = z[k + q], z[k + q + 1], z[k + q + 2], z[k + q + 3]
+        r0, r1, r2, r3 = (
+            a * x0 + b * y0 + c * z0, a * x1 + b * y1 + c * z1, a * x2 + b * y2 + c * z2, a * x3 + b * y3 + c * z3,
+        )  # fmt: skip
+        to[at + q], to[at + q + 1], to[at + q + 2], to[at + q + 3] = r0, r1, r2, r3
+    for q in range(width - width % VECTOR, width):
+        to[at + q] = a * x[i + q] + b * y[j + q] + c * z[k + q]
+
+
+@force_inline
+def _difference(to, at: int, a: float, x, i: int, b: float, y, j: int, width: int) -> None:  # type: ignore[no-untyped-def]
+    """to = a x - b y for rows of `width` numbers, as `_weighted_sum`."""
+    for q in range(0, width - 3, VECTOR):
+        x0, x1, x2, x3 = x[i + q], x[i + q + 1], x[i + q + 2], x[i + q + 3]
+        y0, y1, y2, y3 = y[j + q], y[j + q + 1], y[j + q + 2], y[j + q + 3]
+        r0, r1, r2, r3 = a * x0 - b * y0, a * x1 - b * y1, a * x2 - b * y2, a * x3 - b * y3
+        to[at + q], to[at + q + 1], to[at + q + 2], to[at + q + 3] = r0, r1, r2, r3
+    for q in range(width - width % VECTOR, width):
+        to[at + q] = a * x[i + q] - b * y[j + q]
+
+
 @njit
-def content_columns(X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, S: FloatArray, e: FloatArray) -> None:
+def content_columns(  # type: ignore[no-untyped-def]
+    x, p: PerturbedOffsets, lane: int, forced: int, S, e, at: int, width: int
+) -> None:
     """Total derivatives of the heat contents of a lane, e = E_T S + E_p.
 
-    X       : blocks of the perturbed lanes, assembled at the lane's temperatures;  p : their offsets
-    forced  : number of leading columns with a partial derivative E_p; the others are initial temperatures
-    S       : (node, parameter) sensitivity of temperature [K] over the unit of each parameter
-    e       : (node, parameter) result [J/m2] over that unit, overwritten
+    x         : pointer to the blocks of the perturbed lanes, assembled at the lane's temperatures;  p : their offsets
+    forced    : number of leading columns with a partial derivative E_p; the others are initial temperatures
+    S         : pointer to sensitivities of temperature [K] over the unit of each parameter
+    e         : pointer to the result [J/m2] over that unit, overwritten
+    at, width : the lane's (node, parameter) begin there, with so many numbers from a node to the next
 
     Source: docs/theory/equations_thermal_step.md, equation 32.
     """
-    n, m = p.nodes[lane], S.shape[1]
+    n = p.nodes[lane]
     for i in range(n):
-        a = p.at[lane] + i * NODE
-        own = (1.0 - SHARE) * (X[a + C_LEFT * LANES] + X[a + C_RIGHT * LANES])
-        left, right = SHARE * X[a - NODE + C_RIGHT * LANES], SHARE * X[a + NODE + C_LEFT * LANES]
-        above, below = max(i - 1, 0), min(i + 1, n - 1)
-        for k in range(m):
-            e[i, k] = own * S[i, k] + left * S[above, k] + right * S[below, k]
+        a, here = p.at[lane] + i * NODE, at + i * width
+        own = (1.0 - SHARE) * (x[a + C_LEFT * LANES] + x[a + C_RIGHT * LANES])
+        left, right = SHARE * x[a - NODE + C_RIGHT * LANES], SHARE * x[a + NODE + C_LEFT * LANES]
+        above, below = here - width if i > 0 else here, here + width if i < n - 1 else here
+        _weighted_sum(e, here, own, S, here, left, S, above, right, S, below, width)
     for k in range(forced):
         if p.reach[lane, k] == ACTS_IN_ROWS:
             plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
             for i in range(n):
-                raised = heat_content(X, plus + i * NODE, E_LEFT, E_RIGHT)
-                lowered = heat_content(X, minus + i * NODE, E_LEFT, E_RIGHT)
-                e[i, k] += (raised - lowered) * inverse
+                raised = heat_content(x, plus + i * NODE, E_LEFT, E_RIGHT)
+                lowered = heat_content(x, minus + i * NODE, E_LEFT, E_RIGHT)
+                e[at + i * width + k] += (raised - lowered) * inverse
 
 
 @njit
-def begin_columns(
-    X: FloatArray, p: PerturbedOffsets, lane: int, forced: int, S: FloatArray, e: FloatArray, f: FloatArray
+def begin_columns(  # type: ignore[no-untyped-def]
+    x, p: PerturbedOffsets, lane: int, forced: int, S, e, f, at: int, width: int
 ) -> None:
     """e [J/m2] and f [W/m2], over the unit of each parameter, from S [K]: after a start, or a change of S from outside.
 
         e = E_T S + E_p,    f = e - A S - G_p    with d dt = 1 s
 
-    X       : blocks of the perturbed lanes, assembled with ddt = 1 s;  p : their offsets
-    forced  : number of leading columns with partial derivatives
-    S, e, f : (node, parameter); e and f are overwritten
+    x         : pointer to the blocks of the perturbed lanes, assembled with ddt = 1 s;  p : their offsets
+    forced    : number of leading columns with partial derivatives
+    S, e, f   : pointers to (node, parameter) of the lane; e and f are overwritten
+    at, width : as for `content_columns`
 
     Source: docs/theory/equations_thermal_step.md, equations 32 and 33.
     """
-    n, m = p.nodes[lane], S.shape[1]
-    content_columns(X, p, lane, forced, S, e)
+    n = p.nodes[lane]
+    content_columns(x, p, lane, forced, S, e, at, width)
     for i in range(n):
-        a = p.at[lane] + i * NODE
-        diagonal = X[a + DIAGONAL * LANES]
-        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        entry = X[a + ENTRY * LANES] if i < n - 1 else 0.0
-        above, below = max(i - 1, 0), min(i + 1, n - 1)
-        for k in range(m):
-            f[i, k] = e[i, k] - diagonal * S[i, k] - lower * S[above, k] - entry * S[below, k]
-    _subtract_forcing(X, p, lane, forced, 1.0, f)
+        a, here = p.at[lane] + i * NODE, at + i * width
+        diagonal = x[a + DIAGONAL * LANES]
+        lower = x[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        entry = x[a + ENTRY * LANES] if i < n - 1 else 0.0
+        above, below = here - width if i > 0 else here, here + width if i < n - 1 else here
+        for k in range(width):
+            f[here + k] = e[here + k] - diagonal * S[here + k] - lower * S[above + k] - entry * S[below + k]
+    _subtract_forcing(x, p, lane, forced, 1.0, f, at, width)
 
 
 @njit
-def solve_columns(
-    X: FloatArray,
-    p: PerturbedOffsets,
-    lane: int,
-    forced: int,
-    ddt: float,
-    star: FloatArray,
-    S: FloatArray,
-    reduced: FloatArray,
+def solve_columns(  # type: ignore[no-untyped-def]
+    x, p: PerturbedOffsets, lane: int, forced: int, ddt: float, star, S, at: int, width: int, reduced
 ) -> None:
     """Solve A S = star - G_p for the sensitivities of a stage, with one elimination of the matrix for all parameters.
 
-    X       : blocks of the perturbed lanes, assembled with ddt [s], which hold A and G_p;  p : their offsets
-    forced  : number of leading columns with a partial derivative G_p
-    star    : (node, parameter) right-hand side [J/m2] over the unit of each parameter
-    S       : (node, parameter) sensitivity [K] over that unit, overwritten
-    reduced : (node,) work
+    x         : pointer to the blocks of the perturbed lanes, assembled with ddt [s], which hold A and G_p
+    p         : their offsets
+    forced    : number of leading columns with a partial derivative G_p
+    star      : pointer to the right-hand sides [J/m2] over the unit of each parameter
+    S         : pointer to the sensitivities [K] over that unit, overwritten
+    at, width : as for `content_columns`, in both
+    reduced   : pointer to (node,) work
 
     Source: docs/theory/equations_thermal_step.md, equations 29 and 31.
     """
-    n, m = p.nodes[lane], S.shape[1]
-    _copy(star, S)
-    _subtract_forcing(X, p, lane, forced, ddt, S)
+    n = p.nodes[lane]
+    copy_columns(star, S, at, n * width)
+    _subtract_forcing(x, p, lane, forced, ddt, S, at, width)
     before = 0.0
     for i in range(n):
-        a = p.at[lane] + i * NODE
-        lower = X[a - NODE + LOWER * LANES] if i > 0 else 0.0
-        pivot = 1.0 / (X[a + DIAGONAL * LANES] - lower * before)
-        before = X[a + ENTRY * LANES] * pivot
+        a, here = p.at[lane] + i * NODE, at + i * width
+        lower = x[a - NODE + LOWER * LANES] if i > 0 else 0.0
+        pivot = 1.0 / (x[a + DIAGONAL * LANES] - lower * before)
+        before = x[a + ENTRY * LANES] * pivot
         reduced[i] = before
-        share, above = lower * pivot, max(i - 1, 0)
-        for k in range(m):
-            S[i, k] = S[i, k] * pivot - share * S[above, k]
+        _difference(S, here, pivot, S, here, lower * pivot, S, here - width if i > 0 else here, width)
     for i in range(n - 2, -1, -1):
-        for k in range(m):
-            S[i, k] -= reduced[i] * S[i + 1, k]
+        here = at + i * width
+        _difference(S, here, 1.0, S, here, reduced[i], S, here + width, width)
 
 
 @njit
-def _copy(given: FloatArray, to: FloatArray) -> None:
-    given, to = given.ravel(), to.ravel()
-    for k in range(len(to)):
+def copy_columns(given, to, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+    """Copy `count` numbers that begin at `at`, from one pointer to another."""
+    for k in range(at, at + count - 3, VECTOR):
+        a, b, c, d = given[k], given[k + 1], given[k + 2], given[k + 3]
+        to[k], to[k + 1], to[k + 2], to[k + 3] = a, b, c, d
+    for k in range(at + count - count % VECTOR, at + count):
         to[k] = given[k]
 
 
 @njit
-def first_right_hand_side(e: FloatArray, f: FloatArray, dt: float, star: FloatArray) -> None:
+def first_right_hand_side(e, f, dt: float, star, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
     """Right-hand side of the first stage, e_n + d dt f_n [J/m2] over the unit of each parameter.
 
-    e, f, star : (node, parameter) [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
-    dt         : [s]
+    e, f, star : pointers to columns [J/m2], [W/m2], [J/m2], each over that unit; star is overwritten
+    dt         : [s];  at, count : first of the numbers concerned, and how many they are
 
     Source: docs/theory/equations_thermal_step.md, equation 31.
     """
-    e, f, star = e.ravel(), f.ravel(), star.ravel()
-    for k in range(len(star)):
-        star[k] = e[k] + STAGE_WEIGHT * dt * f[k]
+    ddt = STAGE_WEIGHT * dt
+    for k in range(at, at + count - 3, VECTOR):
+        r0, r1, r2, r3 = (
+            e[k] + ddt * f[k], e[k + 1] + ddt * f[k + 1], e[k + 2] + ddt * f[k + 2], e[k + 3] + ddt * f[k + 3],
+        )  # fmt: skip
+        star[k], star[k + 1], star[k + 2], star[k + 3] = r0, r1, r2, r3
+    for k in range(at + count - count % VECTOR, at + count):
+        star[k] = e[k] + ddt * f[k]
 
 
 @njit
-def second_right_hand_side(e: FloatArray, middle: FloatArray, star: FloatArray) -> None:
+def second_right_hand_side(e, middle, star, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
     """Right-hand side of the second stage, e_n + (w/d) (e(Y1) - e_n) [J/m2] over the unit of each parameter.
 
-    e, middle, star : (node, parameter) e at the start and at the first stage, and the result, overwritten
+    e, middle, star : pointers to columns: e at the start and at the first stage, and the result, overwritten
+    at, count       : first of the numbers concerned, and how many they are
 
     Source: docs/theory/equations_thermal_step.md, equation 31.
     """
-    e, middle, star = e.ravel(), middle.ravel(), star.ravel()
-    for k in range(len(star)):
+    for k in range(at, at + count - 3, VECTOR):
+        e0, e1, e2, e3 = e[k], e[k + 1], e[k + 2], e[k + 3]
+        m0, m1, m2, m3 = middle[k], middle[k + 1], middle[k + 2], middle[k + 3]
+        r0, r1 = e0 + BDF_WEIGHT * (m0 - e0), e1 + BDF_WEIGHT * (m1 - e1)
+        r2, r3 = e2 + BDF_WEIGHT * (m2 - e2), e3 + BDF_WEIGHT * (m3 - e3)
+        star[k], star[k + 1], star[k + 2], star[k + 3] = r0, r1, r2, r3
+    for k in range(at + count - count % VECTOR, at + count):
         star[k] = e[k] + BDF_WEIGHT * (middle[k] - e[k])
 
 
 @njit
-def net_columns(e: FloatArray, star: FloatArray, dt: float, f: FloatArray) -> None:
+def net_columns(e, star, dt: float, f, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
     """Sensitivity of the net heat at the end of a step, f = (e - star) / (d dt) [W/m2] over the unit of each parameter.
 
-    e, star, f : (node, parameter) e at the end, right-hand side of the second stage, result; dt [s]
+    e, star, f : pointers to columns: e at the end, right-hand side of the second stage, result;  dt : [s]
+    at, count  : first of the numbers concerned, and how many they are
 
     Source: docs/theory/equations_thermal_step.md, equation 32.
     """
-    e, star, f = e.ravel(), star.ravel(), f.ravel()
-    for k in range(len(f)):
-        f[k] = (e[k] - star[k]) * (1.0 / (STAGE_WEIGHT * dt))
+    inverse = 1.0 / (STAGE_WEIGHT * dt)
+    for k in range(at, at + count - 3, VECTOR):
+        r0, r1, r2, r3 = e[k] - star[k], e[k + 1] - star[k + 1], e[k + 2] - star[k + 2], e[k + 3] - star[k + 3]
+        f[k], f[k + 1], f[k + 2], f[k + 3] = r0 * inverse, r1 * inverse, r2 * inverse, r3 * inverse
+    for k in range(at + count - count % VECTOR, at + count):
+        f[k] = (e[k] - star[k]) * inverse
 
 
 @njit

@@ -9,12 +9,13 @@ WHOLE = 1.5 * 2.0**52
 
 
 def pointer(array):  # type: ignore[no-untyped-def]
-    """Data of a contiguous array as a kernel takes it: a C pointer when compiled, the array itself when interpreted.
+    """Data of a contiguous array as a kernel takes it: a C pointer when compiled, a flat view when interpreted.
 
     An exported library passes pointers as well. Indices into a pointer are never counted from its end, unlike those
-    into an array: kernels on pointers vectorise across lanes and kernels on arrays do not.
+    into an array: kernels on pointers vectorise across lanes and kernels on arrays do not. A pointer does not keep its
+    array: whoever calls the kernel has to.
     """
-    return array
+    return array.reshape(-1)
 
 
 def power_of_two(k: float) -> float:

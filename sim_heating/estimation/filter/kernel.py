@@ -61,7 +61,6 @@ from sim_heating.estimation.filter.arrays import (
     Workspace,
 )
 from sim_heating.march.frames import Flights, set_flight_conditions
-from sim_heating.march.linearised import copy_matrix
 from sim_heating.thermal.faces import COLDEST_K
 from sim_heating.thermal.frame import EVALUATE_START, shift_conditions
 from sim_heating.thermal.sensitivity import (
@@ -110,13 +109,24 @@ def propagate(X: Blocks, offsets: PerturbedOffsets, lane: int, forced: int, dt: 
 
     Derived in docs/theory/equations_march.md, equations 7 and 8.
     """
-    ddt = STAGE_WEIGHT * dt
-    begin_columns(X.start, offsets, lane, forced, w.end, w.e, w.f)
-    first_right_hand_side(w.e, w.f, dt, w.star)
-    solve_columns(X.middle, offsets, lane, forced, ddt, w.star, w.middle, w.reduced)
-    content_columns(X.middle, offsets, lane, forced, w.middle, w.e_middle)
-    second_right_hand_side(w.e, w.e_middle, w.star)
-    solve_columns(X.end, offsets, lane, forced, ddt, w.star, w.end, w.reduced)
+    ddt, width = STAGE_WEIGHT * dt, w.end.shape[1]
+    count = offsets.nodes[lane] * width
+    end, middle, e, f = pointer(w.end), pointer(w.middle), pointer(w.e), pointer(w.f)
+    star, content, reduced = pointer(w.star), pointer(w.e_middle), pointer(w.reduced)
+    begin_columns(pointer(X.start), offsets, lane, forced, end, e, f, 0, width)
+    first_right_hand_side(e, f, dt, star, 0, count)
+    solve_columns(pointer(X.middle), offsets, lane, forced, ddt, star, middle, 0, width, reduced)
+    content_columns(pointer(X.middle), offsets, lane, forced, middle, content, 0, width)
+    second_right_hand_side(e, content, star, 0, count)
+    solve_columns(pointer(X.end), offsets, lane, forced, ddt, star, end, 0, width, reduced)
+
+
+@njit
+def _copy_matrix(given: FloatArray, out: FloatArray) -> None:
+    """Copy a matrix number by number: numba's own assignment spends 4 s on compiling the message of its error."""
+    for i in range(given.shape[0]):
+        for j in range(given.shape[1]):
+            out[i, j] = given[i, j]
 
 
 @njit
@@ -529,19 +539,19 @@ def _store_covariances(
     """Store the covariances of a step for frozen gains."""
     lane, count = step.lane, step.number
     gains.number[lane] = count
-    copy_matrix(state.P[lane], gains.P[lane])
+    _copy_matrix(state.P[lane], gains.P[lane])
     for q in range(count):
         gains.node[lane, q], gains.x[lane, q] = readings.node[lane, step.first + q], taken.x[q]
-    copy_matrix(taken.cross[:count], gains.cross[lane, :count])
-    copy_matrix(taken.covariance[:count], gains.covariance[lane, :count])
+    _copy_matrix(taken.cross[:count], gains.cross[lane, :count])
+    _copy_matrix(taken.covariance[:count], gains.covariance[lane, :count])
 
 
 @njit
 def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, taken: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
-    copy_matrix(gains.P[step.lane], state.P[step.lane])
-    copy_matrix(gains.cross[step.lane, : step.number], taken.cross[: step.number])
-    copy_matrix(gains.covariance[step.lane, : step.number], taken.covariance[: step.number])
+    _copy_matrix(gains.P[step.lane], state.P[step.lane])
+    _copy_matrix(gains.cross[step.lane, : step.number], taken.cross[: step.number])
+    _copy_matrix(gains.covariance[step.lane, : step.number], taken.covariance[: step.number])
 
 
 @njit
@@ -600,8 +610,8 @@ def filter_lane(
     take_readings(step, readings, state, taken, z, transition, history, out)
     if keep:
         history.mean[lane, k, : n + 1] = z[: n + 1]
-        copy_matrix(state.P[lane], history.covariance[lane, k])
-        copy_matrix(transition, history.transition[lane, k - 1])
+        _copy_matrix(state.P[lane], history.covariance[lane, k])
+        _copy_matrix(transition, history.transition[lane, k - 1])
     _put_back(B, lane, n, k, state, z)
     return first + count
 

@@ -109,32 +109,53 @@ def _compiled_call() -> Any:
     return c_function(SIGNATURE, _call)
 
 
-def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatArray:
-    """Values of an effect along a flight, at the values of its parameters.
+class EffectAlong:
+    """An effect along a flight, evaluated at any values of its parameters.
 
-    use     : an effect with a kernel
-    rows    : (row, condition) flight conditions in the order and the units of `flight`;  wall_K : (row,) walls [K]
-    returns : (row,) what the effect adds to the heating ratio, or its factor [-]
-    raises  : InputError where the kernel cannot be compiled
-
-    Each value is that of the effect's own equation (docs/reference/effects.md, equations 1 to 19).
+    use    : an effect with a kernel
+    rows   : (row, condition) flight conditions in the order and the units of `flight`;  wall_K : (row,) walls [K]
+    raises : InputError where the kernel cannot be compiled
     """
-    made = effect_dispatcher((use.effect,))
-    block, values = np.append(np.zeros(rows.shape[1]), use.values), np.empty(len(rows))
-    rows, wall_K = (np.ascontiguousarray(a, dtype=float) for a in (rows, wall_K))
-    _fill_values(made.address, made.codes[0], rows, block, wall_K, values)
-    return values
+
+    def __init__(self, use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> None:
+        made = effect_dispatcher((use.effect,))
+        self._address, self._code = made.address, made.codes[0]
+        self._rows, self._wall_K = (np.ascontiguousarray(a, dtype=float) for a in (rows, wall_K))
+
+    def at(self, values: FloatArray) -> FloatArray:
+        """What the effect adds to the heating ratio, or its factor, at values of its parameters.
+
+        values  : (parameter,) or (set, parameter) values, each in its unit
+        returns : (row,) or (set, row) [-]
+
+        Each is that of the effect's own equation (docs/reference/effects.md, equations 1 to 19).
+        """
+        sets = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
+        block = np.zeros(self._rows.shape[1] + sets.shape[1])
+        found = np.empty((len(sets), len(self._rows)))
+        _fill_values(self._address, self._code, self._rows, block, self._wall_K, sets, found)
+        return found if np.ndim(values) == 2 else found[0]
+
+
+def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatArray:
+    """(row,) values of an effect along a flight as of `EffectAlong.at`, at the values of its parameters [-]."""
+    return EffectAlong(use, rows, wall_K).at(np.array(use.values))
 
 
 @njit
 def _fill_values(
-    dispatcher: Any, code: int, rows: FloatArray, block: FloatArray, wall_K: FloatArray, values: FloatArray
-) -> None:
-    """Values [-] of the effect of a code: block has room for one of the rows, and its parameters behind it."""
+    dispatcher: Any, code: int, rows: FloatArray, block: FloatArray, wall_K: FloatArray, sets: FloatArray,
+    values: FloatArray,
+) -> None:  # fmt: skip
+    """Values [-] of the effect of a code: block has room for one of the rows, and for parameters behind it."""
     conditions = rows.shape[1]
-    for k in range(len(rows)):
-        block[:conditions] = rows[k]
-        values[k] = call_dispatcher(dispatcher, code, pointer(block), 0, conditions, wall_K[k])
+    for s in range(len(sets)):
+        for q in range(sets.shape[1]):
+            block[conditions + q] = sets[s, q]
+        for k in range(len(rows)):
+            for c in range(conditions):
+                block[c] = rows[k, c]
+            values[s, k] = call_dispatcher(dispatcher, code, pointer(block), 0, conditions, wall_K[k])
 
 
 def kernel_file(effect: Effect) -> Path:

@@ -27,7 +27,7 @@ from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
 from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.effects.compiled import values_along
+from sim_heating.heating.effects.compiled import EffectAlong
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.march.ensemble import condition_history
 
@@ -36,6 +36,8 @@ MODEL_ERROR = 0.03
 SOLVED, KEPT = 4, 2
 """Starts of a form from which the least-squares problem is solved, and solutions that are kept."""
 EVALUATIONS = 60
+STEP = 2.0**-26
+"""Step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding."""
 FITTED = ("ratio.scale", *(f"ratio.d_{name}" for name in ("alpha", "beta", "logre", "elevon", "bodyflap")))
 """Magnitude and first derivatives, which are adjusted to the history."""
 
@@ -59,9 +61,9 @@ class HeatingHistory:
     wall_K: FloatArray
     parameters: tuple[Parameter, ...]
 
-    def values_of(self, used: EffectUse, values: FloatArray) -> FloatArray:
-        """(knot,) value of an effect along the history, at other values of its parameters."""
-        return values_along(replace(used, values=tuple(values)), self.rows, self.wall_K)
+    def along(self, used: EffectUse) -> EffectAlong:
+        """An effect along the history."""
+        return EffectAlong(used, self.rows, self.wall_K)
 
 
 def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
@@ -150,15 +152,13 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     used, values = c.uses[0], np.array(c.uses[0].values)
     effect = used.effect
     names = [p.name for p in effect.parameters]
-    at_none = history.values_of(used, values)
-    columns = [history.columns]
-    for name in c.active:
+    moved = np.tile(values, (1 + len(c.active), 1))
+    for row, name in enumerate(c.active, start=1):
         k = names.index(name.rpartition(".")[2])
-        moved = values.copy()
-        moved[k] += effect.parameters[k].sigma or 1.0
-        change = history.values_of(used, moved) - at_none
-        columns.append((change * (history.tabulated if effect.mode == "multiply" else 1.0))[:, np.newaxis])
-    J = np.column_stack(columns) / history.sigma[:, np.newaxis]
+        moved[row, k] += effect.parameters[k].sigma or 1.0
+    acting = history.along(used).at(moved)
+    changes = (acting[1:] - acting[0]) * (history.tabulated if effect.mode == "multiply" else 1.0)
+    J = np.column_stack([history.columns, changes.T]) / history.sigma[:, np.newaxis]
     left = (history.y - history.tabulated) / history.sigma
     prior = np.zeros((len(history.parameters), J.shape[1]))
     prior[:, : len(history.parameters)] = np.diag([1.0 / p.sigma for p in history.parameters])
@@ -178,13 +178,26 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
     count, base_columns = len(history.parameters), history.columns
     known = np.array([float(np.isfinite(p.sigma)) for p in history.parameters])
 
-    def residual(z: FloatArray) -> FloatArray:
-        values = np.array(used.values)
-        values[places] = (z * unit)[count:]
-        r = history.tabulated + base_columns @ (z * unit)[:count]
-        acting = history.values_of(used, values)
-        modelled = r * acting if used.effect.mode == "multiply" else r + acting
-        return np.append((modelled - history.y) / history.sigma, known * z[:count])
+    along, multiplies = history.along(used), used.effect.mode == "multiply"
+
+    def residuals(moved: FloatArray) -> FloatArray:
+        """(set, residual) of sets of parameters; an effect is evaluated once for sets that differ in the base alone."""
+        values = np.tile(np.array(used.values), (len(moved), 1))
+        values[:, places] = (moved * unit)[:, count:]
+        own = np.any(moved[:, count:] != moved[0, count:], axis=1)
+        own[0] = True
+        acting = along.at(values[own])[np.cumsum(own) * own - own]
+        r = history.tabulated + np.array([base_columns @ (z * unit)[:count] for z in moved])
+        modelled = r * acting if multiplies else r + acting
+        return np.hstack([(modelled - history.y) / history.sigma, known * moved[:, :count]])
+
+    def jacobian(z: FloatArray) -> FloatArray:
+        """Forward differences, to the other side at a bound, all in one call of the compiled effect."""
+        h = np.where(z >= 0.0, STEP, -STEP) * np.maximum(np.abs(z), 1.0)
+        h = np.where((z + h < lower) | (z + h > upper), -h, h)
+        moved = np.vstack([z, z + np.diag(h)])
+        found = residuals(moved)
+        return ((found[1:] - found[0]) / (np.diag(moved[1:]) - z)[:, np.newaxis]).T
 
     lower = np.append(np.full(count, -np.inf), [p.lower for p in free]) / unit
     upper = np.append(np.full(count, np.inf), [p.upper for p in free]) / unit
@@ -194,7 +207,14 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
         if name in c.active:
             first[k] += 1.0
     inside = np.clip(first, lower + 1e-6, upper - 1e-6)
-    done = least_squares(residual, inside, bounds=(lower, upper), x_scale=1.0, max_nfev=EVALUATIONS)
+    done = least_squares(
+        lambda z: residuals(z[np.newaxis])[0],
+        inside,
+        jacobian,
+        bounds=(lower, upper),
+        x_scale=1.0,
+        max_nfev=EVALUATIONS,
+    )
     at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
     return float(2.0 * done.cost), replace(c, start=at, active=c.names)
 
