@@ -19,13 +19,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.kernels.jit import njit
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import HEAT_OF_OXYGEN, RECOMBINATION
 from sim_heating.heating.effects.transition import BY_RE_THETA as BY_RE_THETA_VALUE
@@ -35,9 +36,12 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, reference_enthalpy, windward_edge
 from sim_heating.heating.reference.gas import (
     air_density_of_enthalpy_kernel,
-    air_kernel,
-    air_state_kernel,
-    air_temperature_kernel,
+    air_dissociation_kernel,
+    density_in_cell,
+    dissociation_in_cell,
+    enthalpy_in_cell,
+    pressure_cell,
+    state_in_cell,
 )
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
@@ -127,37 +131,71 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
     return numbers, np.concatenate([*tables, np.zeros(1)])
 
 
-@njit
-def _sound_speed(h: float, p: float) -> float:
-    """Speed of sound a of equilibrium air [m/s], a^-2 = (d rho/d h)_p / rho + (d rho/d p)_h, by differences."""
-    rho = air_density_of_enthalpy_kernel(h, p)
-    by_h = (air_density_of_enthalpy_kernel(h * (1.0 + STEP), p) - rho) / (h * STEP)
-    by_p = (air_density_of_enthalpy_kernel(h, p * (1.0 + STEP)) - rho) / (p * STEP)
-    return 1.0 / math.sqrt(by_h / rho + by_p)
+class SurfaceEdge(NamedTuple):
+    """Flow at the edge of a windward surface, and of its laminar boundary layer what the running length leaves alone.
+
+    angle_deg         : of the surface against the flow [deg]; NaN stands for no edge
+    complete          : 1 with the boundary layer, 0 where rho, mu, mu_e and sound were not asked for
+    u_e               : edge speed [m/s]
+    rho, mu           : density [kg/m3] and viscosity [Pa s] at Eckert's reference enthalpy
+    mu_e, sound       : viscosity [Pa s] and speed of sound [m/s] at the edge
+    dissociation_J_kg : heat of dissociation at the edge [J/kg]
+    """
+
+    angle_deg: float
+    complete: float
+    u_e: float
+    rho: float
+    mu: float
+    mu_e: float
+    sound: float
+    dissociation_J_kg: float
+
+
+NO_EDGE = SurfaceEdge(math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""To begin with, at every time."""
 
 
 @njit
-def re_theta_over_mach(p_e: float, h_e: float, u_e: float, length_m: float) -> float:
+def surface_edge(p_e: float, h_e: float, u_e: float, angle_deg: float, complete: bool) -> SurfaceEdge:
+    """Flow at the edge of a surface.
+
+    p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  angle_deg : of the surface against the flow [deg]
+    complete      : whether the laminar boundary layer is asked for, with a wall at WALL_K
+
+    Speed of sound of equilibrium air a^-2 = (d rho/d h)_p / rho + (d rho/d p)_h, by differences. One cell of the
+    pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and 34.
+    """
+    i, w = pressure_cell(p_e)
+    rho_e, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
+    dissociation = dissociation_in_cell(T_e, i, w)
+    if not complete:
+        return SurfaceEdge(angle_deg, 0.0, u_e, 0.0, 0.0, 0.0, 0.0, dissociation)
+    rho, mu, _ = state_in_cell(reference_enthalpy(h_e, enthalpy_in_cell(WALL_K, i, w), u_e, False), p_e, i, w)
+    by_h = (density_in_cell(h_e * (1.0 + STEP), p_e, i, w) - rho_e) / (h_e * STEP)
+    by_p = (air_density_of_enthalpy_kernel(h_e, p_e * (1.0 + STEP)) - rho_e) / (p_e * STEP)
+    return SurfaceEdge(angle_deg, 1.0, u_e, rho, mu, mu_e, 1.0 / math.sqrt(by_h / rho_e + by_p), dissociation)
+
+
+@njit
+def re_theta_over_mach(edge: SurfaceEdge, length_m: float) -> float:
     """Re_theta / M_e [-] of a laminar boundary layer on a cone-like surface at 1100 K.
 
         Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e
 
-    p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  length_m : running length x [m]
+    edge : complete;  length_m : running length x [m]
     rho*, mu* are at Eckert's reference enthalpy. Source: Eckert 1956; docs/theory/equations_reference_heating.md,
     equations 33 and 34.
     """
-    h_w = air_kernel(WALL_K, p_e)[0]
-    rho, mu = air_state_kernel(reference_enthalpy(h_e, h_w, u_e, False), p_e)
-    mu_e = air_state_kernel(h_e, p_e)[1]
-    re_theta = MOMENTUM_C * math.sqrt(rho * mu * u_e * length_m) / (mu_e * DIVERGING_LAMINAR)
-    return re_theta * _sound_speed(h_e, p_e) / u_e
+    re_theta = MOMENTUM_C * math.sqrt(edge.rho * edge.mu * edge.u_e * length_m) / (edge.mu_e * DIVERGING_LAMINAR)
+    return re_theta * edge.sound / edge.u_e
 
 
 @njit
 def edge_flow_kernel(
     state: tuple[float, float, float, float], velocity_m_s: float, x: FloatArray, numbers: FloatArray, first: int,
-    tables: FloatArray,
-) -> tuple[float, float, float]:  # fmt: skip
+    tables: FloatArray, known: SurfaceEdge,
+) -> tuple[float, float, float, SurfaceEdge]:  # fmt: skip
     """turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg] of a point; 1, 0 and 0 where not asked for.
 
     state          : stagnation pressure [Pa], enthalpy [J/kg] and density [kg/m3], free-stream pressure [Pa], as
@@ -165,6 +203,7 @@ def edge_flow_kernel(
     velocity_m_s   : free-stream speed [m/s]
     x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
     numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
+    known          : edge of the point before at the same time, or NO_EDGE; returned, or the one found, as the fourth
     Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     ratio, criterion, dissociation = 1.0, 0.0, 0.0
@@ -172,23 +211,24 @@ def edge_flow_kernel(
         turbulent = table_ratio(tables, int(numbers[first + TURBULENT_AT]), x, 0)
         ratio = turbulent / table_ratio(tables, int(numbers[first + LAMINAR_AT]), x, 0)
     atoms, by_re_theta = numbers[first + ATOMS], numbers[first + BY_RE_THETA] > 0.0
-    if by_re_theta or atoms > NO_ATOMS:
-        p_0, h_0, _, p_inf = state
-        p_e, h_e = p_0, h_0
+    has_edge, of_edge = numbers[first + KIND] > 0.0, atoms in (OF_EDGE, EDGE_OXYGEN)
+    if has_edge and (by_re_theta or of_edge):
+        angle = x[0] + numbers[first + ANGLE]
+        angle += numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
+        # Points of one surface differ by their running length alone, and a point's edge is the largest part of a frame.
+        if angle != known.angle_deg or (by_re_theta and known.complete == 0.0):
+            p_e, h_e, u_e = windward_edge(state[3], state[0], state[1], velocity_m_s, angle)
+            known = surface_edge(p_e, h_e, u_e, angle, by_re_theta)
+        if by_re_theta:
+            criterion = math.log10(re_theta_over_mach(known, numbers[first + LENGTH]))
+    if has_edge and of_edge:
+        dissociation = known.dissociation_J_kg
+    elif atoms > NO_ATOMS:
         # Without a known edge: the flow of the stagnation point.
-        if numbers[first + KIND] > 0.0 and (by_re_theta or atoms in (OF_EDGE, EDGE_OXYGEN)):
-            angle = x[0] + numbers[first + ANGLE]
-            angle += numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
-            p_e, h_e, u_e = windward_edge(p_inf, p_0, h_0, velocity_m_s, angle)
-            if by_re_theta:
-                criterion = math.log10(re_theta_over_mach(p_e, h_e, u_e, numbers[first + LENGTH]))
-        if atoms in (OF_STAGNATION, STAGNATION_OXYGEN):
-            p_e, h_e = p_0, h_0
-        if atoms > NO_ATOMS:
-            dissociation = air_kernel(air_temperature_kernel(h_e, p_e), p_e)[2]
-        if atoms >= EDGE_OXYGEN:
-            dissociation = min(dissociation, HEAT_OF_OXYGEN)
-    return ratio, criterion, dissociation
+        dissociation = air_dissociation_kernel(state[1], state[0])
+    if atoms >= EDGE_OXYGEN:
+        dissociation = min(dissociation, HEAT_OF_OXYGEN)
+    return ratio, criterion, dissociation, known
 
 
 @njit
@@ -198,7 +238,9 @@ def _flow_loop(
 ) -> None:  # fmt: skip
     for i in range(len(V)):
         state = stagnation_kernel(rho[i], max(V[i], SLOWEST_M_S), T_inf[i])
-        out[i, 0], out[i, 1], out[i, 2] = edge_flow_kernel(state, V[i], x[i], numbers, 0, tables)
+        out[i, 0], out[i, 1], out[i, 2], _ = edge_flow_kernel(
+            state, V[i], pointer(x[i]), pointer(numbers), 0, pointer(tables), NO_EDGE
+        )
 
 
 def edge_flow_columns(flow: EdgeFlow, flown: Conditions) -> dict[str, FloatArray]:

@@ -51,9 +51,10 @@ from sim_heating.base.kernels.block import (
 )
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.lag import lag_step
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
-from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, edge_flow_kernel
+from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, NO_EDGE, edge_flow_kernel
 from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
@@ -209,30 +210,29 @@ def derive_conditions(
     h_ref, H_0 = 0.0, total_enthalpy_kernel(V, T_inf)
     # One shock for the surface pressures, the reference heating and the edges of the points.
     state = stagnation_kernel(rho, max(V, SLOWEST_M_S), T_inf)
-    rise, cos_beta = stagnation_rise(state), math.cos(math.radians(beta))
+    rise, cos_beta, edge = stagnation_rise(state), math.cos(math.radians(beta)), NO_EDGE
     for i in range(len(lanes)):
         # Lanes that fill a group repeat its last point.
         if i > 0 and lanes[i] == lanes[i - 1]:
             for c in range(N_CONDITIONS):
                 vectors[i, c] = vectors[i - 1, c]
             continue
-        point = points.numbers[lanes[i]]
+        # Pointers: an array goes to each kernel as seven numbers.
+        point, vector = pointer(points.numbers[lanes[i]]), pointer(vectors[i])
         # The reference heating is the largest part of a frame; it differs between points by their running length alone.
         if point[RUNNING_LENGTH] != length:
             length = point[RUNNING_LENGTH]
             h_ref = reference_film_kernel(code, rho, V, T_inf, alpha, radius, length, COLD_WALL_K, state, host[SWEEP])
-        vectors[i, ALPHA], vectors[i, BETA], vectors[i, LOG10_RE] = alpha, beta, log10_re
-        vectors[i, ELEVON], vectors[i, BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
-        vectors[i, P_SURFACE] = pressure_below_rise(
-            p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point
-        )
-        vectors[i, H_REF] = h_ref
-        vectors[i, RECOVERY_ENTHALPY], vectors[i, RECOVERY_RISE] = point_recovery_kernel(
+        vector[ALPHA], vector[BETA], vector[LOG10_RE] = alpha, beta, log10_re
+        vector[ELEVON], vector[BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
+        vector[P_SURFACE] = pressure_below_rise(p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point)
+        vector[H_REF] = h_ref
+        vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE] = point_recovery_kernel(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
-        vectors[i, JETS], vectors[i, MACH], vectors[i, TIME] = frame[F_JETS], mach, frame[F_TIME]
-        vectors[i, TURBULENT_RATIO], vectors[i, LOG10_RE_THETA_M], vectors[i, DISSOCIATION] = edge_flow_kernel(
-            state, V, vectors[i], point, FLOW_AT, points.tables
+        vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
+        vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
+            state, V, vector, point, FLOW_AT, pointer(points.tables), edge
         )
 
 

@@ -215,10 +215,11 @@ def drag_coefficient_rate(block: FloatArray, observed: FloatArray) -> float:
     on_mach = block[ALPHA_AXIS] == 0.0
     x = observed[MACH] if on_mach else observed[SPEED]
     alpha = math.radians(max(scheduled(block, ALPHA_SCHEDULE, x), 5.0))
+    tangent = math.tan(alpha)
     axial = max(math.tan(math.atan2(observed[DRAG], max(observed[LIFT], 1e-6)) - alpha), 0.0)
-    normal_share = math.tan(alpha) / (math.tan(alpha) + axial)
+    normal_share = tangent / (tangent + axial)
     rate = -observed[DRAG] * (observed[MACH] / max(observed[SPEED], 1.0) if on_mach else 1.0)
-    return 2.0 * normal_share / math.tan(alpha) * math.radians(schedule_slope(block, ALPHA_SCHEDULE, x)) * rate
+    return 2.0 * normal_share / tangent * math.radians(schedule_slope(block, ALPHA_SCHEDULE, x)) * rate
 
 
 @njit

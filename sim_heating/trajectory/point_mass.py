@@ -200,8 +200,13 @@ def forces_kernel(
 
 
 @njit
-def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray) -> None:
-    """Write the observation of guidance and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW)."""
+def observe_kernel(
+    state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray, angles: bool
+) -> None:
+    """Write the observation of guidance and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW).
+
+    angles : whether heading, latitude, longitude and flight-path angle are asked for; otherwise they are left alone
+    """
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
     controls = Controls(state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP])
     f = forces_kernel(x, y, z, vx, vy, vz, controls, flight, aero)
@@ -209,22 +214,24 @@ def observe_kernel(state: FloatArray, flight: FloatArray, aero: FloatArray, work
     work[K1], work[K1 + 1], work[K1 + 2] = f.acceleration_m_s2
     qbar = 0.5 * air.rho_kg_m3 * V * V
     per_mass = qbar * flight[AREA] / flight[MASS]
-    p = max(math.sqrt(x * x + y * y), 1e-9)
-    east = (air.u[1] * x - air.u[0] * y) / p
-    north = (air.u[2] - dot(air.u, air.up) * air.up[2]) / max(math.sqrt(1.0 - air.up[2] ** 2), 1e-9)
     climb = air.up[0] * vx + air.up[1] * vy + air.up[2] * vz
     observed[gd.TIME], observed[gd.ALTITUDE] = state[T], air.altitude_m
     observed[gd.SPEED], observed[gd.MACH] = V, air.mach
     observed[gd.CLIMB], observed[gd.DRAG], observed[gd.LIFT] = climb, per_mass * f.cd, per_mass * f.cl
     observed[gd.NET_GRAVITY] = net_gravity(x, y, z, vx, vy, vz, climb, flight)
     observed[gd.QBAR], observed[gd.ALPHA_NOW] = qbar, state[ALPHA]
-    observed[gd.HEADING] = math.degrees(math.atan2(east, north))
-    observed[gd.LATITUDE], observed[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
     row[0], row[1], row[2], row[3], row[4] = state[T], air.altitude_m, V, state[ALPHA], state[BETA]
     row[5], row[6], row[7], row[8], row[9] = f.elevon_deg, f.bodyflap_deg, air.rho_kg_m3, state[JETS], state[BANK]
+    row[14] = per_mass * f.ca / G0_M_S2
+    if not angles:
+        return
+    p = max(math.sqrt(x * x + y * y), 1e-9)
+    east = (air.u[1] * x - air.u[0] * y) / p
+    north = (air.u[2] - dot(air.u, air.up) * air.up[2]) / max(math.sqrt(1.0 - air.up[2] ** 2), 1e-9)
+    observed[gd.HEADING] = math.degrees(math.atan2(east, north))
+    observed[gd.LATITUDE], observed[gd.LONGITUDE] = math.degrees(math.asin(air.up[2])), math.degrees(math.atan2(y, x))
     row[10] = math.degrees(math.asin(clip(dot(air.u, air.up) / V, -1.0, 1.0)))
     row[11], row[12], row[13] = observed[gd.HEADING], observed[gd.LATITUDE], observed[gd.LONGITUDE]
-    row[14] = per_mass * f.ca / G0_M_S2
 
 
 @njit
@@ -352,14 +359,16 @@ def advance_kernel(
 @njit
 def step_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
-    work: FloatArray, row: FloatArray,
+    work: FloatArray, row: FloatArray, kept: bool,
 ) -> bool:  # fmt: skip
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
 
     state : (STARTED + manoeuvres,) as made by `first_state_kernel`, advanced by dt_s
     flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
+    kept  : whether the row is stored; in another one the angles may be those of an earlier frame
     """
-    observe_kernel(state, flight, aero, work, row)
+    # Four inverse functions a frame, of which guidance reads angles for a target alone.
+    observe_kernel(state, flight, aero, work, row, kept or block[gd.HAS_TARGET] != 0.0)
     if (
         state[T] >= flight[STOP_TIME] - 1e-9
         or work[gd.ALTITUDE] <= flight[STOP_ALTITUDE]
@@ -387,6 +396,7 @@ def run_kernel(
             dt_s,
             pointer(work),
             pointer(rows[k]),
+            True,
         ):
             return k + 1, True
     return rows.shape[0], False

@@ -79,24 +79,32 @@ def cell_value(aero: FloatArray, p: TableCell, k: int) -> float:
 
 
 @njit
+def moment_at_node(aero: FloatArray, p: TableCell, moment: float, arm: float, node: int) -> float:
+    """moment + dCm + arm dCN [-] with the elevon at a node of its table."""
+    k = 3 + 3 * int(aero[FLAPS]) + 3 * node
+    return moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
+
+
+@njit
 def trim_elevon(aero: FloatArray, p: TableCell, moment: float, arm: float) -> float:
     """Elevon [deg] at which moment + dCm + arm dCN is 0; the table's end where there is none.
 
     The sum falls with deflection and is linear between nodes, so halving the nodes finds it exactly.
     """
-    first, axis = 3 + 3 * int(aero[FLAPS]), int(aero[AT_ELEVON])
-    low, high = 0, int(aero[ELEVONS]) - 1
+    axis, last = int(aero[AT_ELEVON]), int(aero[ELEVONS]) - 1
+    low, high, below, above = 0, last, 0.0, 0.0
     while high - low > 1:
         middle = (low + high) // 2
-        k = first + 3 * middle
-        if moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k) > 0.0:
-            low = middle
+        at_middle = moment_at_node(aero, p, moment, arm, middle)
+        if at_middle > 0.0:
+            low, below = middle, at_middle
         else:
-            high = middle
-    k = first + 3 * low
-    below = moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
-    k = first + 3 * high
-    above = moment + cell_value(aero, p, k + 2) + arm * cell_value(aero, p, k)
+            high, above = middle, at_middle
+    # Ends that halving left alone have not been evaluated.
+    if low == 0:
+        below = moment_at_node(aero, p, moment, arm, low)
+    if high == last:
+        above = moment_at_node(aero, p, moment, arm, high)
     if below <= 0.0:
         return aero[axis + low]
     if above >= 0.0:

@@ -9,6 +9,8 @@ import importlib
 import math
 import pickle
 import re
+import subprocess
+import sys
 
 import llvmlite.binding as llvm
 import numba
@@ -17,6 +19,7 @@ import pytest
 from numba import types
 
 from sim_heating.base.kernels import compiler
+from sim_heating.base.kernels.cache_folder import PACKAGE
 from sim_heating.base.kernels.jit import (
     STEP_SIGNATURE,
     address_of,
@@ -34,6 +37,7 @@ from sim_heating.base.kernels.numba_private import (
     portable_ir,
 )
 from sim_heating.base.kernels.operations import call_dispatcher, call_step, pointer, power_of_two, split
+from sim_heating.heating.effects import transition
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 
@@ -129,6 +133,19 @@ def test_python_calls_the_dispatcher_of_a_kernel_without_a_function_between():
 def test_a_pickled_kernel_is_the_kernel_of_the_process_that_has_it():
     kernel = njit(twice)
     assert pickle.loads(pickle.dumps(kernel)) is kernel
+
+
+def test_an_effect_of_the_package_is_the_packages_own_in_a_process_that_it_is_sent_to():
+    """As a user's it would be compiled again and probed by the interpreter when each worker starts."""
+    code = """
+import pickle, sys
+sent = pickle.load(sys.stdin.buffer)
+from sim_heating.heating.effects import transition
+assert sent.built_in
+assert sent.kernel is transition.EFFECT.kernel
+"""
+    sent = pickle.dumps(transition.EFFECT)
+    subprocess.run([sys.executable, "-c", code], input=sent, check=True, cwd=PACKAGE.parent)
 
 
 def test_a_kernel_in_the_cache_is_loaded_without_waiting_and_any_other_compiled_within_a_lock(tmp_path, monkeypatch):

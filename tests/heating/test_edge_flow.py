@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import Conditions
-from sim_heating.heating.edge_flow import EdgeFlow, edge_flow_columns, re_theta_over_mach
+from sim_heating.heating.edge_flow import EdgeFlow, edge_flow_columns, re_theta_over_mach, surface_edge
 from sim_heating.heating.effects.recombination import HEAT_OF_NITROGEN, HEAT_OF_OXYGEN
 from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, eckert_film
 from sim_heating.heating.reference.gas import PRANDTL, air_density_of_enthalpy_kernel, air_state_kernel
@@ -38,7 +38,8 @@ def test_momentum_thickness_is_the_integral_of_the_wall_shear(p_e: float, h_e: f
     theta = float(np.trapezoid(shear, x) + 2.0 * shear[0] * x[0]) / (rho_e * u_e**2)
     re_theta = rho_e * u_e * theta / mu_e / DIVERGING_LAMINAR
     mach = u_e / equilibrium_sound_speed(h_e, p_e)
-    assert re_theta_over_mach(p_e, h_e, u_e, length) == pytest.approx(re_theta / mach, rel=0.01)
+    edge = surface_edge(p_e, h_e, u_e, 0.0, True)
+    assert re_theta_over_mach(edge, length) == pytest.approx(re_theta / mach, rel=0.01)
 
 
 def equilibrium_air(h_J_kg: float, p_Pa: float) -> ct.Solution:

@@ -19,6 +19,9 @@ STEP_SIGNATURE = "void(CPointer(float64), CPointer(int64), CPointer(float64), in
 """step(B, J, table, dispatcher, dt), dt [s], as a host's C code sees a compiled step; in the words of numba."""
 
 
+_PACKAGE = f"{__name__.partition('.')[0]}."
+
+
 class Kernel:
     """A function that numba compiles, or loads from the cache, when it is called for the first time.
 
@@ -63,6 +66,11 @@ class Kernel:
         return getattr(self.dispatcher, name)
 
     def __reduce__(self) -> Any:
+        # A kernel of the package by its name: another process then has its own, known as the package's, and loads what
+        # is compiled. One of a user's file, which the other process may not find, with its code.
+        module, name = self.__module__, self.__dict__.get("__qualname__", "")
+        if module.startswith(_PACKAGE) and getattr(sys.modules.get(module), name, None) is self:
+            return name
         return _kernel_with, (self.dispatcher,)
 
 

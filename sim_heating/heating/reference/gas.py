@@ -22,6 +22,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
 from sim_heating.base.kernels.jit import njit, njit_of
+from sim_heating.base.kernels.operations import pointer
 from sim_heating.heating.atmosphere import (
     MOLAR_GAS_CONSTANT,
     sutherland_kernel,
@@ -84,88 +85,109 @@ def _uniform_cell(x: float, first: float, step: float, count: int) -> tuple[int,
 
 
 @njit
-def _blend(f: FloatArray, i: int, w: float, j: int, s: float) -> float:
-    """Bilinear value of a table f in cell (i, j), fractions w and s of the way through it."""
-    return (1.0 - w) * ((1.0 - s) * f[i, j] + s * f[i, j + 1]) + w * ((1.0 - s) * f[i + 1, j] + s * f[i + 1, j + 1])
+def _blend(f: FloatArray, length: int, i: int, w: float, j: int, s: float) -> float:
+    """Bilinear value of a table f in cell (i, j), fractions w and s of the way through it; f in rows of a length."""
+    a = i * length + j
+    b = a + length
+    return (1.0 - w) * ((1.0 - s) * f[a] + s * f[a + 1]) + w * ((1.0 - s) * f[b] + s * f[b + 1])
 
 
-def _make_lookup() -> Callable[[float, float], tuple[float, float, float]]:
-    log_p, T_axis, h_grid, Z_grid, D_grid = _grid()[:5]
-    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
-    T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
+def _make_pressure_cell() -> Callable[[float], tuple[int, float]]:
+    log_p = _grid().log_p
+    first, step, count = log_p[0], log_p[1] - log_p[0], len(log_p)
 
-    def lookup(T_K: float, p_Pa: float) -> tuple[float, float, float]:
-        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
-        j, s = _uniform_cell(T_K, T_first, T_step, T_count)
-        # Below the table h is proportional to T, which keeps cp positive for cold walls and wind-tunnel streams.
-        h = _blend(h_grid, i, w, j, s) * min(T_K / T_first, 1.0)
-        return h, _blend(Z_grid, i, w, j, s), _blend(D_grid, i, w, j, s)
+    def cell(p_Pa: float) -> tuple[int, float]:
+        return _uniform_cell(math.log10(p_Pa), first, step, count)
 
-    return lookup
+    return cell
 
 
-def _make_cell() -> Callable[[float, float], tuple[int, float, int, float]]:
-    log_p, T_axis = _grid()[:2]
-    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
-    T_first, T_step, T_count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
+def _make_temperature_cell() -> Callable[[float], tuple[int, float]]:
+    T_axis = _grid().T
+    first, step, count = T_axis[0], T_axis[1] - T_axis[0], len(T_axis)
 
-    def cell(T_K: float, p_Pa: float) -> tuple[int, float, int, float]:
-        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
-        j, s = _uniform_cell(T_K, T_first, T_step, T_count)
-        return i, w, j, s
+    def cell(T_K: float) -> tuple[int, float]:
+        return _uniform_cell(T_K, first, step, count)
 
     return cell
 
 
 def _make_column(name: str) -> Callable[[int, float, int, float], float]:
     grid = getattr(_grid(), name)
+    flat, length = grid.ravel(), grid.shape[1]
 
     def column(i: int, w: float, j: int, s: float) -> float:
-        return _blend(grid, i, w, j, s)
+        return _blend(pointer(flat), length, i, w, j, s)
 
     return column
 
 
-def _make_inverse() -> Callable[[float, float], tuple[float, int, float, int, float]]:
-    log_p, T_axis, h_grid = _grid()[:3]
-    p_first, p_step, p_count = log_p[0], log_p[1] - log_p[0], len(log_p)
+def _make_enthalpy() -> Callable[[float, int, float, int, float], float]:
+    T_first, h_flat, length = _grid().T[0], _grid().h.ravel(), len(_grid().T)
+
+    def enthalpy(T_K: float, i: int, w: float, j: int, s: float) -> float:
+        # Below the table h is proportional to T, which keeps cp positive for cold walls and wind-tunnel streams.
+        return _blend(pointer(h_flat), length, i, w, j, s) * min(T_K / T_first, 1.0)
+
+    return enthalpy
+
+
+def _make_inverse() -> Callable[[float, int, float], tuple[float, int, float]]:
+    T_axis, h_grid = _grid()[1:3]
     T_first, T_step, last = T_axis[0], T_axis[1] - T_axis[0], len(T_axis) - 1
     # First temperature of the search for each bin of enthalpy: not above the answer at either pressure of the cell.
     feet = ENTHALPY_BIN * np.arange(ENTHALPY_BINS)
     below = np.array([np.maximum(np.searchsorted(row, feet, side="right") - 1, 0) for row in h_grid])
-    begin = np.minimum(below[:-1], below[1:])
+    begin = np.minimum(below[:-1], below[1:]).ravel()
+    h_flat, length = h_grid.ravel(), len(T_axis)
 
-    def inverse(h_J_kg: float, p_Pa: float) -> tuple[float, int, float, int, float]:
-        i, w = _uniform_cell(math.log10(p_Pa), p_first, p_step, p_count)
-        h_first = (1.0 - w) * h_grid[i, 0] + w * h_grid[i + 1, 0]
+    def inverse(h_J_kg: float, i: int, w: float) -> tuple[float, int, float]:
+        # Pointers: no index is counted from the end.
+        h, start, here = pointer(h_flat), pointer(begin), i * length
+        above = here + length
+        h_first = (1.0 - w) * h[here] + w * h[above]
         # Below the table the straight line to 0 K of the lookup, of which this is the inverse.
         if h_J_kg <= h_first:
-            return T_first * h_J_kg / h_first, i, w, 0, 0.0
+            return T_first * h_J_kg / h_first, 0, 0.0
         bin_ = h_J_kg * (1.0 / ENTHALPY_BIN)
         # From the foot of its bin a temperature is a few cells away; bisection over the whole axis takes eight steps.
-        low = begin[i, int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1]
-        while low < last - 1 and (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1] <= h_J_kg:
+        low = start[i * ENTHALPY_BINS + (int(bin_) if bin_ < ENTHALPY_BINS else ENTHALPY_BINS - 1)]
+        while low < last - 1 and (1.0 - w) * h[here + low + 1] + w * h[above + low + 1] <= h_J_kg:
             low += 1
-        h_low = (1.0 - w) * h_grid[i, low] + w * h_grid[i + 1, low]
-        h_high = (1.0 - w) * h_grid[i, low + 1] + w * h_grid[i + 1, low + 1]
+        h_low = (1.0 - w) * h[here + low] + w * h[above + low]
+        h_high = (1.0 - w) * h[here + low + 1] + w * h[above + low + 1]
         s = min((h_J_kg - h_low) / (h_high - h_low), 1.0)
-        return T_first + T_step * (low + s), i, w, low, s
+        return T_first + T_step * (low + s), low, s
 
     return inverse
 
 
 # They close over arrays and numbers only: a compiled kernel in one would change the cache key at every start.
-air_kernel = njit_of(_make_lookup)
-"""air_kernel(T_K, p_Pa) -> h [J/kg], Z [-], dissociation enthalpy [J/kg] of equilibrium air; p above 0."""
-_air_cell = njit_of(_make_cell)
-"""_air_cell(T_K, p_Pa) -> i, w, j, s: cell of the table in p and fraction of it, cell in T and fraction of it."""
+pressure_cell = njit_of(_make_pressure_cell)
+"""pressure_cell(p_Pa) -> i, w: cell of the table in log10 p and fraction of it [-]; all at one pressure shares it."""
+_temperature_cell = njit_of(_make_temperature_cell)
+"""_temperature_cell(T_K) -> j, s: cell of the table in T and fraction of it [-]."""
+_enthalpy = njit_of(_make_enthalpy)
 _air_inverse = njit_of(_make_inverse)
-"""_air_inverse(h_J_kg, p_Pa) -> T [K] and its cell: exact inverse of the table's h(T, p); 12000 K above the table."""
+"""_air_inverse(h_J_kg, i, w) -> T [K], j, s: exact inverse of the table's h(T, p); 12000 K above the table."""
 _compressibility = njit_of(partial(_make_column, "Z"))
+_dissociation = njit_of(partial(_make_column, "dissociation"))
 _viscosity_ratio = njit_of(partial(_make_column, "viscosity_ratio"))
 _viscosity_sigma = njit_of(partial(_make_column, "viscosity_sigma"))
 _prandtl = njit_of(partial(_make_column, "prandtl"))
 _prandtl_sigma = njit_of(partial(_make_column, "prandtl_sigma"))
+
+
+@njit
+def air_kernel(T_K: float, p_Pa: float) -> tuple[float, float, float]:
+    """Enthalpy h [J/kg], compressibility Z [-] and dissociation enthalpy [J/kg] of equilibrium air.
+
+    T_K : temperature [K];  p_Pa : pressure [Pa], above 0
+    Source: docs/theory/equations_reference_heating.md, equation 5.
+    """
+    i, w = pressure_cell(p_Pa)
+    j, s = _temperature_cell(T_K)
+    return _enthalpy(T_K, i, w, j, s), _compressibility(i, w, j, s), _dissociation(i, w, j, s)
 
 
 @njit
@@ -176,12 +198,24 @@ def air_temperature_kernel(h_J_kg: float, p_Pa: float) -> float:
     The result is 12000 K above the table; below 200 K it is proportional to h.
     Source: docs/theory/equations_reference_heating.md, equation 6.
     """
-    return _air_inverse(h_J_kg, p_Pa)[0]
+    i, w = pressure_cell(p_Pa)
+    return _air_inverse(h_J_kg, i, w)[0]
 
 
 @njit
 def _density(p_Pa: float, Z: float, T_K: float) -> float:
     return p_Pa / (Z * R_TABLE * T_K)
+
+
+@njit
+def density_in_cell(h_J_kg: float, p_Pa: float, i: int, w: float) -> float:
+    """Density [kg/m3] as `air_density_of_enthalpy_kernel`, where the cell of the pressure is known.
+
+    h_J_kg, p_Pa : enthalpy above 0 K [J/kg], pressure [Pa];  i, w : `pressure_cell` of this pressure
+    Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
+    """
+    T_K, j, s = _air_inverse(h_J_kg, i, w)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K)
 
 
 @njit
@@ -192,8 +226,8 @@ def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
     Equal to `air_density_kernel` at the temperature of h, with one table search instead of two.
     Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
     """
-    T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
-    return _density(p_Pa, _compressibility(i, w, j, s), T_K)
+    i, w = pressure_cell(p_Pa)
+    return density_in_cell(h_J_kg, p_Pa, i, w)
 
 
 @njit
@@ -220,8 +254,50 @@ def air_transport_kernel(T_K: float, p_Pa: float) -> tuple[float, float]:
     T_K : temperature [K], above 0;  p_Pa : pressure [Pa], above 0; nothing is checked. `transport` states the accuracy.
     Source: docs/theory/equations_reference_heating.md, equations 5 and 7.
     """
-    i, w, j, s = _air_cell(T_K, p_Pa)
+    i, w = pressure_cell(p_Pa)
+    j, s = _temperature_cell(T_K)
     return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
+
+
+@njit
+def enthalpy_in_cell(T_K: float, i: int, w: float) -> float:
+    """Enthalpy above 0 K [J/kg] of air at a temperature T_K [K], where `pressure_cell` (i, w) is known.
+
+    Source: docs/theory/equations_reference_heating.md, equation 5.
+    """
+    j, s = _temperature_cell(T_K)
+    return _enthalpy(T_K, i, w, j, s)
+
+
+@njit
+def state_in_cell(h_J_kg: float, p_Pa: float, i: int, w: float) -> tuple[float, float, float]:
+    """Density [kg/m3], viscosity [Pa s] and temperature [K] of air, where the cell of the pressure is known.
+
+    h_J_kg, p_Pa : enthalpy above 0 K [J/kg], pressure [Pa];  i, w : `pressure_cell` of this pressure
+    Source: docs/theory/equations_reference_heating.md, equations 5 to 7.
+    """
+    T_K, j, s = _air_inverse(h_J_kg, i, w)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s), T_K
+
+
+@njit
+def dissociation_in_cell(T_K: float, i: int, w: float) -> float:
+    """Dissociation enthalpy [J/kg] of air at a temperature T_K [K], where `pressure_cell` (i, w) is known.
+
+    Source: docs/theory/equations_reference_heating.md, equation 5.
+    """
+    j, s = _temperature_cell(T_K)
+    return _dissociation(i, w, j, s)
+
+
+@njit
+def air_dissociation_kernel(h_J_kg: float, p_Pa: float) -> float:
+    """Dissociation enthalpy [J/kg] of equilibrium air at an enthalpy above 0 K [J/kg] and a pressure [Pa], above 0.
+
+    Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
+    """
+    i, w = pressure_cell(p_Pa)
+    return dissociation_in_cell(_air_inverse(h_J_kg, i, w)[0], i, w)
 
 
 @njit
@@ -231,15 +307,17 @@ def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
     h_J_kg : enthalpy above 0 K [J/kg];  p_Pa : pressure [Pa], above 0
     Source: docs/theory/equations_reference_heating.md, equations 5 to 7.
     """
-    T_K, i, w, j, s = _air_inverse(h_J_kg, p_Pa)
-    return _density(p_Pa, _compressibility(i, w, j, s), T_K), _cell_viscosity(T_K, i, w, j, s)
+    i, w = pressure_cell(p_Pa)
+    rho, mu, _ = state_in_cell(h_J_kg, p_Pa, i, w)
+    return rho, mu
 
 
 @njit
 def _transport_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
     for m in range(len(T_K)):
         for n in range(len(p_Pa)):
-            i, w, j, s = _air_cell(T_K[m], p_Pa[n])
+            i, w = pressure_cell(p_Pa[n])
+            j, s = _temperature_cell(T_K[m])
             out[0, m, n] = _cell_viscosity(T_K[m], i, w, j, s)
             out[1, m, n] = _viscosity_sigma(i, w, j, s)
             out[2, m, n] = _prandtl(i, w, j, s)

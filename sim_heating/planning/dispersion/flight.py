@@ -5,7 +5,7 @@ by the 3-DOF entry, or in six degrees of freedom. Guidance, schedules and body f
 met by the bank and the elevon.
 
 The file follows one flight (deviations, atmosphere, names of the inputs), then the sampler that flies many, then the
-two kernels: one integrates the flights, the other derives the conditions of all control points along them.
+kernels: one integrates the flights, one derives the conditions of all control points along them, two find extremes.
 """
 
 from __future__ import annotations
@@ -67,9 +67,15 @@ def planned_entry(spec: TrajectorySpec, vehicle_dir: Path) -> TrajectorySpec:
 
 
 def entry_with_deviations(
-    base: TrajectorySpec, inputs: Sequence[DispersedInput], deviations: Mapping[str, float]
+    base: TrajectorySpec,
+    inputs: Sequence[DispersedInput],
+    deviations: Mapping[str, float],
+    profiles: Sequence[AirProfiles] | None = None,
 ) -> TrajectorySpec:
-    """A planned entry with deviations by the label of their input, in its unit; AERO_FACTORS are left out."""
+    """A planned entry with deviations by the label of their input, in its unit; AERO_FACTORS are left out.
+
+    profiles : `air_profiles` of the same base and inputs, where many flights share them
+    """
     given = {name: value for name, value in deviations.items() if name not in AERO_FACTORS}
     assert base.initial is not None  # a built-in entry has one
     initial = {key: getattr(base.initial, key) + value for key, value in _below(given, "entry.").items()}
@@ -84,7 +90,9 @@ def entry_with_deviations(
             "initial": base.initial.model_copy(update=initial),
             "vehicle": base.vehicle.model_copy(update=vehicle),
             "guidance": base.guidance.model_copy(update=guidance),
-            "dispersions": base.dispersions.model_copy(update=_atmosphere(base, inputs, given)),
+            "dispersions": base.dispersions.model_copy(
+                update=_atmosphere(air_profiles(base, inputs) if profiles is None else profiles, given)
+            ),
         }
     )
 
@@ -94,11 +102,26 @@ def _below(deviations: Mapping[str, float], prefix: str) -> dict[str, float]:
     return {n.removeprefix(prefix): v for n, v in deviations.items() if n.startswith(prefix)}
 
 
-def _atmosphere(
-    base: TrajectorySpec, inputs: Sequence[DispersedInput], deviations: Mapping[str, float]
-) -> dict[str, Any]:
-    """Density factors and winds over altitude, at all altitudes that any of their profiles names."""
-    changed: dict[str, Any] = {}
+class AirProfiles(NamedTuple):
+    """A density factor or a wind over altitude: as planned, and the profiles of the inputs that disperse it.
+
+    name, key  : of the inputs, and of `Dispersions`
+    relative   : whether a profile is a part of the planned value, as of the density, or an amount, as of a wind
+    altitude_m : all altitudes that any of them names
+    planned    : at these altitudes;  added : one array an input, for a deviation of 1
+    """
+
+    name: str
+    key: str
+    relative: bool
+    altitude_m: list[float]
+    planned: FloatArray
+    added: list[FloatArray]
+
+
+def air_profiles(base: TrajectorySpec, inputs: Sequence[DispersedInput]) -> list[AirProfiles]:
+    """Density factors and winds that the inputs disperse."""
+    found = []
     for name, key, neutral in (
         ("air.density", "density_factor", 1.0),
         ("air.wind_north_m_s", "wind_north_m_s", 0.0),
@@ -109,11 +132,19 @@ def _atmosphere(
             continue
         planned = np.array(getattr(base.dispersions, key) or ((0.0, neutral),))
         z = np.unique(np.concatenate([planned[:, 0], *(p[:, 0] for p in profiles)]))
-        added = sum(deviations.get(f"{name}#{k}", 0.0) * np.interp(z, *profile.T) for k, profile in enumerate(profiles))
-        value = np.interp(z, *planned.T)
+        added = [np.interp(z, *profile.T) for profile in profiles]
+        found.append(AirProfiles(name, key, neutral == 1.0, z.tolist(), np.interp(z, *planned.T), added))
+    return found
+
+
+def _atmosphere(profiles: Sequence[AirProfiles], deviations: Mapping[str, float]) -> dict[str, Any]:
+    """Density factors and winds over altitude of one flight."""
+    changed: dict[str, Any] = {}
+    for p in profiles:
+        added = sum(deviations.get(f"{p.name}#{k}", 0.0) * profile for k, profile in enumerate(p.added))
         # Density deviates relatively, a wind by an amount.
-        value = value * (1.0 + added) if neutral == 1.0 else value + added
-        changed[key] = tuple(zip(z.tolist(), value.tolist(), strict=True))
+        value = p.planned * (1.0 + added) if p.relative else p.planned + added
+        changed[p.key] = tuple(zip(p.altitude_m, value.tolist(), strict=True))
     return changed
 
 
@@ -189,7 +220,8 @@ class EntrySampler:
 
     def fly(self, inputs: Sequence[DispersedInput], deviations: Sequence[Mapping[str, float]]) -> SampledFlights:
         """Fly once for each set of deviations, given by the labels of the inputs."""
-        specs = [entry_with_deviations(self.base, inputs, d) for d in deviations]
+        profiles = air_profiles(self.base, inputs)
+        specs = [entry_with_deviations(self.base, inputs, d, profiles) for d in deviations]
         count = len(specs)
         entries = EntryNumbers(
             np.array([initial_numbers(s.initial) for s in specs if s.initial is not None]),
@@ -280,6 +312,7 @@ def fly_kernel(
                 dt_s,
                 pointer(work),
                 pointer(row),
+                k % every == 0,
             )
             # `not <=` catches an altitude that is NaN as well.
             if not DEEPEST_M <= row[1] <= HIGHEST_M or not row[2] < np.inf:
@@ -325,3 +358,36 @@ def condition_kernel(
                 for c in range(N_CONDITIONS):
                     histories[p, f, k, c] = then[p, c]
         then[:, SURROUNDINGS] = 0.0
+
+
+@njit
+def peak_kernel(outputs: FloatArray, sample_counts: IntArray, peaks: FloatArray) -> None:
+    """Largest numbers of one point along some flights, NaN where any of them is NaN.
+
+    outputs       : (time, flight * quantity), the quantities of the first flight, of the second
+    sample_counts : (flight,) times that belong to each;  peaks : (flight, quantity), filled
+    """
+    quantities = peaks.shape[1]
+    for f in range(len(peaks)):
+        for q in range(quantities):
+            peak = outputs[0, f * quantities + q]
+            for k in range(1, sample_counts[f]):
+                value = outputs[k, f * quantities + q]
+                peak = value if value > peak or value != value else peak
+            peaks[f, q] = peak
+
+
+@njit
+def extent_kernel(history: FloatArray, frame_counts: IntArray, extent: FloatArray) -> None:
+    """Least and largest of the first conditions along some flights, NaN where any of them is NaN.
+
+    history : (flight, time, condition);  frame_counts : (flight,);  extent : (flight, 2, condition), filled
+    """
+    for f in range(len(extent)):
+        for c in range(extent.shape[2]):
+            least = largest = history[f, 0, c]
+            for k in range(1, frame_counts[f]):
+                value = history[f, k, c]
+                least = value if value < least or value != value else least
+                largest = value if value > largest or value != value else largest
+            extent[f, 0, c], extent[f, 1, c] = least, largest

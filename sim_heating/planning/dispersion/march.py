@@ -30,7 +30,13 @@ from sim_heating.inputs.vehicle import Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import TOLERANCE_K
 from sim_heating.march.point import PointModel, heating_vector, kernel_effects, stack_values
-from sim_heating.planning.dispersion.flight import COMPLETED, SampledFlights, condition_kernel
+from sim_heating.planning.dispersion.flight import (
+    COMPLETED,
+    SampledFlights,
+    condition_kernel,
+    extent_kernel,
+    peak_kernel,
+)
 from sim_heating.planning.limited_point import LimitedPoint
 from sim_heating.planning.soak import SOAK
 from sim_heating.simulation.plugin import host_array, point_constants
@@ -113,6 +119,11 @@ class LaneMarch:
         )  # fmt: skip
         self._initial_state = self.ensemble.snapshot()
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
+        self._lanes = [self.ensemble.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in range(len(points))]
+        self._declared = tuple(
+            [np.repeat(values(m)[np.newaxis], LANES, axis=0) for m in self.models]
+            for values in (stack_values, heating_vector)
+        )
         self._tables = [self._ratio_nodes(p) for p in range(len(points))]
         self.host = host_array(vehicle)
         self.constants = point_constants(vehicle, [p.point for p in points])
@@ -177,16 +188,17 @@ class LaneMarch:
         own = slice(0, last - first)
         counts = self._sample_counts(time_s, frame_counts)
         # Lanes march as long as the longest flight of the eight: each counts to the end of its own soak.
-        hottest = np.array([[np.max(out[:n], axis=0) for out in marched] for n in counts[own]])
-        lanes = np.arange(last - first)
-        surface, bondline = (hottest[lanes, :, 2 * lanes + k] for k in range(len(QUANTITIES)))
+        hottest = np.empty((len(marched), last - first, len(QUANTITIES)))
+        for out, peaks in zip(marched, hottest, strict=True):
+            peak_kernel(out, counts, peaks)
+        surface, bondline = (hottest[:, :, k].T.copy() for k in range(len(QUANTITIES)))
         by_point = self.ensemble.failures, self.ensemble.steps_of_negative_ratio
         failed, negative = (steps.reshape(-1, LANES).T[own] > 0.0 for steps in by_point)
         # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
         unknown = failed | (flown.outcome[lane[own]] != COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
-        ratio = histories[0, own, :, : len(RATIO_VARIABLES)]
-        extent = np.array([[r[:n].min(axis=0), r[:n].max(axis=0)] for r, n in zip(ratio, frame_counts, strict=False)])
+        extent = np.empty((last - first, 2, len(RATIO_VARIABLES)))
+        extent_kernel(histories[0], frame_counts, extent)
         return FlightPeaks(surface, bondline, negative, extent)
 
     def march_all(self, time_s: FloatArray, histories: FloatArray) -> list[FloatArray]:
@@ -227,14 +239,12 @@ class LaneMarch:
         return self._memory[:size].reshape(shape)
 
     def _write_parameters(self, changes: Sequence[tuple[ParameterPlace, FloatArray]], lane: IntArray) -> None:
-        stacks = [np.repeat(stack_values(m)[np.newaxis], LANES, axis=0) for m in self.models]
-        heating = [np.repeat(heating_vector(m)[np.newaxis], LANES, axis=0) for m in self.models]
+        stacks, heating = ([declared.copy() for declared in of_all] for of_all in self._declared)
         for place, deviation in changes:
             vectors = stacks if place.vector == "stack" else heating
             vectors[place.point][:, place.index] += deviation[lane]
         for p in range(len(self.points)):
-            for k in range(LANES):
-                self.ensemble.set_values(p * LANES + k, stacks[p][k], heating[p][k])
+            self.ensemble.write_lanes(self.ensemble.state, self._lanes[p], stacks[p], heating[p])
 
     def _write_ratio_tables(self, factors: Sequence[FloatArray | None], lane: IntArray) -> None:
         table = self.ensemble.table

@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -32,10 +34,18 @@ INDEX_STREAM = 1_000_003
 """Number of the scramble that flights for sensitivity indices are drawn from; no other design uses it."""
 
 
+@lru_cache(maxsize=4)
+def _scrambled(dimensions: int, seed: int, scramble: int) -> qmc.Sobol:
+    """A scrambled Sobol' sequence at its beginning; scrambling takes longer than drawing a batch."""
+    entropy = np.random.SeedSequence([seed, scramble])
+    return qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(entropy))
+
+
 def sobol_rows(dimensions: int, seed: int, scramble: int, start: int, stop: int) -> FloatArray:
     """(stop - start, dimensions) rows of one scramble of the Sobol' sequence, standard normal [-]."""
-    entropy = np.random.SeedSequence([seed, scramble])
-    sequence = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(entropy))
+    # A copy, whose place in the sequence is its own.
+    sequence = copy(_scrambled(dimensions, seed, scramble))
+    sequence.reset()
     if start > 0:
         sequence.fast_forward(start)
     with warnings.catch_warnings():

@@ -72,7 +72,7 @@ def _choose(R, N) -> None:  # type: ignore[no-untyped-def]
 def _observe(R, N, tables) -> int:  # type: ignore[no-untyped-def]
     """Write the frame and what guidance uses; its problem, GOOD without one."""
     row = at(R, N[ROW])
-    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row)
+    observe_kernel(at(R, N[STATE]), at(R, N[FLIGHT]), at(tables, N[AERO]), at(R, N[WORK]), row, True)
     if not (math.isfinite(row[ALTITUDE_IN_ROW]) and math.isfinite(row[SPEED_IN_ROW])):
         return NOT_FINITE
     if row[ALTITUDE_IN_ROW] > HIGHEST_M:
