@@ -144,7 +144,7 @@ def test_samples_are_omitted_only_where_conditions_are_as_good_as_linear() -> No
 
 
 def test_report_and_files_of_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`python -m benchmarks findings` searches the same record among all effects."""
+    """Among few effects; the example of `close_loop` in the package searches the same record among all."""
     search_among(monkeypatch, *NAMED)
     out = tmp_path / "out"
     result = CliRunner().invoke(cli, ["close-loop", str(PRACTICE / "p08"), "--out", str(out)])
