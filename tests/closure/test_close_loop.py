@@ -38,7 +38,6 @@ from tests.support.systems import posix
 
 PAIRED = (
     "conductivity", "alpha-curvature", "radiative-conduction", "gap-flow", "heat-capacity", "coating-thickness",
-    "impingement-onset",
 )  # fmt: skip
 
 

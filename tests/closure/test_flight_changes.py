@@ -44,8 +44,11 @@ def in_thin_air() -> tuple[TrialFit, list[ChangeFit]]:
 
 
 def found(record: Record, ends: bool = True) -> list[ChangeFit]:
-    """The changes of the flight that promise most for a record, the best first; or among those without `ends` in time or
-    altitude alone, which are few: `python -m benchmarks.closure_challenge` searches flights among all."""
+    """The changes of the flight that promise most for a record, the best first.
+
+    ends : among all; otherwise among those without ends in time or altitude, which are few. All changes are searched by
+           `python -m benchmarks.closure_challenge`
+    """
     tried = [change for change in flight.flight_changes(record) if ends or change.near is None]
     return fit_changes(base_trial(estimate([record])), tried, most=3)
 
