@@ -31,6 +31,7 @@ settings.load_profile("compiled")
 BEGUN_FIRST = (
     "simulation/test_fmu_export.py",
     "cli/test_outputs.py",
+    "live/test_missing.py",
     "closure/test_close_loop.py",
     "cli/test_cli.py",
     "cli/test_estimate_cli.py",
@@ -70,7 +71,6 @@ BEGUN_FIRST = (
     "estimation/test_online_filter.py",
     "estimation/test_remarks.py",
     "closure/test_richer_forms.py",
-    "live/test_missing.py",
     "closure/test_report.py",
     "heating/test_ratio_kernel.py",
     "base/test_kernel_cache.py",
@@ -80,7 +80,9 @@ BEGUN_FIRST = (
     "test_distributions.py",
 )
 """Files of tests that take long, longest first, so that all processes end together. The first two compile different
-kernels: those of exported libraries, and those of the package itself."""
+kernels: those of exported libraries, and those of the package itself. The third waits for processes that give way to
+all others, and needs little of the processor itself.
+"""
 
 
 @pytest.hookimpl(tryfirst=True)
