@@ -3,6 +3,7 @@ order of files and their distribution to processes."""
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import sys
@@ -17,49 +18,78 @@ from hypothesis import HealthCheck, settings
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# There is a process for every core: more threads of linear algebra would wait for each other, at four times the
+# processor time. Set before numpy is imported, for this process and those that it starts.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Every search for cyclic garbage goes through the many objects of loaded modules: a seventh of the time of a picture.
+gc.set_threshold(50_000)
+
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")
 
 BEGUN_FIRST = (
     "simulation/test_fmu_export.py",
     "cli/test_outputs.py",
+    "live/test_missing.py",
     "closure/test_close_loop.py",
-    "closure/test_findings.py",
+    "closure/test_lamp_records.py",
     "cli/test_cli.py",
-    "test_public_face.py",
-    "cli/test_process.py",
     "cli/test_estimate_cli.py",
-    "planning/test_plan.py",
-    "closure/test_joint_search.py",
+    "cli/test_process.py",
     "planning/test_optimal_entry.py",
-    "closure/test_declared_transition.py",
-    "campaign/test_figures.py",
-    "closure/test_lagging_thermocouple.py",
-    "estimation/test_design.py",
+    "test_public_face.py",
+    "planning/test_plan.py",
     "closure/test_flight_changes.py",
-    "closure/test_concurrent_updates.py",
     "estimation/test_process_noise.py",
-    "benchmarks/test_mutants.py",
-    "estimation/test_flight_to_tables.py",
-    "closure/test_table_prior.py",
-    "campaign/test_campaign.py",
+    "closure/test_joint_search.py",
+    "templates/test_new_vehicle.py",
+    "closure/test_sensor_changes.py",
+    "closure/test_findings.py",
     "base/test_parallel.py",
-    "estimation/test_online_filter.py",
+    "closure/test_concurrent_updates.py",
+    "benchmarks/test_mutants.py",
+    "estimation/test_design.py",
+    "estimation/test_estimator_statistics.py",
     "planning/test_envelope.py",
+    "estimation/test_flight_to_tables.py",
+    "closure/test_declared_transition.py",
+    "campaign/test_campaign.py",
+    "benchmarks/test_generator.py",
+    "campaign/test_figures.py",
+    "heating/test_user_effect.py",
+    "base/test_results.py",
+    "trajectory/test_fmu_import_faults.py",
+    "inputs/test_scenarios.py",
+    "cli/test_startup.py",
+    "simulation/test_synthesize.py",
     "estimation/test_estimate_bad_input.py",
+    "trajectory/test_jsbsim.py",
+    "benchmarks/test_challenge.py",
+    "closure/test_table_prior.py",
+    "closure/test_lagging_thermocouple.py",
     "planning/test_dispersion.py",
+    "closure/test_update_tables.py",
+    "closure/test_wall_changes.py",
+    "closure/test_update_effects.py",
+    "closure/test_revision_files.py",
+    "trajectory/test_entry.py",
+    "trajectory/test_fmu_import.py",
+    "estimation/test_online_filter.py",
+    "estimation/test_remarks.py",
+    "closure/test_richer_forms.py",
     "closure/test_report.py",
+    "heating/test_ratio_kernel.py",
+    "base/test_kernel_cache.py",
     "simulation/test_fmu_instances.py",
     "simulation/test_fmu_ssp.py",
     "simulation/test_plugin.py",
-    "trajectory/test_fmu_import.py",
-    "trajectory/test_fmu_import_faults.py",
-    "trajectory/test_jsbsim.py",
-    "trajectory/test_entry.py",
     "test_distributions.py",
 )
 """Files of tests that take long, longest first, so that all processes end together. The first two compile different
-kernels: those of exported libraries, and those of the package itself."""
+kernels: those of exported libraries, and those of the package itself. The third waits for processes that give way to
+all others, and needs little of the processor itself.
+"""
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -52,6 +52,23 @@ def record(workdir: Path, synthesized: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
+def run_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `run` writes of the short flight."""
+    home = tmp_path_factory.mktemp("run")
+    (home / "short.toml").write_text(SHORT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+        assert main(["run", str(home / "short.toml"), "--out", str(home / "out")]) == 0
+    return home / "out"
+
+
+@pytest.fixture
+def first(workdir: Path, run_results: Path) -> Path:
+    """Those results in the working directory."""
+    return shutil.copytree(run_results, workdir / "first")
+
+
+@pytest.fixture(scope="module")
 def predicted(synthesized: Path) -> Path:
     """What `predict` writes of it and a copy of it."""
     shutil.copytree(synthesized, synthesized.parent / "copy")
@@ -82,11 +99,10 @@ def test_run_writes_tables_pictures_and_a_summary(workdir: Path, capsys: pytest.
     assert 900.0 < point["peak_surface_K"] < 1300.0
 
 
-def test_a_second_run_replaces_the_first_and_keeps_other_files(workdir: Path) -> None:
-    assert main(["run", "short.toml", "--out", "out"]) == 0
-    (workdir / "out" / "notes.txt").write_text("mine")
-    assert main(["run", "short.toml", "--out", "out"]) == 0
-    assert (workdir / "out" / "notes.txt").read_text() == "mine"
+def test_a_second_run_replaces_the_first_and_keeps_other_files(first: Path) -> None:
+    (first / "notes.txt").write_text("mine")
+    assert main(["run", "short.toml", "--out", "first"]) == 0
+    assert (first / "notes.txt").read_text() == "mine"
 
 
 def test_a_synthetic_record_is_valid_and_can_be_predicted(
@@ -399,22 +415,20 @@ def test_a_manoeuvre_whose_trigger_is_never_met_is_reported(workdir: Path, capsy
     assert "trigger never met; manoeuvre not flown" in capsys.readouterr().out
 
 
-def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path) -> None:
-    assert main(["run", "short.toml", "--out", "first"]) == 0
+def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path, first: Path) -> None:
     head = SHORT[: SHORT.index("[trajectory]")]
     (workdir / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')
     assert main(["run", "again.toml", "--out", "second"]) == 0
     last = [(workdir / d / "temperatures.csv").read_text().splitlines()[-1] for d in ("first", "second")]
-    first, second = (line.split(",") for line in last)
-    assert [float(x) for x in second] == pytest.approx([float(x) for x in first], abs=0.001)
+    before, again = (line.split(",") for line in last)
+    assert [float(x) for x in again] == pytest.approx([float(x) for x in before], abs=0.001)
 
 
 @pytest.mark.parametrize(("column", "factor"), [("velocity_m_s", 1.0 / 0.3048), ("altitude_m", 1e-3)])
 def test_a_recorded_flight_in_another_unit_is_refused(
-    workdir: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
+    workdir: Path, first: Path, capsys: pytest.CaptureFixture[str], column: str, factor: float
 ) -> None:
-    assert main(["run", "short.toml", "--out", "first"]) == 0
-    header, *rows = (workdir / "first" / "conditions.csv").read_text().splitlines()
+    header, *rows = (first / "conditions.csv").read_text().splitlines()
     place = header.split(",").index(column)
     cells = [row.split(",") for row in rows]
     damaged = [",".join([*c[:place], repr(float(c[place]) * factor), *c[place + 1 :]]) for c in cells]

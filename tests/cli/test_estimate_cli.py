@@ -159,15 +159,15 @@ def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
     assert all(name in printed for name in (f"first/{PLUG}", f"second/{PLUG}", " second "))
 
 
-def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path, tmp_path: Path) -> None:
+def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path) -> None:
     records = [f"both/{PLUG}", f"both/{POD}"]
-    found = estimate(*records, "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "fit")
-    assert set(found["parameters"]) == {f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)}
-    assert found["records"] == records
-    alone = estimate(records[1], "--parameters", "ratio.scale,ratio.d_alpha", out=tmp_path / "alone")
+    found = estimate_contents(sh.estimate(records, list(TRUTH)))
+    assert set(found.parameters) == {f"{n}@{p}" for n in TRUTH for p in (PLUG, POD)}
+    assert found.records == records
+    alone = estimate_contents(sh.estimate(records[1], list(TRUTH)))
     for name in TRUTH:  # joint and own mean condition are of one flight
-        joint, single = found["parameters"][f"{name}@{POD}"], alone["parameters"][name]
-        assert joint["value"] == pytest.approx(single["value"], abs=0.05 * single["sigma"])
+        joint, single = found.parameters[f"{name}@{POD}"], alone.parameters[name]
+        assert joint.value == pytest.approx(single.value, abs=0.05 * single.sigma)
 
 
 def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_a_layer_by_its_own_name_is_estimated_as_by_its_role(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own, role = "stack.li900.conductivity_factor", "stack.rsi.conductivity_factor"
-    a, b = (estimate("first", "--parameters", f"ratio.scale,{n}", out=tmp_path / n)["parameters"] for n in (own, role))
+    a, b = (sh.estimate("first", ["ratio.scale", n]).parameters for n in (own, role))
     assert (a["ratio.scale"], a[own]) == (b["ratio.scale"], b[role])
     assert main(["estimate", "first", "--parameters", f"{own},{role}", "--out", str(tmp_path / "both")]) == 2
     assert f"`{own}` and `{role}` are one parameter of the same layer; name it once" in capsys.readouterr().err

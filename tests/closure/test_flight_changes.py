@@ -43,9 +43,14 @@ def in_thin_air() -> tuple[TrialFit, list[ChangeFit]]:
     return base, fit_changes(base, flight.flight_changes(base.problem.record_fits[0].record))
 
 
-def found(record: Record) -> list[ChangeFit]:
-    """The changes of the flight that promise most for a record, the best first."""
-    return fit_changes(base_trial(estimate([record])), flight.flight_changes(record), most=3)
+def found(record: Record, ends: bool = True) -> list[ChangeFit]:
+    """The changes of the flight that promise most for a record, the best first.
+
+    ends : among all; otherwise among those without ends in time or altitude, which are few. All changes are searched by
+           `python -m benchmarks.closure_challenge`
+    """
+    tried = [change for change in flight.flight_changes(record) if ends or change.near is None]
+    return fit_changes(base_trial(estimate([record])), tried, most=3)
 
 
 def value_near(fit: ChangeFit, value: float) -> bool:
@@ -63,13 +68,13 @@ def test_temperatures_of_a_flight_minutes_later_say_by_how_much():
 
 
 def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
-    best = found(flight.shift_trajectory(CLEAN, -20.0))[0]
+    best = found(flight.shift_trajectory(CLEAN, -20.0), ends=False)[0]
     assert best.change.what == "time of velocity, altitude and air against the angles"
     assert best.value == pytest.approx(20.0, abs=0.5)
 
 
 def test_a_flight_that_was_later_than_its_conditions_state():
-    best = found(flight.shift_conditions(CLEAN, -12.0))[0]
+    best = found(flight.shift_conditions(CLEAN, -12.0), ends=False)[0]
     assert best.change.name == "time-skew"
     assert best.value == pytest.approx(12.0, abs=0.5)  # the clock of the thermocouples may be off by a quarter second
     assert best.describe().endswith(" s too early")
@@ -93,7 +98,7 @@ def test_a_layer_of_wrong_density_and_where():
 
 def test_density_and_angle_of_attack_are_found_through_pressure_and_act_alike():
     # A factor on all heating is that of the table. What remains is the conductivity at another surface pressure.
-    for truth, fits in ((DENSER, in_thin_air()[1]), (2.0, found(flight.with_alpha(CLEAN, -2.0)))):
+    for truth, fits in ((DENSER, in_thin_air()[1]), (2.0, found(flight.with_alpha(CLEAN, -2.0), ends=False))):
         best, second = fits[:2]
         both = {"density of the flight conditions", "angle of attack of the flight conditions"}
         assert {best.change.what, second.change.what} == both

@@ -27,6 +27,7 @@ from sim_heating.heating.effects import use
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, correlation
 from sim_heating.inputs.record import Record, load_record
+from tests.support.few_candidates import search_among
 from tests.support.missing import record_with
 from tests.support.paths import PRACTICE
 
@@ -110,7 +111,14 @@ def test_an_elevon_that_follows_alpha_is_remarked_as_correlated_with_it() -> Non
     assert [(r.kind, r.parameters) for r in found] == [("correlated", ["ratio.d_alpha", "ratio.d_elevon"])]
 
 
-def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_excludes() -> None:
+AMONG = ("impingement-onset", "alpha-curvature", "time-skew", "coating-thickness")
+"""Candidates of two tests beside the derivatives of the table."""
+
+
+def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_excludes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search_among(monkeypatch, *AMONG)
     declared = trimmed(flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0]}, sigma=0.25))
     onset = use("impingement-onset", {"alpha_onset_deg": 42.0, "slope": 0.004})
     record = record_with([onset], 4, declared=declared)[0]
@@ -121,7 +129,10 @@ def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_e
     assert values["effect.impingement-onset.alpha_onset_deg"] == pytest.approx(42.0, abs=0.5)
 
 
-def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_found_as_an_error_of_the_table() -> None:
+def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_found_as_an_error_of_the_table(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search_among(monkeypatch, *AMONG)
     declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0]}, sigma=0.25)
     found = search_effects(record_with([], 4, declared=declared, ratio__d_elevon=5e-4)[0])
     best = found.conclusion.best

@@ -41,12 +41,12 @@ def followed(record: Path, folder: Path) -> LinkEngine:
     return engine
 
 
-def state_when(engine: LinkEngine, shown, within_s: float = 120.0) -> State:
-    """The first state that shows something."""
+def state_when(engine: LinkEngine, shown, within_s: float = 900.0) -> State:
+    """The first state that shows something. The other process gives way to all that is at work: it may take minutes."""
     end = time.monotonic() + within_s
     while not shown(state := engine.state()):
         assert time.monotonic() < end, state.missing
-        time.sleep(0.05)
+        time.sleep(0.2)
     return state
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from sim_heating.closure.search import search
+from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, fit_changes
 from sim_heating.closure.search.hypothesis import conclude, hypothesis, scored
 from sim_heating.closure.search.ranking import count_forms, delta_bic, score_round
 from sim_heating.closure.search.refine import CONVERGE
@@ -30,12 +31,18 @@ from sim_heating.inputs.record import Record
 
 
 def search_among(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
-    """Let the search itself try effects of these names alone; `python -m benchmarks closure` searches among all."""
+    """Let the search itself try effects of these names alone, and of the changes of the record those without ends in
+    time, altitude or temperature, which are many; `python -m benchmarks closure` searches among all.
+    """
 
     def few(*given: Any, **options: Any) -> list[Candidate]:
         return [c for c in candidates(*given, **options) if c.name in names]
 
+    def without_ends(base: TrialFit, changes: Sequence[RecordChange], *given: Any, **options: Any) -> list[ChangeFit]:
+        return fit_changes(base, [c for c in changes if c.near is None], *given, **options)
+
     monkeypatch.setattr(search, "candidates", few)
+    monkeypatch.setattr(search, "fit_changes", without_ends)
 
 
 def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
