@@ -18,7 +18,7 @@ NAMES = (
     "closure", "campaign",
     "live", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
     "live_hour",
-    "live_picture", "waiting",
+    "live_picture", "waiting", "scaling",
 )  # fmt: skip
 
 

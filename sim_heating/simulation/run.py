@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -413,19 +413,22 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
 
     points : names of those that are drawn, by default all
     """
-    from sim_heating.simulation.report import plots  # matplotlib is slow to import
+    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
+    from sim_heating.simulation.report import plots
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)
-    plots.draw_trajectory(folder / TRAJECTORY, title, flown, windows)
-    plots.draw_temperatures(folder / TEMPERATURES, title, histories, windows, result.limits)
-    plots.draw_heating(folder / HEAT, title, histories, windows)
+    draws: list[Callable[[], object]] = [
+        partial(plots.draw_trajectory, folder / TRAJECTORY, title, flown, windows),
+        partial(plots.draw_temperatures, folder / TEMPERATURES, title, histories, windows, result.limits),
+        partial(plots.draw_heating, folder / HEAT, title, histories, windows),
+    ]
     moved = result.flight.at_frame_rate()
     for i, window in enumerate(windows, start=1):
         chosen = _largest_responses(histories, window)
-        path = folder / _picture_of(i, window.kind)
+        path, varied = folder / _picture_of(i, window.kind), MANOEUVRE_VARIABLE[window.kind]
         drawn = [_outermost_sensor(result.points[h.name]) for h in chosen]
-        plots.draw_manoeuvre(path, title, flown, drawn, window, MANOEUVRE_VARIABLE[window.kind], moved)
+        draws.append(partial(plots.draw_manoeuvre, path, title, flown, drawn, window, varied, moved))
     compared = compare(result)
     if compared:
         panels = [
@@ -433,7 +436,8 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
              float(c.statistics["rmse_K"]))
             for c in compared
         ]  # fmt: skip
-        plots.draw_comparison(folder / COMPARED, title, panels)
+        draws.append(partial(plots.draw_comparison, folder / COMPARED, title, panels))
+    draw_files(draws)
 
 
 def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:

@@ -11,7 +11,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.errors import InputError, RunError, printable
 from sim_heating.base.files.paths import display_path
 from sim_heating.base.files.text import result_path, write_bytes_atomic
+from sim_heating.base.report.processes import in_processes
 
 F = TypeVar("F", bound=Callable[..., object])
 DPI = 110
@@ -53,6 +54,8 @@ THERMOCOUPLE: dict[str, Any] = {
     "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
 }  # fmt: skip
 TITLE_LINES = 4
+_held: dict[Path, bytes] | None = None
+"""Files that are drawn and not to be written yet."""
 
 
 def new_figure(width: float, height: float, rows: int, columns: int = 1, **keys: Any) -> tuple[Figure, np.ndarray]:
@@ -74,7 +77,29 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
 
 
 def _write_png(figure: Figure, path: Path) -> None:
-    write_bytes_atomic(path, picture_file(figure, "png", dpi=DPI))
+    content = picture_file(figure, "png", dpi=DPI)
+    if _held is None:
+        write_bytes_atomic(path, content)
+    else:
+        _held[path] = content
+
+
+def draw_files(draws: Sequence[Callable[[], object]]) -> None:
+    """Call functions that draw files by `save_figure`, in processes of their own, and write what they have drawn."""
+    for drawn in in_processes([partial(_hold, draw) for draw in draws]):
+        for path, content in drawn.items():
+            write_bytes_atomic(path, content)
+
+
+def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:
+    """The files that a function draws, not written."""
+    global _held
+    _held = {}
+    try:
+        draw()
+        return _held
+    finally:
+        _held = None
 
 
 def picture_file(figure: Figure, kind: str, **settings: Any) -> bytes:

@@ -15,7 +15,7 @@ import base64
 import hashlib
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
 from sim_heating.base.report.figure import explanation, picture_file
+from sim_heating.base.report.processes import in_processes
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
@@ -153,14 +154,21 @@ class Page:
 def page_html(page: Page) -> str:
     """The page as text; everything in it is escaped."""
     charts = [c for section in page.sections for c in section.charts]
+    pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
+    pictures |= {id(p): p for section in page.sections for p in section.pictures}
+    urls = dict(zip(pictures, in_processes([partial(_url_of, p) for p in pictures.values()]), strict=True))
     names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
     names = [*(SHARED_SCRIPTS if names else ()), *names]
     scripts = [_asset(name) for name in names]
     return _template().render(
         page=page, program=f"sim-heating {package_version()}", scripts=scripts, policy=" ".join(map(_digest, scripts)),
         look=_asset(LOOK), style=_asset(CHART_STYLE) if charts else "", has_charts=bool(charts),
-        drawn=partial(_drawn, intervals=intervals_of(charts)),
+        drawn=partial(_drawn, urls=urls, intervals=intervals_of(charts)), url_of=lambda picture: urls[id(picture)],
     )  # fmt: skip
+
+
+def _url_of(picture: Picture | SavedPicture) -> str:
+    return picture.data_url
 
 
 def _sortable(page: Page) -> bool:
@@ -178,10 +186,9 @@ class _DrawnChart:
     picture_url: str
 
 
-def _drawn(chart: Chart, intervals: int) -> _DrawnChart:
+def _drawn(chart: Chart, urls: Mapping[int, str], intervals: int) -> _DrawnChart:
     data, note = chart_data(chart, intervals)
-    picture = chart.picture or Picture(chart.figure, chart.title)
-    return _DrawnChart(chart, Markup(script_json(data)), note, picture.data_url if chart.pictured else "")
+    return _DrawnChart(chart, Markup(script_json(data)), note, urls.get(id(chart), ""))
 
 
 @cache

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -290,6 +291,7 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
 
     page : whether report.html is written; the report of a closed loop shows its last fit
     """
+    from sim_heating.base.report.figure import draw_files
     from sim_heating.base.report.page import write_page
     from sim_heating.estimation.report.filtered import PICTURE, filtered_history, write_filtered
     from sim_heating.estimation.report.page import estimate_page
@@ -300,16 +302,19 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
         found = estimate_contents(fitted)
         write_estimate(folder / NAME, found)
         folders: list[Path] = []
+        draws: list[Callable[[], object]] = []
         for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
             record_folder = folder if len(fitted.after) == 1 else folder / after.record.name
             record_folder.mkdir(exist_ok=True, parents=True)
             folders.append(record_folder)
             history = after.history
             write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
-            draw_fit(record_folder / FIT_PICTURE, before, after, filtered=fitted.innovations is not None)
-            draw_ratio(record_folder / RATIO_PICTURE, fitted, record_fit)
+            filtered = fitted.innovations is not None
+            draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, after, filtered=filtered))
+            draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
             if fitted.innovations is not None:
                 write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
+        draw_files(draws)
         if page:
             captions = {RATIO_PICTURE: "heating ratio, declared and fitted", PICTURE: "filtered temperatures"}
             pictures = [

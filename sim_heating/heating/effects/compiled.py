@@ -138,7 +138,12 @@ class EffectAlong:
 
 
 def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatArray:
-    """(row,) values of an effect along a flight as of `EffectAlong.at`, at the values of its parameters [-]."""
+    """(row,) values of an effect along a flight as of `EffectAlong`, at the values of its parameters [-].
+
+    use : an effect with a kernel;  rows : (row, condition) flight conditions;  wall_K : (row,) wall temperatures [K]
+
+    Each value is that of the effect's own equation (docs/reference/effects.md, equations 1 to 19).
+    """
     return EffectAlong(use, rows, wall_K).at(np.array(use.values))
 
 
