@@ -1,12 +1,17 @@
-"""Tasks shared out to copies of the process: results and order, errors and warnings, nothing left behind."""
+"""Tasks shared out to copies of the process: results and order, errors and warnings, nothing left behind.
+
+Each deed is done in a process of its own: that of a test has threads, beside which no process is copied.
+"""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import threading
 import warnings
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -15,28 +20,25 @@ from sim_heating.base.report.processes import in_processes
 from sim_heating.base.threads import march_threads
 
 HERE = os.getpid()
-copied = pytest.mark.skipif(sys.platform != "linux", reason="a process is copied on Linux alone")
+ROOT = Path(__file__).parents[2]
 
 
 def square(n: int) -> tuple[int, int]:
     return n * n, os.getpid()
 
 
-@copied
-def test_results_keep_the_order_of_the_tasks_and_come_from_two_processes():
-    with march_threads(2):
-        found = in_processes([partial(square, n) for n in range(5)])
+def results_keep_the_order_of_the_tasks():
+    found = in_processes([partial(square, n) for n in range(5)])
     assert [value for value, _ in found] == [0, 1, 4, 9, 16]
-    assert len({process for _, process in found}) == 2
+    assert len({process for _, process in found}) == (2 if sys.platform == "linux" else 1)
     assert in_processes([]) == []
 
 
-def test_beside_another_thread_and_in_one_that_shares_its_cores_all_is_done_here():
+def beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here():
     done = threading.Event()
     beside = threading.Thread(target=done.wait)
     beside.start()
-    with march_threads(2):
-        found = in_processes([partial(square, n) for n in range(3)])
+    found = in_processes([partial(square, n) for n in range(3)])
     done.set()
     beside.join()
     with march_threads(1):
@@ -50,9 +52,8 @@ def only_here(n: int) -> int:
     return n
 
 
-def test_what_fails_in_a_copy_is_done_again_here():
-    with march_threads(2):
-        assert in_processes([partial(only_here, n) for n in range(4)]) == [0, 1, 2, 3]
+def what_fails_in_a_copy_is_done_again_here():
+    assert in_processes([partial(only_here, n) for n in range(4)]) == [0, 1, 2, 3]
 
 
 def warned(n: int) -> int:
@@ -61,35 +62,57 @@ def warned(n: int) -> int:
     return n
 
 
-def test_a_warning_of_a_copy_is_given_here():
-    with march_threads(2), pytest.warns(UserWarning, match="seen"):
+def a_warning_of_a_copy_is_given_here():
+    with pytest.warns(UserWarning, match="seen"):
         assert in_processes([partial(warned, n) for n in range(2)]) == [0, 1]
 
 
-@pytest.mark.parametrize("failing", [0, 1])
-def test_an_error_is_raised_here_and_no_process_remains(failing):
-    def task(n: int) -> int:
-        if n == failing:
-            raise ValueError("this picture has no data")
-        return n
-
-    with march_threads(2), pytest.raises(ValueError, match="no data"):
-        in_processes([partial(task, n) for n in range(2)])
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
+def failing(n: int, at: int) -> int:
+    if n == at:
+        raise ValueError("this picture has no data")
+    return n
 
 
-def test_files_drawn_in_copies_have_the_same_bytes(tmp_path):
-    def draw(path):
+def an_error_is_raised_here_and_no_process_remains():
+    for at in range(2):
+        with pytest.raises(ValueError, match="no data"):
+            in_processes([partial(failing, n, at) for n in range(2)])
+        if sys.platform == "linux":
+            with pytest.raises(ChildProcessError):
+                os.waitpid(-1, os.WNOHANG)
+
+
+@pytest.mark.parametrize(
+    "deed",
+    [
+        results_keep_the_order_of_the_tasks,
+        beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here,
+        what_fails_in_a_copy_is_done_again_here,
+        a_warning_of_a_copy_is_given_here,
+        an_error_is_raised_here_and_no_process_remains,
+    ],
+    ids=lambda deed: deed.__name__,
+)
+def test_of_tasks_in_copies_of_a_process(deed):
+    program = f"from {__name__} import *\nwith march_threads(2):\n    {deed.__name__}()"
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def drawn(folder: Path, threads: int) -> None:
+    def draw(path: Path) -> None:
         figure, axes = new_figure(4.0, 3.0, 1)
         axes[0].plot([0.0, 1.0], [300.0, 1200.0])
         save_figure(figure, path, "one curve", axes)
 
-    for threads in (1, 2):
-        folder = tmp_path / str(threads)
-        folder.mkdir()
-        with march_threads(threads):
-            draw_files([partial(draw, folder / f"{n}.png") for n in range(3)])
-    drawn = {p.read_bytes() for p in tmp_path.rglob("*.png")}
+    folder.mkdir()
+    with march_threads(threads):
+        draw_files([partial(draw, folder / f"{n}.png") for n in range(3)])
+
+
+def test_files_drawn_in_copies_have_the_same_bytes(tmp_path):
+    drawn(tmp_path / "here", 1)
+    program = f"from {__name__} import *\ndrawn(Path({str(tmp_path / 'copies')!r}), 2)"
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
     assert len(list(tmp_path.rglob("*.png"))) == 6
-    assert len(drawn) == 1
+    assert len({p.read_bytes() for p in tmp_path.rglob("*.png")}) == 1
