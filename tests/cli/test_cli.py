@@ -34,15 +34,20 @@ def workdir(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def written_by(command: str, out: Path) -> Path:
+    """Results of a command on the short flight."""
+    scenario = out.parent / "short.toml"
+    scenario.write_text(SHORT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
+        assert main([command, str(scenario), "--out", str(out)]) == 0
+    return out
+
+
 @pytest.fixture(scope="module")
 def synthesized(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The record of the short flight, as `synthesize` writes it."""
-    home = tmp_path_factory.mktemp("synthesized")
-    (home / "short.toml").write_text(SHORT)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
-        assert main(["synthesize", str(home / "short.toml"), "--out", str(home / "record")]) == 0
-    return home / "record"
+    return written_by("synthesize", tmp_path_factory.mktemp("synthesized") / "record")
 
 
 @pytest.fixture
@@ -54,12 +59,7 @@ def record(workdir: Path, synthesized: Path) -> Path:
 @pytest.fixture(scope="module")
 def run_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `run` writes of the short flight."""
-    home = tmp_path_factory.mktemp("run")
-    (home / "short.toml").write_text(SHORT)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SIM_HEATING_AIRCRAFT_DATA", str(ROOT / "aircraft_data"))
-        assert main(["run", str(home / "short.toml"), "--out", str(home / "out")]) == 0
-    return home / "out"
+    return written_by("run", tmp_path_factory.mktemp("run") / "out")
 
 
 @pytest.fixture
