@@ -16,10 +16,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import scipy.linalg  # noqa: F401  its BLAS is not numpy's; both must be loaded before the search below
-from threadpoolctl import ThreadpoolController
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
 
 R = TypeVar("R")
 _threads = os.cpu_count() or 1
@@ -27,6 +28,9 @@ _threads = os.cpu_count() or 1
 
 @cache
 def _libraries() -> ThreadpoolController:
+    import scipy.linalg  # noqa: F401  its BLAS is not numpy's; both must be loaded before the controller looks for them
+    from threadpoolctl import ThreadpoolController
+
     return ThreadpoolController()
 
 

@@ -6,9 +6,7 @@ it is a copy of one array.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -23,6 +21,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels import block
 from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITIONS
 from sim_heating.base.kernels.jit import address_of
+from sim_heating.base.threads import in_threads
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import effect_dispatcher, unusable_value
 from sim_heating.heating.effects.transition import TRANSITION
@@ -573,8 +572,7 @@ class Ensemble:
 
         groups = range(len(self.groups))
         if len(groups) > 1 and len(time_s) * len(self.models) > THREADED_POINT_STEPS:
-            with ThreadPoolExecutor(min(len(groups), os.cpu_count() or 1)) as pool:
-                list(pool.map(one, groups))
+            in_threads(one, len(groups))
         else:
             for g in groups:
                 one(g)

@@ -208,7 +208,7 @@ class ManoeuvreScript:
     def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
         self.manoeuvres = tuple(manoeuvres)
         self.script = compile_script(self.manoeuvres)
-        self._lengths_s = np.array([polygon(m)[-1][0] for m in self.manoeuvres])
+        self._lengths_s = [float(polygon(m)[-1][0]) for m in self.manoeuvres]
         self._state = np.concatenate([np.full(len(self.manoeuvres), -1.0), np.full(3, np.nan)])
         self._now = np.empty(3)
         self._out = np.zeros(6)
@@ -225,8 +225,8 @@ class ManoeuvreScript:
 
     def active(self, time_s: float, after_s: float = 0.0) -> bool:
         """Whether a manoeuvre is flown at a time [s] for which `offsets` was called, or ended up to after_s [s] ago."""
-        started = self.started_s
-        return bool(np.any((started >= 0.0) & (time_s <= started + self._lengths_s + after_s)))
+        lasts = zip(self.started_s.tolist(), self._lengths_s, strict=True)
+        return any(started >= 0.0 and time_s <= started + length + after_s for started, length in lasts)
 
     @property
     def started_s(self) -> FloatArray:

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ from sim_heating.base.files.text import (
 
 COLDEST_K = 100.0
 """A lower temperature is taken for a value in Celsius [K]."""
+NUMBERS = "fiub"
+"""Kinds of numpy's types that are numbers."""
 
 
 @dataclass(frozen=True)
@@ -273,25 +275,32 @@ def csv_text(
     formats : number format by column, or one for all, as in `".2f"`; without one a number reads back equal
     raises  : RunError where a number is infinite or columns differ in length
     """
-    texts = [_cell_texts(name, np.asarray(v), formats) for name, v in columns.items()]
+    arrays = {name: np.asarray(v) for name, v in columns.items()}
+    texts = [_cell_texts(name, v, formats) for name, v in arrays.items()]
     if len({len(c) for c in texts}) > 1:
         raise RunError(f"columns {', '.join(columns)} differ in length")
     head = [f"# {key}: {' '.join(str(value).split())}" for key, value in (header or {}).items()]
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*texts, strict=True))
+    rows = zip(*texts, strict=True)
+    if all(v.dtype.kind in NUMBERS for v in arrays.values()) and len(arrays) > 1:  # no cell to quote
+        stream.writelines(f"{','.join(row)}\n" for row in rows)
+    else:
+        writer.writerows(rows)
     return "".join(f"{line}\n" for line in head) + stream.getvalue()
 
 
 def _cell_texts(name: str, values: NDArray[Any], formats: Mapping[str, str] | str | None) -> list[str]:
-    if values.dtype.kind not in "fiub":
+    if values.dtype.kind not in NUMBERS:
         return [str(v) for v in values]
     if np.any(np.isinf(values)):
         raise RunError(f"column {name} contains an infinite number; nothing was written")
     spec = formats if isinstance(formats, str) else (formats or {}).get(name)
-    as_text: Callable[[Any], str] = repr if spec is None else lambda v: format(v, spec)
-    return ["" if v != v else as_text(v) for v in values.tolist()]
+    cells = list(map(repr if spec is None else f"{{:{spec}}}".format, values.tolist()))
+    for lost in np.flatnonzero(np.isnan(values)):
+        cells[lost] = ""
+    return cells
 
 
 def write_csv(

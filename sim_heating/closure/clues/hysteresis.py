@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
@@ -116,7 +115,9 @@ def _rate_term(
 def manoeuvres(time_s: FloatArray, v: FloatArray) -> list[slice]:
     """Knots of each excursion of a variable from its median and back."""
     spacing = float(np.median(np.diff(time_s)))
-    displaced = np.abs(v - median_filter(v, 2 * int(0.5 * WINDOW_S / spacing) + 1, mode="nearest")) > MIN_EXCURSION_DEG
+    half = int(0.5 * WINDOW_S / spacing)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(v, half, mode="edge"), 2 * half + 1)
+    displaced = np.abs(v - np.median(windows, axis=1)) > MIN_EXCURSION_DEG
     spans: list[list[int]] = []
     for k in np.flatnonzero(displaced):
         if spans and time_s[k] - time_s[spans[-1][1]] <= 2.0 * MARGIN_S:
