@@ -491,6 +491,15 @@ class FitProblem:
         for k, group in enumerate(self.groups):
             self._last[k] = (vector.tobytes(), [marched[self.record_fits.index(record_fit)] for record_fit in group])
 
+    @property
+    def cached_marches(self) -> list[tuple[bytes | None, Sequence[Linearised]]]:
+        """The last vector of each group of records, as bytes, with its marches [K]: for a copy of the problem."""
+        return self._last
+
+    @cached_marches.setter
+    def cached_marches(self, cached: list[tuple[bytes | None, Sequence[Linearised]]]) -> None:
+        self._last = cached
+
     def has_cached(self, vector: FloatArray) -> bool:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(cached == vector.tobytes() for cached, _ in self._last)

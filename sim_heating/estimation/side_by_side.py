@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.processes import in_shares
 from sim_heating.base.threads import in_threads, thread_count
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
@@ -104,7 +105,20 @@ def maximise_together(
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
-    searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
+
+    def of_share(chosen: Sequence[int]) -> list[tuple[Fit, list[tuple[bytes | None, Sequence[Linearised]]]]]:
+        own = [problems[k] for k in chosen]
+        fits = _maximise([iteration(p.parameters, begin[k], settings) for k, p in zip(chosen, own, strict=True)], own)
+        return [(fit, p.cached_marches) for fit, p in zip(fits, own, strict=True)]
+
+    found = in_shares(of_share, len(problems))
+    for problem, (_, cached) in zip(problems, found, strict=True):
+        problem.cached_marches = cached
+    return [fit for fit, _ in found]
+
+
+def _maximise(searches: Sequence[Iteration], problems: Sequence[FitProblem]) -> list[Fit]:
+    """The fit that each iteration ends with, all marched together."""
     requests = {k: next(search) for k, search in enumerate(searches)}
     fits: dict[int, Fit] = {}
     together, marched = None, tuple(requests)

@@ -22,6 +22,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import Parameter
+from sim_heating.base.processes import in_shares
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.screening import (
     GAIN_MARGIN,
@@ -420,12 +421,17 @@ def _failed(parameters: int) -> Evaluation:
 def _predicted(models: Sequence[_ChangedModel], vectors: Sequence[FloatArray]) -> list[tuple[float, float]]:
     """Log likelihood that one Gauss-Newton step from a vector predicts for each model, and that at the vector itself;
     minus infinity where a march failed."""
-    found = []
-    for model, at, here in zip(models, vectors, _evaluate_together(models, vectors), strict=True):
-        reached = here.log_likelihood
-        step = gain_of_step(model.parameters, at, here)
-        found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
-    return found
+
+    def of_share(chosen: Sequence[int]) -> list[tuple[float, float]]:
+        own, starts = [models[k] for k in chosen], [vectors[k] for k in chosen]
+        found = []
+        for model, at, here in zip(own, starts, _evaluate_together(own, starts), strict=True):
+            reached = here.log_likelihood
+            step = gain_of_step(model.parameters, at, here)
+            found.append((reached + step, reached) if np.isfinite(reached) else (-np.inf, -np.inf))
+        return found
+
+    return in_shares(of_share, len(models))
 
 
 def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, float]]:
@@ -607,7 +613,18 @@ def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) 
 def _maximise(
     models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings = QUICK
 ) -> list[Fit]:
-    """The fit of each model, all iterated side by side."""
+    """The fit of each model, iterated side by side."""
+
+    def of_share(chosen: Sequence[int]) -> list[Fit]:
+        return _maximise_share([models[k] for k in chosen], [starts[k] for k in chosen], settings)
+
+    return in_shares(of_share, len(models))
+
+
+def _maximise_share(
+    models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings
+) -> list[Fit]:
+    """The fit of each model, all marched together."""
     searches = [iteration(m.parameters, first, settings) for m, first in zip(models, starts, strict=True)]
     requests, fits = {k: next(search) for k, search in enumerate(searches)}, dict[int, Fit]()
     while requests:

@@ -12,7 +12,7 @@ its table. This is a least-squares problem without a march, some hundred knots l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
+from sim_heating.base.processes import in_shares
 from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
@@ -108,7 +109,7 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
     for c in tried:
         if _is_suitable(c):
             forms.setdefault((c.name, c.form), []).append(c)
-    found = []
+    suitable: list[tuple[HeatingHistory, list[Candidate]]] = []
     with one_thread():
         for (name, _), several in forms.items():
             key = name if name in declared else ""
@@ -116,8 +117,10 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
                 histories[key] = heating_history(base, several[0])
             history = histories[key]
             if history is not None:
-                found += _best_starts(history, several)
-    return found
+                suitable.append((history, several))
+        found = in_shares(lambda chosen: [_best_starts(*suitable[k]) for k in chosen], len(suitable))
+    return [replace(several[k], start=start, active=several[k].names)
+            for (_, several), starts in zip(suitable, found, strict=True) for k, start in starts]  # fmt: skip
 
 
 def _is_suitable(c: Candidate) -> bool:
@@ -135,15 +138,16 @@ def _is_suitable(c: Candidate) -> bool:
     )
 
 
-def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates of one form with the starts that fit the history best."""
-    linear = sorted(several, key=lambda c: _linear_misfit(history, c))[:SOLVED]
-    solved = sorted((_solved(history, c) for c in linear), key=lambda s: s[0])
-    kept: list[tuple[float, Candidate]] = []
-    for misfit, candidate in solved:
-        if all(_apart(candidate, other) for _, other in kept):
-            kept.append((misfit, candidate))
-    return [candidate for _, candidate in kept[:KEPT]]
+def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[tuple[int, dict[str, float]]]:
+    """Of the candidates of one form those, by index, that fit the history best, with the starts that do."""
+    misfits = [_linear_misfit(history, c) for c in several]
+    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:SOLVED]
+    solved = sorted(((*_solved(history, several[k]), k) for k in linear), key=lambda s: s[0])
+    kept: list[tuple[int, dict[str, float]]] = []
+    for _, start, k in solved:
+        if all(_apart(several[k], start, other) for _, other in kept):
+            kept.append((k, start))
+    return kept[:KEPT]
 
 
 def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
@@ -167,8 +171,8 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     return float(np.sum((right - system @ step) ** 2))
 
 
-def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
-    """Misfit and candidate at the solution of the least-squares problem from its start."""
+def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, float]]:
+    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start."""
     used = c.uses[0]
     definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
     free = [definitions[n] for n in c.names]
@@ -216,11 +220,11 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, Candidate]:
         max_nfev=EVALUATIONS,
     )
     at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
-    return float(2.0 * done.cost), replace(c, start=at, active=c.names)
+    return float(2.0 * done.cost), at
 
 
-def _apart(one: Candidate, other: Candidate) -> bool:
-    """Whether two starts of a form differ by more than a tenth of a parameter's sigma."""
-    used = one.uses[0]
+def _apart(c: Candidate, one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Whether two starts of a candidate's form differ by more than a tenth of a parameter's sigma."""
+    used = c.uses[0]
     unit = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p.sigma or 1.0 for p in used.definitions}
-    return any(abs(one.start[n] - other.start[n]) > 0.1 * unit[n] for n in one.names)
+    return any(abs(one[n] - other[n]) > 0.1 * unit[n] for n in c.names)

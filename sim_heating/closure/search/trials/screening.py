@@ -14,6 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
+from sim_heating.base.processes import in_shares
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
@@ -66,6 +67,18 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
     The base's own sensitivities are used for all of them, since a candidate has no or little effect at its start, and
     its priors: what a candidate gains is gained of likelihood and prior density together.
     """
+    known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
+    limit = _largest_gain(base)
+    return in_shares(
+        lambda chosen: _predicted_gains(base, [candidates[k] for k in chosen], known, limit), len(candidates)
+    )
+
+
+def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: FloatArray, limit: float) -> list[float]:
+    """Predicted gain of each candidate.
+
+    known : (sample, parameter) sensitivities of the base [K over the unit];  limit : largest gain of any model [-]
+    """
     part, start = base.problem.record_fits[0], fitted_values(base)
     fixed = {n: start[n] for n in part.march_names if not n.startswith(EFFECT_PREFIX)}
     problems = [
@@ -73,10 +86,9 @@ def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[flo
         for c in candidates
     ]
     firsts = [start_values(p, {**start, **c.start}) for p, c in zip(problems, candidates, strict=True)]
-    known = np.concatenate([s.sensitivity for s in base.problem.samples(base.fit.values)])
     mean = np.array([p.value for p in base.problem.parameters])
     marched, scored = JointMarch(problems).march(firsts), _ScoreCache()
-    limit, gains = _largest_gain(base), []
+    gains = []
     for candidate, problem, first, done in zip(candidates, problems, firsts, marched, strict=True):
         # a parameter of the base that a candidate frees of its prior is the candidate's own
         inner = [k for k, n in enumerate(part.names) if n not in part.sensor_names and n not in candidate.active]

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from sim_heating.base.processes import in_processes, in_shares
 from sim_heating.base.report.figure import draw_files, new_figure, save_figure
-from sim_heating.base.report.processes import in_processes
-from sim_heating.base.threads import march_threads
+from sim_heating.base.threads import march_threads, thread_count
 
 HERE = os.getpid()
 ROOT = Path(__file__).parents[2]
@@ -32,6 +32,13 @@ def results_keep_the_order_of_the_tasks():
     assert [value for value, _ in found] == [0, 1, 4, 9, 16]
     assert len({process for _, process in found}) == (2 if sys.platform == "linux" else 1)
     assert in_processes([]) == []
+
+
+def shares_keep_the_order_of_their_numbers():
+    found = in_shares(lambda chosen: [square(k) for k in chosen], 5)
+    assert [value for value, _ in found] == [0, 1, 4, 9, 16]
+    assert in_shares(lambda chosen: [thread_count() for _ in chosen], 2) == [1, 1]
+    assert in_shares(lambda chosen: [square(k) for k in chosen], 0) == []
 
 
 def beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here():
@@ -86,6 +93,7 @@ def an_error_is_raised_here_and_no_process_remains():
     "deed",
     [
         results_keep_the_order_of_the_tasks,
+        shares_keep_the_order_of_their_numbers,
         beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here,
         what_fails_in_a_copy_is_done_again_here,
         a_warning_of_a_copy_is_given_here,

@@ -1,0 +1,116 @@
+"""Work shared out to copies of this process, one for each core: fits of candidates, pictures.
+
+Python uses one core; a copy of the process has everything in memory that its share of the work needs. A copy writes no
+file: it sends what it has made through a pipe, so that nothing remains of it where the command is ended.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import pickle
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, TypeVar
+
+from sim_heating.base.threads import march_threads, thread_count
+
+R = TypeVar("R")
+PROGRESS = "rich."
+"""Modules whose threads may run while a process is copied: they show progress, and nothing waits for them."""
+
+
+def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
+    """Results of tasks, in their order, with the tasks shared out to this process and to copies of it.
+
+    tasks : picklable results; they change nothing that this process needs. One that fails or warns in a copy is done
+            again here, where its error or warning is seen
+
+    Each process marches in one thread. On other systems than Linux, and beside threads that may hold locks, all is done
+    here.
+    """
+    return in_shares(lambda chosen: [tasks[k]() for k in chosen], len(tasks))
+
+
+def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]:
+    """Results number 0 to count - 1, in their order, with the numbers shared out to this process and to copies of it.
+
+    of    : results of some of the numbers together, in the order of these; otherwise as a task of `in_processes`
+    count : of all results
+    """
+    shares = max(1, min(count, thread_count())) if _can_be_copied() else 1
+    if shares == 1:
+        return list(of(range(count)))
+    with march_threads(1):
+        copies = [_Copy(partial(of, range(k, count, shares))) for k in range(1, shares)]
+        try:
+            own = of(range(0, count, shares))
+            found = [own, *(copy.results() for copy in copies)]
+        finally:
+            for copy in copies:
+                copy.end()
+    return [found[i % shares][i // shares] for i in range(count)]
+
+
+def _can_be_copied() -> bool:
+    others = (t for t in threading.enumerate() if t is not threading.main_thread())
+    is_main = threading.current_thread() is threading.main_thread()
+    return sys.platform == "linux" and is_main and all(type(t).__module__.startswith(PROGRESS) for t in others)
+
+
+class _Copy:
+    """A copy of this process that does a share of the work."""
+
+    def __init__(self, share: Callable[[], Sequence[Any]]) -> None:
+        self._share = share
+        reading, writing = os.pipe()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the threads of a BLAS, which a copy does not use
+            self._process = os.fork()
+        if self._process == 0:
+            os.close(reading)
+            _send_results(share, writing)
+        os.close(writing)
+        self._pipe = os.fdopen(reading, "rb")
+
+    def results(self) -> Sequence[Any]:
+        """What the copy has sent; else its share is done here."""
+        sent = self._pipe.read()
+        _, status = os.waitpid(self._process, 0)
+        self._process = 0
+        found: Sequence[Any] = pickle.loads(sent) if status == 0 else self._share()
+        return found
+
+    def end(self) -> None:
+        """End the copy where it still runs."""
+        self._pipe.close()
+        if self._process:
+            with suppress(ProcessLookupError):
+                os.kill(self._process, signal.SIGKILL)
+            os.waitpid(self._process, 0)
+            self._process = 0
+
+
+def _send_results(share: Callable[[], Sequence[Any]], writing: int) -> None:
+    """Do a share and send its results; the process ends here, without anything that Python does at its end."""
+    status = 1
+    try:
+        _end_with_parent()
+        warnings.simplefilter("error")
+        sent = pickle.dumps(share())
+        with os.fdopen(writing, "wb") as pipe:
+            pipe.write(sent)
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _end_with_parent() -> None:
+    """Have the kernel end this copy where the process that wants its results is killed."""
+    PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
