@@ -16,6 +16,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.base.threads import in_threads
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of
@@ -178,9 +179,10 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
 def _closure(result: SearchResult, fitted: FitResult, notes: Sequence[str] = ()) -> Closure:
     """The results of a search and its refit, for the report; `notes` on the record come first of its warnings."""
     before, values = result.before, result.before.fit.values
-    residual = residual_heating(before.problem, values)
     after = fitted.after[0]
-    residual_after = residual_heating(fitted.problem, fitted.fit.values) if result.explained else None
+    fits = [(before.problem, values), *([(fitted.problem, fitted.fit.values)] if result.explained else [])]
+    residuals = in_threads(lambda k: residual_heating(*fits[k]), len(fits))
+    residual, residual_after = residuals[0], residuals[1] if result.explained else None
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)

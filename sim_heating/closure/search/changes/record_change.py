@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -517,14 +517,11 @@ def fit_changes(
         fits[k] = fit
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
-    for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and gains[k] > near_share * reached:
-            models[k], fits[k] = _with_best_ends(model, fit)
+    with_ends = [k for k, m in enumerate(models) if m.change.near is not None]
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > near_share * reached])
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
-    for k, (model, fit) in enumerate(zip(models, fits, strict=True)):
-        if model.change.near is not None and gains[k] > NEARLY * largest:
-            models[k], fits[k] = _with_best_ends(model, fit, MOST_SEARCHES)
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], MOST_SEARCHES)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
@@ -574,32 +571,59 @@ def _recorrected(before: FitResult, base: TrialFit, fit: ChangeFit) -> ChangeFit
     return replace(fit, trial=replace(trial, fit=again, delta_bic=delta), fit=again, delta_bic=delta)
 
 
-def _with_best_ends(model: _ChangedModel, fit: Fit, searches: int = 1) -> tuple[_ChangedModel, Fit]:
-    """A change with ends, and its fit, with the ends where the likelihood is largest.
+def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[int], searches: int = 1) -> None:
+    """Put the ends of some changes where the likelihood is largest, and renew these models and fits.
 
-    A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
+    chosen   : indices of the changes, which have ends
     searches : how often at most; a last one in finer steps follows where it is more than one
     """
-    steps = [ENDS_MOVED] * searches + [ENDS_MOVED_FINELY] * (searches > 1)
+
+    def of_share(own: Sequence[int]) -> list[tuple[list[_Move], Fit]]:
+        return [_best_ends(models[chosen[i]], fits[chosen[i]], searches) for i in own]
+
+    for k, (moves, fit) in zip(chosen, in_shares(of_share, len(chosen)), strict=True):
+        for move in moves:
+            models[k] = _model(models[k].base, move.of(models[k].change))
+        fits[k] = fit
+
+
+class _Move(NamedTuple):
+    """A move of the ends of a change: one of its neighbours at a fraction of the span."""
+
+    fraction: float
+    number: int
+
+    def of(self, change: RecordChange) -> RecordChange:
+        """The change with its ends moved."""
+        assert change.near is not None
+        return list(change.near(self.fraction))[self.number]
+
+
+def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Move], Fit]:
+    """Moves of the ends of a change to where the likelihood is largest, and the fit there.
+
+    A pattern search at the values of the fit, a fit at the ends found, and again from there while that gains.
+    """
+    steps, moves = [ENDS_MOVED] * searches + [ENDS_MOVED_FINELY] * (searches > 1), list[_Move]()
     while steps:
-        moved = _pattern_search(model, fit, steps.pop(0))
+        moved, further = _pattern_search(model, fit, steps.pop(0))
         gained = 0.0
-        if moved is not model:
+        if further:
             found = _maximise([moved], [fit.values])[0]
             gained = found.log_likelihood - fit.log_likelihood
             if gained > 0.0:
-                model, fit = moved, found
+                model, fit, moves = moved, found, [*moves, *further]
         if not gained > GAIN_MARGIN:
             steps = [s for s in steps if s is not ENDS_MOVED]
-    return model, fit
+    return moves, fit
 
 
-def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) -> _ChangedModel:
-    """The change with the ends that predict most from the values of a fit; the model itself where none does.
+def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) -> tuple[_ChangedModel, list[_Move]]:
+    """The change with the ends that predict most from the values of a fit, and the moves to them.
 
     fractions : of the span by which the ends are moved, one after the other
     """
-    best, reached = model, fit.log_likelihood
+    best, reached, moves = model, fit.log_likelihood, list[_Move]()
     for fraction in fractions:
         moved = [] if best.change.near is None else list(best.change.near(fraction))
         models = [_model(model.base, change) for change in moved]
@@ -607,7 +631,8 @@ def _pattern_search(model: _ChangedModel, fit: Fit, fractions: Sequence[float]) 
         k = int(np.argmax(predicted)) if models else 0
         if models and predicted[k] > reached:
             best, reached = models[k], predicted[k]
-    return best
+            moves.append(_Move(fraction, k))
+    return best, moves
 
 
 def _maximise(
