@@ -28,7 +28,7 @@ from benchmarks.generator.families import FAMILIES
 from benchmarks.generator.record import make_and_write
 from benchmarks.measure import Figure, save, table
 from sim_heating.base.files import toml_text
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.inputs.record import load_record
 
 if TYPE_CHECKING:

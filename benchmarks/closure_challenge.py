@@ -32,7 +32,7 @@ from benchmarks.challenge.record import make_and_write as make_challenge
 from benchmarks.closure import limits, proportion, rmse_K, search_of_effect
 from benchmarks.measure import Figure, save, table
 from sim_heating.base.errors import InputError
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 
 if TYPE_CHECKING:
     from sim_heating.closure.search.search import SearchResult

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from benchmarks.measure import Figure, save
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.parallel import Job, run_batches
-from sim_heating.base.threads import one_thread
+from sim_heating.base.parallel.batches import Job, run_batches
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.planning.dispersion.entry import BATCH, SOBOL, Batch, DispersedEntry
 from sim_heating.planning.dispersion.flight import condition_kernel, entry_sampler

@@ -26,7 +26,7 @@ from benchmarks.estimator_peers import (
 from benchmarks.measure import Figure, Task, Times, in_turn, save
 from benchmarks.problems import RECORD, mesh_of
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.threads import march_threads
+from sim_heating.base.parallel.threads import march_threads
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, samples_on_grid
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.inference.newton import maximise

@@ -27,8 +27,8 @@ import numpy as np
 from benchmarks.dispersion import STUDY
 from benchmarks.measure import Figure, save
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
-from sim_heating.base.parallel import Job, run_batches
-from sim_heating.base.threads import march_threads, one_thread
+from sim_heating.base.parallel.batches import Job, run_batches
+from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.closure.several.batch import close_all, record_job
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.inputs.record import load_record

@@ -1,1 +1,1 @@
-"""Foundations of all folders: errors, files, progress, batches of jobs, parameters, kernels, pages and figures."""
+"""Foundations of all folders: errors, files, progress, work in parallel, parameters, kernels, pages and figures."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.files import results_digest
-from sim_heating.base.parallel import Job
+from sim_heating.base.parallel.batches import Job
 from sim_heating.base.parameters import AT
 from sim_heating.campaign.carried import Estimate, effect_uses
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre

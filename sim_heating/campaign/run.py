@@ -26,7 +26,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import exclusive, output_directory, require_writable, results_digest, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.parallel import Job, Outcome, run_batches
+from sim_heating.base.parallel.batches import Job, Outcome, run_batches
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed

@@ -14,9 +14,9 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
+from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.base.threads import in_threads
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of

@@ -21,8 +21,8 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
+from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.base.threads import in_threads
 from sim_heating.estimation.inference.likelihood import scores
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise

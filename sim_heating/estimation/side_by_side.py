@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.processes import in_shares
-from sim_heating.base.threads import in_threads, thread_count
+from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.threads import in_threads, thread_count
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters

@@ -24,7 +24,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.threads import one_thread
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.estimation.filter.records import filtered_start
 from sim_heating.estimation.record_fit import Start, StartMaker, march_times, start_unknowns
 from sim_heating.estimation.unknown_heating import after_unknown_heating, largest_directions, temperatures_at

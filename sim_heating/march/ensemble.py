@@ -21,7 +21,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels import block
 from sim_heating.base.kernels.block import CONDITION_COLUMNS, LANES, N_CONDITIONS
 from sim_heating.base.kernels.jit import address_of
-from sim_heating.base.threads import in_threads
+from sim_heating.base.parallel.threads import in_threads
 from sim_heating.heating.effects import Effect
 from sim_heating.heating.effects.compiled import effect_dispatcher, unusable_value
 from sim_heating.heating.effects.transition import TRANSITION

@@ -22,7 +22,7 @@ class Engine:
     """Place of computation: the ledger of finished batches and the processes.
 
     ledger             : folder for finished batches, with a folder below it for each kind
-    scheduler, workers : as base/parallel.py, `run_batches`, takes them
+    scheduler, workers : as base/parallel/batches.py, `run_batches`, takes them
     """
 
     ledger: Path

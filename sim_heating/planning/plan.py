@@ -16,10 +16,10 @@ from typing import Any
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.parallel import require_scheduler
+from sim_heating.base.parallel.batches import require_scheduler
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.page import Page, SavedPicture, Section, write_page
-from sim_heating.base.threads import one_thread
 from sim_heating.credibility.facts.of_flight import facts_of_study
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Facts, Statement, assess

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base import parallel as batches
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import exclusive
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel import batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from tests.support import batch_jobs
 from tests.support.batch_jobs import jobs
 from tests.support.paths import ROOT

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base.processes import in_processes, in_shares
+from sim_heating.base.parallel.processes import in_processes, in_shares
+from sim_heating.base.parallel.threads import march_threads, thread_count
 from sim_heating.base.report.figure import draw_files, new_figure, save_figure
-from sim_heating.base.threads import march_threads, thread_count
 
 HERE = os.getpid()
 ROOT = Path(__file__).parents[2]

@@ -74,7 +74,7 @@ def test_a_request_to_end_gives_status_143_wherever_it_arrives(place: str) -> No
 DASK = """
 import sys
 from pathlib import Path
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import EndingSignals
 if __name__ == "__main__":
     signals = EndingSignals()

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sim_heating.base.processes import in_shares
-from sim_heating.base.threads import march_threads
+from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.threads import march_threads
 from sim_heating.closure.search.search import search_effects
 from sim_heating.inputs.record import load_record
 from tests.support.few_candidates import search_among

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 import sim_heating as sh
 from sim_heating import cli
-from sim_heating.base import parallel as batches
+from sim_heating.base.parallel import batches
 from sim_heating.planning.study import load_study
 from tests.support.browser import assert_fits, assert_harmless, hostile, needs_browser
 from tests.support.json_output import run_json

@@ -8,7 +8,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 
 
 def square(notes: Path, task: int) -> bytes:

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.errors import InputError, RunError, printable
 from sim_heating.base.files.paths import display_path
 from sim_heating.base.files.text import result_path, write_bytes_atomic
-from sim_heating.base.processes import in_processes
+from sim_heating.base.parallel.processes import in_processes
 
 F = TypeVar("F", bound=Callable[..., object])
 DPI = 110

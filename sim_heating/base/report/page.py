@@ -30,7 +30,7 @@ from PIL import Image
 from sim_heating.base.errors import printable
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
-from sim_heating.base.processes import in_processes
+from sim_heating.base.parallel.processes import in_processes
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
 from sim_heating.base.report.figure import explanation, picture_file
 from sim_heating.base.report.table import Table

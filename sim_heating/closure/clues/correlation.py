@@ -21,7 +21,7 @@ from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE
-from sim_heating.base.threads import one_thread
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
 from sim_heating.closure.clues.hysteresis import HysteresisLoop, hysteresis_loops
 from sim_heating.closure.clues.residual_heating import ResidualHeating

@@ -23,7 +23,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.package import package_version
 from sim_heating.base.files.paths import real_path
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.effects import effects, user_effect_files
 from sim_heating.inputs.record import DECLARATION, distinct_names, load_record, record_digest

@@ -40,7 +40,7 @@ from scipy.optimize import minimize
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.axis import cells_of
-from sim_heating.base.threads import one_thread
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.estimation.filter.march import Disturbance, FilterTrack
 from sim_heating.estimation.filter.response import Response, ResponseMarch
 from sim_heating.estimation.inference.likelihood import Likelihood, ReadingIntervals, likelihood

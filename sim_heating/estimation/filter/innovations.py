@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.kernels.block import LANES
-from sim_heating.base.threads import in_threads
+from sim_heating.base.parallel.threads import in_threads
 from sim_heating.estimation.filter.march import Filtered, FilterMarch, FilterTrack
 from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Levels, ProcessNoise
 from sim_heating.estimation.filter.records import filter_samples

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.block import H_REF, Q_ADD, RECOVERY_ENTHALPY
-from sim_heating.base.threads import one_thread
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.estimation.starts import (
     IMPOSING_CP,
     IMPOSING_FILM,

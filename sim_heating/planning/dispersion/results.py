@@ -24,7 +24,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import LANES, TIME
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.planning.dispersion.entry import (

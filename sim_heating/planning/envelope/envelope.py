@@ -1,8 +1,8 @@
 """Envelope expansion: maps of peak temperatures and margins, and boundaries with the limit that makes each segment.
 
 Every place of a map or boundary is a flight (case.py) whose margins are evaluated (margins.py). All flights of a study
-are computed in batches (base/parallel.py), each result a file of a ledger. A boundary is found from the flights along
-one axis (boundary.py), and flights are added at the edges that were found.
+are computed in batches (base/parallel/batches.py), each result a file of a ledger. A boundary is found from the flights
+along one axis (boundary.py), and flights are added at the edges that were found.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from sim_heating.base.errors import RunError
 from sim_heating.base.files import json_text
-from sim_heating.base.parallel import Job, run_batches
+from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress
 from sim_heating.heating.ratio.uncertainty import Evidence
 from sim_heating.planning.envelope.boundary import (

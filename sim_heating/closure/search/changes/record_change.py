@@ -21,8 +21,8 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import Parameter
-from sim_heating.base.processes import in_shares
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.screening import (
     GAIN_MARGIN,

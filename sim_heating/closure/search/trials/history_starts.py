@@ -21,9 +21,9 @@ from scipy.optimize import least_squares
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.base.processes import in_shares
-from sim_heating.base.threads import one_thread
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values

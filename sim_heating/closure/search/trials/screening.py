@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parameters import EFFECT_PREFIX, Parameter
-from sim_heating.base.processes import in_shares
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,

@@ -27,8 +27,8 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.paths import bytes_digest
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
+from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.base.progress import Progress, no_progress, signals_deferred
-from sim_heating.base.threads import march_threads, one_thread
 
 Work = Callable[[Any], bytes]
 

@@ -18,7 +18,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
 
-from sim_heating.base.threads import march_threads, thread_count
+from sim_heating.base.parallel.threads import march_threads, thread_count
 
 R = TypeVar("R")
 PROGRESS = "rich."

@@ -1,0 +1,1 @@
+"""Work beside each other: tasks of workers, copies of this process, threads."""
