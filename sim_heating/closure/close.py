@@ -14,7 +14,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
-from sim_heating.base.parallel.threads import in_threads
+from sim_heating.base.parallel.threads import in_threads, one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
@@ -181,7 +181,8 @@ def _closure(result: SearchResult, fitted: FitResult, notes: Sequence[str] = ())
     before, values = result.before, result.before.fit.values
     after = fitted.after[0]
     fits = [(before.problem, values), *([(fitted.problem, fitted.fit.values)] if result.explained else [])]
-    residuals = in_threads(lambda k: residual_heating(*fits[k]), len(fits))
+    with one_thread():  # around both: the limit is the process's, and the first to end would lift it for the other
+        residuals = in_threads(lambda k: residual_heating(*fits[k]), len(fits))
     residual, residual_after = residuals[0], residuals[1] if result.explained else None
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)

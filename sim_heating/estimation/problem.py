@@ -108,6 +108,8 @@ class FitOptions:
 
 
 DEFAULT_OPTIONS = FitOptions()
+LastMarches = list[tuple[bytes | None, Sequence[Linearised]]]
+"""By group of records, the last parameter vector, as bytes, and its marches [K]; a copy of a problem goes on there."""
 
 
 class FitProblem:
@@ -391,7 +393,7 @@ class FitProblem:
         self._marches: list[LinearMarch | None] = [None] * len(self.groups)
         # a march packs its arrays when it is made: it is stored and set to other parameters
         self._plain_marches: list[LinearMarch | None] = [None] * len(self.record_fits)
-        self._last: list[tuple[bytes | None, Sequence[Linearised]]] = [(None, [])] * len(self.groups)
+        self.last_marches: LastMarches = [(None, [])] * len(self.groups)
 
     # Likelihood ------------------------------------------------------------------------------------------------------
 
@@ -460,12 +462,12 @@ class FitProblem:
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the latest result of each group is cached."""
         # likelihood, bounds, pictures and residual tests ask for the same vector in turn
-        cached, found = self._last[k]
+        cached, found = self.last_marches[k]
         if cached != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
             march = self._marches[k] = group_march(group) if march is None else march
             found = march.march(*set_parameters(march, group, [vector] * len(group)))
-            self._last[k] = (vector.tobytes(), found)
+            self.last_marches[k] = (vector.tobytes(), found)
         return found
 
     def marched(self, vector: FloatArray) -> list[Linearised]:
@@ -489,20 +491,14 @@ class FitProblem:
         marched : index of the record -> its march [K]
         """
         for k, group in enumerate(self.groups):
-            self._last[k] = (vector.tobytes(), [marched[self.record_fits.index(record_fit)] for record_fit in group])
-
-    @property
-    def cached_marches(self) -> list[tuple[bytes | None, Sequence[Linearised]]]:
-        """The last vector of each group of records, as bytes, with its marches [K]: for a copy of the problem."""
-        return self._last
-
-    @cached_marches.setter
-    def cached_marches(self, cached: list[tuple[bytes | None, Sequence[Linearised]]]) -> None:
-        self._last = cached
+            self.last_marches[k] = (
+                vector.tobytes(),
+                [marched[self.record_fits.index(record_fit)] for record_fit in group],
+            )
 
     def has_cached(self, vector: FloatArray) -> bool:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
-        return all(cached == vector.tobytes() for cached, _ in self._last)
+        return all(cached == vector.tobytes() for cached, _ in self.last_marches)
 
     def _samples_of_record(self, record_fit: RecordFit, found: Sensed, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record at a parameter vector."""

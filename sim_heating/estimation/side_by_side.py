@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parallel.processes import in_shares
 from sim_heating.base.parallel.threads import in_threads, thread_count
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration
-from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration, next_request
+from sim_heating.estimation.problem import FitProblem, LastMarches
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
 
@@ -106,14 +106,14 @@ def maximise_together(
     """
     begin = [None] * len(problems) if starts is None else list(starts)
 
-    def of_share(chosen: Sequence[int]) -> list[tuple[Fit, list[tuple[bytes | None, Sequence[Linearised]]]]]:
+    def of_share(chosen: Sequence[int]) -> list[tuple[Fit, LastMarches]]:
         own = [problems[k] for k in chosen]
         fits = _maximise([iteration(p.parameters, begin[k], settings) for k, p in zip(chosen, own, strict=True)], own)
-        return [(fit, p.cached_marches) for fit, p in zip(fits, own, strict=True)]
+        return [(fit, p.last_marches) for fit, p in zip(fits, own, strict=True)]
 
     found = in_shares(of_share, len(problems))
-    for problem, (_, cached) in zip(problems, found, strict=True):
-        problem.cached_marches = cached
+    for problem, (_, marches) in zip(problems, found, strict=True):
+        problem.last_marches = marches
     return [fit for fit, _ in found]
 
 
@@ -139,17 +139,10 @@ def _maximise(searches: Sequence[Iteration], problems: Sequence[FitProblem]) -> 
 
 
 def _next_requests(evaluated: Sequence[tuple[Iteration, Evaluation, FitProblem]]) -> list[FloatArray | Fit]:
-    """`_next_request` of each iteration, in threads: fractions of a step are marches by themselves."""
-    return in_threads(lambda i: _next_request(*evaluated[i]), len(evaluated))
+    """`next_request` of each iteration, in threads: fractions of a step are marches by themselves."""
 
+    def of(i: int) -> FloatArray | Fit:
+        search, evaluation, problem = evaluated[i]
+        return next_request(search, evaluation, problem.log_likelihoods)
 
-def _next_request(search: Iteration, evaluation: Evaluation, problem: FitProblem) -> FloatArray | Fit:
-    """The next parameter vector that an iteration needs evaluated, or its fit; fractions of a step are done here."""
-    try:
-        request = search.send(evaluation)
-        while request.ndim == 2:
-            request = search.send(problem.log_likelihoods(request))
-    except StopIteration as ended:
-        fit: Fit = ended.value
-        return fit
-    return request
+    return in_threads(of, len(evaluated))

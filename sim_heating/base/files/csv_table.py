@@ -284,7 +284,8 @@ def csv_text(
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
     rows = zip(*texts, strict=True)
-    if all(v.dtype.kind in NUMBERS for v in arrays.values()) and len(arrays) > 1:  # no cell to quote
+    if all(v.dtype.kind in NUMBERS for v in arrays.values()) and len(arrays) > 1:
+        # no cell to quote; an empty one that is alone in its row would be
         stream.writelines(f"{','.join(row)}\n" for row in rows)
     else:
         writer.writerows(rows)

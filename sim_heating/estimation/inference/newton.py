@@ -281,13 +281,10 @@ def maximise(
     """
     several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, on_step)
-    request = next(search)
-    while True:
-        try:
-            request = search.send(evaluate(request) if request.ndim == 1 else several(request))
-        except StopIteration as ended:
-            fit: Fit = ended.value
-            return fit
+    request: FloatArray | Fit = next(search)
+    while not isinstance(request, Fit):
+        request = next_request(search, evaluate(request), several)
+    return request
 
 
 def iteration(
@@ -316,6 +313,26 @@ def iteration(
     search = _NewtonSearch(posterior, settings, at, limited, on_step)
     status = yield from search.run()
     return search.fit(names, status)
+
+
+def next_request(search: Iteration, evaluation: Evaluation, log_likelihoods: LogLikelihoods) -> FloatArray | Fit:
+    """What an iteration needs after an evaluation: the next vector to be evaluated, or nothing more.
+
+    evaluation      : at the vector that was needed last
+    log_likelihoods : log likelihoods [-] of several parameter vectors at once, for the fractions of a step
+    returns         : (parameter,) vector, each value in the unit of its parameter ([-] where it has none); the fit
+                      where the iteration has ended
+
+    Source: docs/theory/estimation_statistics.md, equations 13 to 17.
+    """
+    try:
+        request = search.send(evaluation)
+        while request.ndim == 2:
+            request = search.send(log_likelihoods(request))
+    except StopIteration as ended:
+        fit: Fit = ended.value
+        return fit
+    return request
 
 
 class _NewtonSearch:

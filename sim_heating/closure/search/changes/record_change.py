@@ -43,7 +43,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.likelihood import scores
-from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration, next_request
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
@@ -656,14 +656,12 @@ def _maximise_share(
         going = tuple(requests)
         found = _evaluate_together([models[k] for k in going], [requests[k] for k in going])
         for k, evaluation in zip(going, found, strict=True):
-            try:
-                request = searches[k].send(evaluation)
-                while request.ndim == 2:
-                    request = searches[k].send(models[k].log_likelihoods(request))
-                requests[k] = request
-            except StopIteration as ended:
-                fits[k] = ended.value
+            request = next_request(searches[k], evaluation, models[k].log_likelihoods)
+            if isinstance(request, Fit):
+                fits[k] = request
                 del requests[k]
+            else:
+                requests[k] = request
     return [fits[k] for k in range(len(models))]
 
 
