@@ -35,6 +35,7 @@ LIBRARIES = {
     "reads": READING,
     "computes": f"{READING}\nfrom sim_heating.heating.atmosphere import gravity\ngravity(0.0)",
     "draws": "import matplotlib.figure, matplotlib.backends.backend_agg, jinja2, PIL.Image",
+    "stores": "import netCDF4, xarray\nxarray.Dataset({'a': ('time', [0.0])})",
 }
 """Kind of work -> what a process that does it imports at least."""
 
@@ -56,7 +57,7 @@ COMMANDS = (
     Command(("validate", POPU), 0.6, ("computes",)),
     Command(("predict", P06), 1.5, ("computes", "draws"), True),
     Command(("estimate", P06), 2.0, ("computes", "draws"), True),
-    Command(("run", POPU), 4.0, ("computes", "draws"), True),
+    Command(("run", POPU), 4.0, ("computes", "draws", "stores"), True),
     Command(("synthesize", POPU), 3.5, ("computes", "draws"), True),
     Command(("close-loop", P08), 4.0, ("computes", "draws"), True),
     Command(("close-loop", P04), 9.0, ("computes", "draws"), True),

@@ -16,7 +16,6 @@ from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.base.files.text import write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -358,7 +357,7 @@ def write_run(
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
-        _write_histories(result, folder)
+        _write_tables(result, folder)
         progress(0.92, "drawing")
         draw_run(result, folder, points)
         progress(0.96, "writing the page")
@@ -386,7 +385,7 @@ def with_reference_heating(result: RunResult) -> Conditions:
     return result.flight.conditions.with_columns(**columns)
 
 
-def _write_histories(result: RunResult, folder: Path) -> None:
+def _write_tables(result: RunResult, folder: Path) -> None:
     vehicle = result.scenario.vehicle
     sensors = {name: vehicle.control_point(name).sensors for name in result.points}
     for name, point in result.points.items():
@@ -394,7 +393,12 @@ def _write_histories(result: RunResult, folder: Path) -> None:
         point_folder.mkdir(exist_ok=True)
         write_temperatures_csv(point_folder / TABLE, point.history.time_s, point.history, sensors[name])
         write_heating_csv(point_folder / HEATING, point.history, result.limits[name])
-    write_bytes_atomic(folder / HISTORIES, _netcdf(result.to_xarray()))
+
+
+def _write_histories(result: RunResult, path: Path) -> None:
+    from sim_heating.base.report.figure import write_content  # matplotlib is slow to import
+
+    write_content(path, _netcdf(result.to_xarray()))
 
 
 def _netcdf(dataset: xr.Dataset) -> bytes:
@@ -409,7 +413,8 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
 
 
 def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> None:
-    """Pictures of a run: trajectory, temperatures, heating, each manoeuvre, measured against predicted.
+    """Pictures of a run, trajectory, temperatures, heating, each manoeuvre, measured against predicted, and beside them
+    the file of its histories.
 
     points : names of those that are drawn, by default all
     """
@@ -419,9 +424,10 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)
     draws: list[Callable[[], object]] = [
+        partial(plots.draw_heating, folder / HEAT, title, histories, windows),
+        partial(_write_histories, result, folder / HISTORIES),
         partial(plots.draw_trajectory, folder / TRAJECTORY, title, flown, windows),
         partial(plots.draw_temperatures, folder / TEMPERATURES, title, histories, windows, result.limits),
-        partial(plots.draw_heating, folder / HEAT, title, histories, windows),
     ]
     moved = result.flight.at_frame_rate()
     for i, window in enumerate(windows, start=1):

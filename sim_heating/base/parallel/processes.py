@@ -13,14 +13,16 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from typing import Any, TypeVar
 
 from sim_heating.base.parallel.threads import march_threads, thread_count
 
 R = TypeVar("R")
+NUMBER_BYTES = 4
 PROGRESS = "rich."
 """Modules whose threads may run while a process is copied: they show progress, and nothing waits for them."""
 
@@ -28,13 +30,25 @@ PROGRESS = "rich."
 def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
     """Results of tasks, in their order, with the tasks shared out to this process and to copies of it.
 
-    tasks : picklable results; they change nothing that this process needs. One that fails or warns in a copy is done
-            again here, where its error or warning is seen
+    tasks : picklable results; they change nothing that this process needs. A process that is done with one takes the
+            next, so the longest should come first. What fails or warns in a copy is done again here, where its error
+            or warning is seen
 
     Each process marches in one thread. On other systems than Linux, and beside threads that may hold locks, all is done
     here.
     """
-    return in_shares(lambda chosen: [tasks[k]() for k in chosen], len(tasks))
+    count = len(tasks)
+    shares = _processes_for(count)
+    if shares == 1:
+        return [task() for task in tasks]
+    with march_threads(1), _Numbers(range(shares, count)) as left:
+
+        def in_turn(first: int) -> dict[int, R]:
+            return {k: tasks[k]() for k in chain([first], left)}
+
+        parts = _in_copies([partial(in_turn, k) for k in range(shares)])
+        found = {k: result for part in parts for k, result in part.items()}
+        return [found[k] if k in found else tasks[k]() for k in range(count)]
 
 
 def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]:
@@ -43,18 +57,51 @@ def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]
     of    : results of some of the numbers together, in the order of these; otherwise as a task of `in_processes`
     count : of all results
     """
-    shares = max(1, min(count, thread_count())) if _can_be_copied() else 1
+    shares = _processes_for(count)
     if shares == 1:
         return list(of(range(count)))
     with march_threads(1):
-        copies = [_Copy(partial(of, range(k, count, shares))) for k in range(1, shares)]
-        try:
-            own = of(range(0, count, shares))
-            found = [own, *(copy.results() for copy in copies)]
-        finally:
-            for copy in copies:
-                copy.end()
+        found = _in_copies([partial(of, range(k, count, shares)) for k in range(shares)])
     return [found[i % shares][i // shares] for i in range(count)]
+
+
+def _processes_for(count: int) -> int:
+    """How many processes do a number of tasks, this one among them."""
+    return max(1, min(count, thread_count())) if _can_be_copied() else 1
+
+
+def _in_copies(shares: Sequence[Callable[[], R]]) -> list[R]:
+    """Results of shares: of the first here, of each other one in a copy, or here where the copy failed."""
+    copies: list[_Copy] = []
+    try:
+        copies += [_Copy(share) for share in shares[1:]]
+        return [shares[0](), *(copy.result() for copy in copies)]
+    finally:
+        for copy in copies:
+            copy.end()
+
+
+class _Numbers:
+    """Numbers that this process and its copies take one after another, each number once.
+
+    They stand in a file in memory, whose position the processes share.
+    """
+
+    def __init__(self, numbers: Iterable[int]) -> None:
+        self._file = os.memfd_create("numbers")
+        with os.fdopen(os.dup(self._file), "wb") as file:
+            file.write(b"".join(k.to_bytes(NUMBER_BYTES, sys.byteorder) for k in numbers))
+        os.lseek(self._file, 0, os.SEEK_SET)
+
+    def __iter__(self) -> Iterator[int]:
+        while taken := os.read(self._file, NUMBER_BYTES):
+            yield int.from_bytes(taken, sys.byteorder)
+
+    def __enter__(self) -> _Numbers:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        os.close(self._file)
 
 
 def _can_be_copied() -> bool:
@@ -66,7 +113,7 @@ def _can_be_copied() -> bool:
 class _Copy:
     """A copy of this process that does a share of the work."""
 
-    def __init__(self, share: Callable[[], Sequence[Any]]) -> None:
+    def __init__(self, share: Callable[[], Any]) -> None:
         self._share = share
         reading, writing = os.pipe()
         with warnings.catch_warnings():
@@ -78,13 +125,12 @@ class _Copy:
         os.close(writing)
         self._pipe = os.fdopen(reading, "rb")
 
-    def results(self) -> Sequence[Any]:
+    def result(self) -> Any:
         """What the copy has sent; else its share is done here."""
         sent = self._pipe.read()
         _, status = os.waitpid(self._process, 0)
         self._process = 0
-        found: Sequence[Any] = pickle.loads(sent) if status == 0 else self._share()
-        return found
+        return pickle.loads(sent) if status == 0 else self._share()
 
     def end(self) -> None:
         """End the copy where it still runs."""
@@ -96,7 +142,7 @@ class _Copy:
             self._process = 0
 
 
-def _send_results(share: Callable[[], Sequence[Any]], writing: int) -> None:
+def _send_results(share: Callable[[], Any], writing: int) -> None:
     """Do a share and send its results; the process ends here, without anything that Python does at its end."""
     status = 1
     try:

@@ -72,12 +72,12 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
     add_grid_and_title(figure, title, axes)
     lay_out(figure)
     if path is not None:
-        _write_png(figure, path)
+        write_content(path, picture_file(figure, "png", dpi=DPI))
     return figure
 
 
-def _write_png(figure: Figure, path: Path) -> None:
-    content = picture_file(figure, "png", dpi=DPI)
+def write_content(path: Path, content: bytes) -> None:
+    """Write a file, or hold it where `draw_files` writes all of them in the end."""
     if _held is None:
         write_bytes_atomic(path, content)
     else:
@@ -85,14 +85,17 @@ def _write_png(figure: Figure, path: Path) -> None:
 
 
 def draw_files(draws: Sequence[Callable[[], object]]) -> None:
-    """Call functions that draw files by `save_figure`, in processes of their own, and write what they have drawn."""
+    """Call functions that make files by `save_figure` or `write_content`, in processes of their own, and write these.
+
+    draws : those that take longest first
+    """
     for drawn in in_processes([partial(_hold, draw) for draw in draws]):
         for path, content in drawn.items():
             write_bytes_atomic(path, content)
 
 
 def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:
-    """The files that a function draws, not written."""
+    """The files that a function makes, not written."""
     global _held
     _held = {}
     try:
@@ -193,7 +196,7 @@ def replaced_if_undrawable(draw: F) -> F:
             if path is None:
                 raise
             figure = explanation(display_path(result_path(path)), error)
-            _write_png(figure, path)
+            write_content(path, picture_file(figure, "png", dpi=DPI))
             return figure
 
     return cast(F, drawn)
