@@ -140,7 +140,7 @@ COMMANDS = (
             ("fmu_entry", "entry.fmu", ()),
         )
     ),
-    _cli("run_fmu", "run", "{root}/inputs/flown_fmu.toml"),
+    _cli("run_fmu", "run", "{root}/inputs/flown_fmu.toml", "--root", "{root}"),
     # tables made of their sources, records made of measured histories: module commands that may have become others
     Command(
         "ratio_tables",

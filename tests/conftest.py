@@ -7,11 +7,15 @@ import gc
 import os
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from sim_heating.base.parallel.threads import march_threads
 
 # Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's
 # shell says of compiled files.
@@ -121,6 +125,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     config.option.loadscopereorder = False
     return LoadFileScheduling(config, log)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Beside others for every core, a process shares its work out to no threads and to no copies of itself."""
+    with march_threads(1) if "PYTEST_XDIST_WORKER" in os.environ else nullcontext():
+        yield
 
 
 @pytest.fixture
