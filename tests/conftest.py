@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sim_heating.base.parallel.threads import march_threads
+from sim_heating.base.parallel.threads import core_count, march_threads
 
 # Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's
 # shell says of compiled files.
@@ -112,8 +112,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """One process more than there are cores: some tests wait for programs that they start."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return cores + 1
+    return core_count() + 1
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -8,7 +8,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 import warnings
 from functools import partial
 from pathlib import Path
@@ -21,6 +23,7 @@ from sim_heating.base.report.figure import draw_files, new_figure, save_figure
 
 HERE = os.getpid()
 ROOT = Path(__file__).parents[2]
+LONGEST_WAIT_S = 60.0
 
 
 def square(n: int) -> tuple[int, int]:
@@ -32,6 +35,24 @@ def results_keep_the_order_of_the_tasks():
     assert [value for value, _ in found] == [0, 1, 4, 9, 16]
     assert len({process for _, process in found}) == (2 if sys.platform == "linux" else 1)
     assert in_processes([]) == []
+
+
+def waits_for_the_last(n: int, made: Path) -> int:
+    """Task 0 takes until task 4 is done, which is then the work of another process."""
+    if n == 4:
+        made.touch()
+    end = time.monotonic() + LONGEST_WAIT_S
+    while n == 0 and not made.exists():
+        assert time.monotonic() < end, "task 4 waits for the process of task 0"
+        time.sleep(0.01)
+    return n
+
+
+def a_process_that_is_done_takes_the_next_task():
+    if sys.platform == "linux":
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "made"
+            assert in_processes([partial(waits_for_the_last, n, made) for n in range(5)]) == [0, 1, 2, 3, 4]
 
 
 def shares_keep_the_order_of_their_numbers():
@@ -89,10 +110,22 @@ def an_error_is_raised_here_and_no_process_remains():
                 os.waitpid(-1, os.WNOHANG)
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system confines no process to some cores")
+def test_a_process_that_may_use_one_core_shares_nothing_out():
+    confined = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})"
+    program = (
+        f"{confined}\nfrom {__name__} import *\nassert thread_count() == 1\n"
+        "assert len({process for _, process in in_processes([partial(square, n) for n in range(3)])}) == 1"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 @pytest.mark.parametrize(
     "deed",
     [
         results_keep_the_order_of_the_tasks,
+        a_process_that_is_done_takes_the_next_task,
         shares_keep_the_order_of_their_numbers,
         beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here,
         what_fails_in_a_copy_is_done_again_here,

@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 
 
 R = TypeVar("R")
-_threads = os.cpu_count() or 1
+
+
+def core_count() -> int:
+    """Number of cores that this process may use, which may be fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_threads = core_count()
 
 
 @cache
