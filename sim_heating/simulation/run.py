@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -13,9 +14,10 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
+from sim_heating.base.parallel.processes import in_copy
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
@@ -24,6 +26,7 @@ from sim_heating.inputs.points import conditions_at_point, mean_condition, point
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
+from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, run_table, write_heating_csv, write_temperatures_csv
@@ -71,6 +74,8 @@ OF_POINT = TABLE, HEATING = "temperatures.csv", "heating.csv"
 """Files of each control point."""
 TRAJECTORY, TEMPERATURES, HEAT, COMPARED = "trajectory.png", "temperatures.png", "heating.png", "compared.png"
 PAGE = "report.html"
+FLIGHT_FRACTION = 0.7
+"""Fraction of the time of a run that its flight takes."""
 PLOTTED_POINTS = 3
 """Control points drawn for one manoeuvre: those whose surface temperature responds most."""
 RESPONSE_S = 5.0
@@ -191,15 +196,36 @@ class Comparison:
         return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
 
 
-def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
-    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file."""
+def fly_scenario(
+    scenario: Scenario,
+    *,
+    progress: Progress = no_progress,
+    on_frame: OnFrame | None = None,
+    meanwhile: Callable[[], object] | None = None,
+) -> Flight:
+    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file.
+
+    meanwhile : where it can, a copy of this process flies, and this one calls it; not with `on_frame`
+    """
     spec = scenario.declared.trajectory
+
+    def fly(report: Progress) -> Flight:
+        return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=report)
+
+    has_own_process = spec.source == "fmu"
     with error_context(display_path(scenario.path)):
-        flight = SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
+        flight = fly(progress) if meanwhile is None or has_own_process else in_copy(fly, meanwhile, progress)
         if spec.source != "recorded":
             with error_context("[trajectory]"):
                 check_samples(flight, spec.sample_s)
     return flight
+
+
+def _load_march(scenario: Scenario) -> None:
+    """Load the kernels of the march, and choose the meshes of its points on trial heatings, which need no flight."""
+    points = [point_of_vehicle(scenario.vehicle, scenario.vehicle.control_point(name)) for name in scenario.names]
+    with suppress(InputError, RunError):  # the march itself tells it
+        choose_meshes(points, scenario.declared.heating.longest_step_s)
 
 
 def models_of(
@@ -221,10 +247,13 @@ def models_of(
     return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
 
 
-def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = no_progress) -> RunResult:
+def run(
+    scenario: Scenario | str | os.PathLike[str], *, flight: Flight | None = None, progress: Progress = no_progress
+) -> RunResult:
     """Fly a scenario and march its control points along the flight.
 
     scenario : a scenario, or the path of its file
+    flight   : the scenario's flight where it has been flown already; the plug-in does not fly along then
     progress : called with the fraction done, from 0 to 1, and a line of text
     returns  : conditions, temperatures and heating ratios by control point
     raises   : InputError where the scenario is wrong, RunError where the flight or a thermal step fails
@@ -240,14 +269,36 @@ def run(scenario: Scenario | str | os.PathLike[str], *, progress: Progress = no_
     heating = scenario.declared.heating
     # The plug-in flies along as a host would use it; the march from the conditions is the result, their difference a
     # check.
-    alongside = _PluginAlongside(scenario) if heating.alongside else None
-    flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"), on_frame=alongside)
-    progress(0.7, "marching the control points")
+    alongside = _PluginAlongside(scenario) if heating.alongside and flight is None else None
+    if flight is None:
+        flight = fly_scenario(scenario, progress=partial(flying, progress), on_frame=alongside)
+    progress(FLIGHT_FRACTION, "marching the control points")
     models, flights = models_of(scenario, flight.conditions)
     histories = march_points(models, flights, longest_step_s=heating.longest_step_s)
     points = {m.name: PointResult(m, c, h) for m, c, h in zip(models, flights, histories, strict=True)}
     progress(0.85, "temperatures done")
     return RunResult(scenario, flight, points, None if alongside is None else alongside.differences_K(histories))
+
+
+def fly_beside(scenario: Scenario, load: Callable[[], object], progress: Progress = no_progress) -> Flight | None:
+    """The flight of a scenario for `run` or `synthesize`, flown by a copy of this process while this one loads.
+
+    load    : loads what is needed after the march
+    returns : None where the plug-in flies along, which `run` has to see
+    """
+    if scenario.declared.heating.alongside:
+        return None
+
+    def load_all() -> None:
+        load()
+        _load_march(scenario)
+
+    return fly_scenario(scenario, progress=partial(flying, progress), meanwhile=load_all)
+
+
+def flying(progress: Progress, fraction: float, text: str) -> None:
+    """Report the progress of the flight of a scenario."""
+    progress(FLIGHT_FRACTION * fraction, f"flying: {text}")
 
 
 class _PluginAlongside:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, march_points, values_at
-from sim_heating.simulation.run import fly_scenario, models_of
+from sim_heating.simulation.run import FLIGHT_FRACTION, fly_scenario, flying, models_of
 from sim_heating.thermal.frame import STEP_TOLERANCE_K
 from sim_heating.thermal.stack import Sensor
 from sim_heating.trajectory.aero import flown_aero
@@ -63,8 +64,8 @@ def synthesize(
     """
     scenario = load_scenario(scenario)
     if flight is None:
-        flight = fly_scenario(scenario, progress=lambda f, text: progress(0.7 * f, f"flying: {text}"))
-    progress(0.7, "marching the truth")
+        flight = fly_scenario(scenario, progress=partial(flying, progress))
+    progress(FLIGHT_FRACTION, "marching the truth")
     flown = flight.conditions
     models, flights = models_of(scenario, flown, truth=True)
     flights = _with_axial_force(scenario, flights)

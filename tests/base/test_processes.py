@@ -6,18 +6,21 @@ Each deed is done in a process of its own: that of a test has threads, beside wh
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from sim_heating.base.parallel.processes import in_processes, in_shares
+from sim_heating.base.errors import InputError
+from sim_heating.base.parallel.processes import in_copy, in_processes, in_shares
 from sim_heating.base.parallel.threads import march_threads, thread_count
 from sim_heating.base.report.figure import draw_files, new_figure, save_figure
 
@@ -110,6 +113,54 @@ def an_error_is_raised_here_and_no_process_remains():
                 os.waitpid(-1, os.WNOHANG)
 
 
+def told(hear: Callable[[float, str], None], loaded: list[int]) -> tuple[int, list[int]]:
+    """Report progress twice; the process that did so, and what it knows of what was loaded."""
+    hear(0.5, "half")
+    hear(1.0, "all")
+    return os.getpid(), loaded
+
+
+def a_task_in_a_copy_tells_its_progress_while_this_process_loads():
+    loaded: list[int] = []
+    heard: list[tuple[float, str]] = []
+    process, known = in_copy(
+        partial(told, loaded=loaded), lambda: loaded.append(os.getpid()), lambda *said: heard.append(said)
+    )
+    assert heard == [(0.5, "half"), (1.0, "all")]
+    if sys.platform == "linux":
+        assert (process == HERE, known, loaded) == (False, [], [HERE])
+
+
+def refused(_hear: object, done: Path) -> None:
+    done.write_text(done.read_text() + "once ")
+    raise InputError("stop.toml: flies no frame", "stop.toml: has no end")
+
+
+def wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated():
+    with tempfile.TemporaryDirectory() as folder:
+        done = Path(folder) / "done"
+        done.write_text("")
+        with pytest.raises(InputError) as found:
+            in_copy(partial(refused, done=done), lambda: None, lambda *said: None)
+        assert found.value.problems == ("stop.toml: flies no frame", "stop.toml: has no end")
+        assert done.read_text() == "once "
+    if sys.platform == "linux":
+        with pytest.raises(ChildProcessError):
+            os.waitpid(-1, os.WNOHANG)
+
+
+def a_copy_that_is_killed_has_its_task_done_here():
+    def killed(hear: Callable[[str], None]) -> int:
+        hear("begun")
+        if os.getpid() != HERE:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return os.getpid()
+
+    heard: list[str] = []
+    assert in_copy(killed, lambda: None, heard.append) == HERE
+    assert set(heard) == {"begun"}
+
+
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system confines no process to some cores")
 def test_a_process_that_may_use_one_core_shares_nothing_out():
     confined = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})"
@@ -131,6 +182,9 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
         what_fails_in_a_copy_is_done_again_here,
         a_warning_of_a_copy_is_given_here,
         an_error_is_raised_here_and_no_process_remains,
+        a_task_in_a_copy_tells_its_progress_while_this_process_loads,
+        wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated,
+        a_copy_that_is_killed_has_its_task_done_here,
     ],
     ids=lambda deed: deed.__name__,
 )

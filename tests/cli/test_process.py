@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.kills import state
+from sim_heating.base.parallel.threads import march_threads
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import ROOT, TILE
@@ -220,6 +222,8 @@ def run_one_after_the_other(*commands: list[str]) -> list[tuple[int, str]]:
     """Exit status and errors of several commands in one other process; this one would wait for a pipe for ever."""
     code = """
 import json, sys
+from benchmarks.kills import state
+from sim_heating.base.parallel.threads import march_threads
 from sim_heating.cli import main
 for command in json.loads(sys.argv[1]):
     print(f"status {main(command)}", file=sys.stderr)
@@ -274,3 +278,29 @@ def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir
     assert done.returncode == 1
     assert re.match(r"failed: out/heating\.png: cannot be written \(File too large\)", done.stderr.splitlines()[-1])
     assert {p.name: p.read_bytes() for p in (workdir / "out").iterdir() if p.is_file()} == before
+
+
+@pytest.mark.parametrize("command", ["run", "synthesize"])
+def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_process(
+    command: str, workdir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That of a shell has its flight in a copy, where there are two cores; that of this test has no other threads."""
+    made = subprocess.run([*MODULE, command, "short.toml", "--out", "shell"], env=ENVIRONMENT, capture_output=True)
+    assert made.returncode == 0, made.stderr.decode()
+    with march_threads(1):
+        assert main([command, "short.toml", "--out", "here"]) == 0
+    shell, here = state(workdir / "shell"), state(workdir / "here")
+    assert len(shell) > 5
+    assert shell == here
+
+
+def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:
+    """Where a copy of the process flies, too."""
+    text = (workdir / "short.toml").read_text(encoding="utf-8")
+    (workdir / "late.toml").write_text(text.replace("[trajectory]\n", "[trajectory]\nsample_s = 1000.0\n", 1))
+    done = subprocess.run(
+        [*MODULE, "run", "late.toml", "--out", "out"], env=ENVIRONMENT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("error: late.toml: [trajectory]: `sample_s`: 1000 s is longer than")
+    assert not (workdir / "out").exists()

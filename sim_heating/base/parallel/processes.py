@@ -1,4 +1,4 @@
-"""Work shared out to copies of this process, one for each core: fits of candidates, pictures.
+"""Work shared out to copies of this process, one for each core: fits of candidates, pictures, a flight.
 
 Python uses one core; a copy of the process has everything in memory that its share of the work needs. A copy writes no
 file: it sends what it has made through a pipe, so that nothing remains of it where the command is ended.
@@ -19,9 +19,13 @@ from functools import partial
 from itertools import chain
 from typing import Any, TypeVar
 
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.threads import march_threads, thread_count
 
 R = TypeVar("R")
+Hear = Callable[..., None]
+SAID, DONE, FAILED = "said", "done", "failed"
+"""What a copy sends: progress, its result, its error."""
 NUMBER_BYTES = 4
 PROGRESS = "rich."
 """Modules whose threads may run while a process is copied: they show progress, and nothing waits for them."""
@@ -31,8 +35,8 @@ def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
     """Results of tasks, in their order, with the tasks shared out to this process and to copies of it.
 
     tasks : picklable results; they change nothing that this process needs. A process that is done with one takes the
-            next, so the longest should come first. What fails or warns in a copy is done again here, where its error
-            or warning is seen
+            next, so the longest should come first. An InputError or RunError in a copy is raised here; what fails
+            otherwise or warns is done again here, where its error or warning is seen
 
     Each process marches in one thread. On other systems than Linux, and beside threads that may hold locks, all is done
     here.
@@ -65,6 +69,25 @@ def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]
     return [found[i % shares][i // shares] for i in range(count)]
 
 
+def in_copy(task: Callable[[Hear], R], meanwhile: Callable[[], object], hear: Hear) -> R:
+    """Result of a task that a copy of this process does, while this one does something else.
+
+    task      : called with what hears of its progress; otherwise as a task of `in_processes`
+    meanwhile : loads what is needed after the task; without a copy it is not called
+    hear      : called here with what the task says, from when `meanwhile` is done
+    """
+    if _processes_for(2) == 1:
+        return task(hear)
+    with march_threads(1):
+        copy = _Copy(task)
+        try:
+            meanwhile()
+            found: R = copy.result(hear)
+            return found
+        finally:
+            copy.end()
+
+
 def _processes_for(count: int) -> int:
     """How many processes do a number of tasks, this one among them."""
     return max(1, min(count, thread_count())) if _can_be_copied() else 1
@@ -74,11 +97,19 @@ def _in_copies(shares: Sequence[Callable[[], R]]) -> list[R]:
     """Results of shares: of the first here, of each other one in a copy, or here where the copy failed."""
     copies: list[_Copy] = []
     try:
-        copies += [_Copy(share) for share in shares[1:]]
+        copies += [_Copy(partial(_alone, share)) for share in shares[1:]]
         return [shares[0](), *(copy.result() for copy in copies)]
     finally:
         for copy in copies:
             copy.end()
+
+
+def _alone(share: Callable[[], R], _hear: Hear) -> R:
+    return share()
+
+
+def _nobody(*_said: object) -> None:
+    pass
 
 
 class _Numbers:
@@ -113,7 +144,7 @@ def _can_be_copied() -> bool:
 class _Copy:
     """A copy of this process that does a share of the work."""
 
-    def __init__(self, share: Callable[[], Any]) -> None:
+    def __init__(self, share: Callable[[Hear], Any]) -> None:
         self._share = share
         reading, writing = os.pipe()
         with warnings.catch_warnings():
@@ -121,16 +152,26 @@ class _Copy:
             self._process = os.fork()
         if self._process == 0:
             os.close(reading)
-            _send_results(share, writing)
+            _send_result(share, writing)
         os.close(writing)
         self._pipe = os.fdopen(reading, "rb")
 
-    def result(self) -> Any:
-        """What the copy has sent; else its share is done here."""
-        sent = self._pipe.read()
+    def result(self, hear: Hear = _nobody) -> Any:
+        """What the copy has sent, or its error; else its share is done here."""
+        kind: str = SAID
+        content: Any = ()
+        with suppress(EOFError, pickle.UnpicklingError):  # of a copy that was killed
+            while kind == SAID:
+                kind, content = pickle.load(self._pipe)
+                if kind == SAID:
+                    hear(*content)
         _, status = os.waitpid(self._process, 0)
         self._process = 0
-        return pickle.loads(sent) if status == 0 else self._share()
+        if status != 0 or kind == SAID:
+            return self._share(hear)
+        if kind == FAILED:
+            raise content
+        return content
 
     def end(self) -> None:
         """End the copy where it still runs."""
@@ -142,15 +183,22 @@ class _Copy:
             self._process = 0
 
 
-def _send_results(share: Callable[[], Any], writing: int) -> None:
-    """Do a share and send its results; the process ends here, without anything that Python does at its end."""
+def _send_result(share: Callable[[Hear], Any], writing: int) -> None:
+    """Do a share and send its result; the process ends here, without anything that Python does at its end."""
     status = 1
     try:
         _end_with_parent()
         warnings.simplefilter("error")
-        sent = pickle.dumps(share())
         with os.fdopen(writing, "wb") as pipe:
-            pipe.write(sent)
+
+            def send(kind: str, content: object) -> None:
+                pipe.write(pickle.dumps((kind, content)))
+                pipe.flush()
+
+            try:
+                send(DONE, share(lambda *said: send(SAID, said)))
+            except (InputError, RunError) as error:
+                send(FAILED, error)
         status = 0
     finally:
         os._exit(status)
