@@ -183,21 +183,24 @@ def _xml(data: bytes) -> Leaves:
 
 
 def _model_bin(data: bytes) -> Leaves:
-    """Numbers R and N of an FMU's image (docs/how_to/fmu.md), with bounds of variables."""
-    header = np.frombuffer(data, np.int64, 7, 16)
-    n_real, n_whole, n_variables, n_problems = (int(n) for n in header[:4])
-    at = 16 + 8 * 7
+    """Numbers R, N and T of an FMU's image, with bounds of variables: simulation/fmu_export/parts/image.py."""
+    if data[: len(IMAGE)] != IMAGE:
+        raise ValueError("model.bin: of another format than this comparison reads")
+    header = np.frombuffer(data, np.int64, 10, len(IMAGE))
+    n_real, n_whole, n_table, n_variables, n_problems, *n_kept = (int(n) for n in header[:7])
+    at = len(IMAGE) + 8 * len(header)
     variables = np.frombuffer(data, np.int64, 7 * n_variables, at).reshape(-1, 7)
-    at += 8 * (7 * n_variables + 3 * n_problems)
-    whole = np.frombuffer(data, np.int64, n_whole, at + 8 * n_real)
+    at += 8 * (7 * n_variables + 3 * n_problems + 2 * sum(n_kept))
     return {
-        "counts": header[:4].astype(np.float64),
+        "counts": header[:7].astype(np.float64),
         "lower, upper": variables[:, 5:7].copy().view(np.float64),
         "R": np.frombuffer(data, np.float64, n_real, at).copy(),
-        "N": whole.astype(np.float64),
+        "N": np.frombuffer(data, np.int64, n_whole, at + 8 * n_real).astype(np.float64),
+        "T": np.frombuffer(data, np.float64, n_table, at + 8 * (n_real + n_whole)).copy(),
     }
 
 
+IMAGE = b"sim-heating-fmu3"
 READERS: dict[str, Callable[[bytes], Leaves]] = {
     ".csv": _csv,
     ".json": lambda data: _flat(json.loads(data), "", {}),
