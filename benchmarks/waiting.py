@@ -4,6 +4,8 @@ A floor is what no work on the rest of the program takes away: imports of the li
 without and a first kernel from the cache, the compiled kernels that it calls, and JSBSim's own steps. Each is measured
 in the same rounds, as processor time. A goal is the stated time or 1.3 times the floor, whichever is longer.
 
+Machines differ, and one that others use changes by the hour: a plain loop of Python is timed in the same rounds.
+
 The last lines are of a machine that has nothing compiled yet: the installation of the README's first command from
 the clients' cache of wheels, and its demonstration.
 """
@@ -25,6 +27,7 @@ from benchmarks.measure import Figure, save, spent_by_children_s
 
 ROUNDS = 3
 GOAL_OVER_FLOOR = 1.3
+ADDITIONS = 1_000_000
 DEMO_S, INSTALLED_S = 30.0, 60.0
 """Goals of the first demonstration ever on a machine, and of its installation [s]."""
 ROOT = Path(__file__).parents[1]
@@ -95,17 +98,27 @@ def _floor(command: Command) -> tuple[float, float, float]:
     return libraries, parts["kernels_s"], parts["jsbsim_s"]
 
 
+def _additions_s() -> float:
+    """Wall time [s] of a plain loop."""
+    start, total = time.perf_counter(), 0
+    for k in range(ADDITIONS):
+        total += k
+    return time.perf_counter() - start
+
+
 def _commands() -> list[Figure]:
     """Time all commands; the first run of each, which may compile, does not count."""
     for command in COMMANDS:
         _timed(command)
     times: dict[Command, list[tuple[float, float]]] = {command: [] for command in COMMANDS}
     floors: dict[Command, list[tuple[float, float, float]]] = {command: [] for command in COMMANDS}
+    additions = []
     for _ in range(ROUNDS):
+        additions.append(_additions_s())
         for command in COMMANDS:
             times[command].append(_timed(command))
             floors[command].append(_floor(command))
-    figures = []
+    figures = [Figure("the machine: a million additions in a loop of Python, wall", median(additions), "s")]
     for command in COMMANDS:
         name = " ".join(command.arguments)
         wall, processor = (median(values) for values in zip(*times[command], strict=True))
