@@ -98,6 +98,16 @@ def a_warning_of_a_copy_is_given_here():
         assert in_processes([partial(warned, n) for n in range(2)]) == [0, 1]
 
 
+def of_an_old_library(n: int) -> int:
+    warnings.warn("not shown to users", DeprecationWarning, stacklevel=1)
+    return os.getpid()
+
+
+def a_warning_that_nobody_is_shown_has_nothing_done_again():
+    found = in_processes([partial(of_an_old_library, n) for n in range(2)])
+    assert len(set(found)) == (2 if sys.platform == "linux" else 1)
+
+
 def failing(n: int, at: int) -> int:
     if n == at:
         raise ValueError("this picture has no data")
@@ -181,6 +191,7 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
         beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here,
         what_fails_in_a_copy_is_done_again_here,
         a_warning_of_a_copy_is_given_here,
+        a_warning_that_nobody_is_shown_has_nothing_done_again,
         an_error_is_raised_here_and_no_process_remains,
         a_task_in_a_copy_tells_its_progress_while_this_process_loads,
         wrong_input_found_in_a_copy_is_told_here_and_the_work_is_not_repeated,

@@ -186,9 +186,10 @@ class _Copy:
 def _send_result(share: Callable[[Hear], Any], writing: int) -> None:
     """Do a share and send its result; the process ends here, without anything that Python does at its end."""
     status = 1
+    shown: list[object] = []
     try:
         _end_with_parent()
-        warnings.simplefilter("error")
+        warnings.showwarning = lambda *warning, **_more: shown.append(warning)
         with os.fdopen(writing, "wb") as pipe:
 
             def send(kind: str, content: object) -> None:
@@ -199,7 +200,7 @@ def _send_result(share: Callable[[Hear], Any], writing: int) -> None:
                 send(DONE, share(lambda *said: send(SAID, said)))
             except (InputError, RunError) as error:
                 send(FAILED, error)
-        status = 0
+        status = int(bool(shown))
     finally:
         os._exit(status)
 
