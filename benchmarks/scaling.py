@@ -5,14 +5,15 @@ Exponents are slopes of log time against log size over a factor of eight; 1 is l
 
     T(W) = T_0 + t + max(N t / (W eta), N s),
 
-N records of t seconds each on W workers, T_0 the start of a worker, eta the efficiency measured with two workers,
-start left out, s the seconds that scheduler and ledger need for each task, one after the other, measured with tasks
-that do nothing. The last record of all is waited for, hence t. It assumes that a core of a cluster is as fast as one
-here, that records are shared out one by one, and that the folder of results takes what W workers write.
+N records of t seconds each on W workers, T_0 the start of the workers, eta the efficiency measured with two workers,
+their start included, s the seconds that scheduler and ledger need for each task, one after the other, measured with
+tasks that do nothing. The last record of all is waited for, hence t. It assumes that a core of a cluster is as fast as
+one here, that records are shared out one by one, and that the folder of results takes what W workers write.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import pickle
 import shutil
@@ -39,8 +40,8 @@ PRACTICE = Path(__file__).parents[1] / "scenarios" / "records" / "practice"
 CLOSED = ("p01", "p06", "p08")
 """Records that the loop is closed on, each in copies under other names, one after the other: both workers then have
 the same to do, and none waits for the other's last record, which among 1000 records nobody sees."""
-FEWER, MORE, EMPTY_TASKS, ROUNDS = 2, 6, 2000, 3
-"""Copies of each record that two workers share, in two runs whose difference leaves their start out."""
+COPIES, EMPTY_TASKS, ROUNDS = 6, 2000, 2
+"""Copies of each record that two workers share: 1000 records repeat the start of the workers no more often."""
 SIZES = (1, 2, 4, 8)
 WORKERS, RECORDS = 1000, 100_000
 
@@ -129,6 +130,20 @@ def _closed_s(records: Sequence[Path], workers: int) -> float:
     return took
 
 
+def _at_once_s(records: Sequence[Path]) -> float:
+    """Wall time [s] until two copies of this process have each closed the loop on records: the limit of the machine."""
+    context = multiprocessing.get_context("fork")
+    copies = [context.Process(target=_closed_s, args=(records, 1)) for _ in range(2)]
+    start = time.perf_counter()
+    for copy in copies:
+        copy.start()
+    for copy in copies:
+        copy.join()
+    took = time.perf_counter() - start
+    assert all(copy.exitcode == 0 for copy in copies)
+    return took
+
+
 def _empty_s(tasks: int) -> float:
     """Wall time [s] of tasks that do nothing on two workers, their start included."""
     with tempfile.TemporaryDirectory() as out:
@@ -146,31 +161,34 @@ def run() -> list[Figure]:
     """Exponents, then one worker and two on the same records, then the engine alone, then the model."""
     figures = _exponents()
     with tempfile.TemporaryDirectory() as folder:
-        records = _copies(Path(folder), MORE)
-        once, fewer = records[::MORE], [r for k, r in enumerate(records) if k % MORE < FEWER]
-        with march_threads(1):
+        records = _copies(Path(folder), COPIES)
+        once = records[::COPIES]
+        with march_threads(1), one_thread():
             _closed_s(once, 1)
         rounds = []
         for _ in range(ROUNDS):  # the runs side by side, for a machine whose speed drifts
-            with march_threads(1):
-                alone = _closed_s(once, 1)
-            rounds.append((alone, _closed_s(fewer, 2), _closed_s(records, 2)))
+            with march_threads(1), one_thread():
+                alone, at_once = _closed_s(once, 1), _at_once_s(once)
+            rounds.append((alone, at_once, _closed_s(records, 2)))
         moved = len(pickle.dumps(record_job(records[0], Path(folder) / "out").task))
         written = _results_bytes(records[0])
-    each = (_empty_s(EMPTY_TASKS) - _empty_s(EMPTY_TASKS // 10)) / (EMPTY_TASKS - EMPTY_TASKS // 10)
-    one, few, two = np.median(rounds, axis=0).tolist()
-    n, t = len(once), one / len(once)
-    # what MORE - FEWER copies cost two workers, without their start, over what they cost one
-    eta = float(np.median([(MORE - FEWER) * a / (2.0 * (c - b)) for a, b, c in rounds]))
-    begin = max(few - FEWER * one / (2.0 * eta), 0.0)
-    whole = 1000.0 * t / (2.0 * (begin + 1000.0 * t / (2.0 * eta)))
-    far = _on_paper(t, begin, each, min(eta, 1.0), WORKERS, RECORDS)
+    few, many = _empty_s(EMPTY_TASKS // 10), _empty_s(EMPTY_TASKS)
+    each = (many - few) / (EMPTY_TASKS - EMPTY_TASKS // 10)
+    begin = few - EMPTY_TASKS // 10 * each
+    one, _, two = np.median(rounds, axis=0).tolist()
+    of_two = [COPIES * a / (2.0 * c) for a, _, c in rounds]
+    of_machine = [a / b for a, b, _ in rounds]
+    of_engine = [e / m for e, m in zip(of_two, of_machine, strict=True)]
+    t, eta = one / len(once), min(float(np.median(of_two)), 1.0)
+    far = _on_paper(t, begin, each, eta, WORKERS, RECORDS)
     figures += [
-        Figure(f"loop closed on {n} records, one process of one thread", one, "s"),
+        Figure(f"loop closed on {len(once)} records, one process of one thread", one, "s"),
         Figure(f"loop closed on {len(records)} records, two workers, their start included", two, "s"),
-        Figure("start of two workers", begin, "s", note="what more records do not repeat"),
-        Figure("two workers over twice one, start left out", eta, "", 0.9, True, f"{os.cpu_count()} cores"),
-        Figure("the same for 1000 records, start included, from these figures", whole, "", 0.9, True),
+        Figure("two workers over twice one process", float(np.median(of_two)), "", note=_range(of_two)),
+        Figure("two plain processes at once over twice one: the machine's own", float(np.median(of_machine)), "",
+               note=f"{_range(of_machine)}, {os.cpu_count()} cores"),
+        Figure("the engine: the former over the latter", float(np.median(of_engine)), "", 0.9, True, _range(of_engine)),
+        Figure("start of two workers", begin, "s", note="of tasks of no work"),
         Figure("engine: scheduler and ledger, each task", 1e3 * each, "ms", note=f"{EMPTY_TASKS} tasks of no work"),
         Figure("engine: bytes of a task", float(moved), ""),
         Figure("bytes of the results of a record, written by its worker", written / 1e6, "MB"),
@@ -180,6 +198,10 @@ def run() -> list[Figure]:
     ]  # fmt: skip
     save("scaling", figures, {"rounds_s": rounds})
     return figures
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{min(values):.2f} to {max(values):.2f} in {len(values)} rounds"
 
 
 def _results_bytes(record: Path) -> int:
