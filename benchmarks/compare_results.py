@@ -182,6 +182,10 @@ def _xml(data: bytes) -> Leaves:
     return leaves
 
 
+IMAGE = b"sim-heating-fmu3"
+"""Beginning of the image of an FMU."""
+
+
 def _model_bin(data: bytes) -> Leaves:
     """Numbers R, N and T of an FMU's image, with bounds of variables: simulation/fmu_export/parts/image.py."""
     if data[: len(IMAGE)] != IMAGE:
@@ -200,7 +204,6 @@ def _model_bin(data: bytes) -> Leaves:
     }
 
 
-IMAGE = b"sim-heating-fmu3"
 READERS: dict[str, Callable[[bytes], Leaves]] = {
     ".csv": _csv,
     ".json": lambda data: _flat(json.loads(data), "", {}),

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measure import Figure, save
+from benchmarks.measure import Figure, save, span
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.parallel.threads import one_thread
@@ -162,10 +162,6 @@ def _errors_K(entry: DispersedEntry) -> tuple[float, float]:
     return float(np.max(apart[0])), float(np.max(apart[1][:, layered]))
 
 
-def _span(values: FloatArray) -> str:
-    return f"{np.min(values):.2f} to {np.max(values):.2f} in {len(values)} rounds"
-
-
 def run() -> list[Figure]:
     """One process on some flights, two on all, both on the shipped study with its soak left out."""
     study = load_study(STUDY)
@@ -201,10 +197,10 @@ def run() -> list[Figure]:
         Figure("a flight: bare march of the kernels", 1e3 * parts["kernel"], "ms"),
         Figure("one process, a flight by the clock", 1e3 * one / SHORT, "ms"),
         Figure("two processes over twice one process, their start left out", float(np.median(efficiencies[:, 0])), "",
-               0.9, True, _span(efficiencies[:, 0])),
+               0.9, True, span(efficiencies[:, 0])),
         Figure("two plain processes at once over twice one, without the engine", float(np.median(efficiencies[:, 1])),
-               "", note=f"the machine's own; {_span(efficiencies[:, 1])}"),
-        Figure("the engine: the former over the latter", float(np.median(engines)), "", 0.9, True, _span(engines)),
+               "", note=f"the machine's own; {span(efficiencies[:, 1])}"),
+        Figure("the engine: the former over the latter", float(np.median(engines)), "", 0.9, True, span(engines)),
         Figure("two processes, start and two batches", started, "s"),
         Figure("two processes, fewer flights", two_short, "s", note=f"{2 * SHORT} flights"),
         Figure("cost of twice the flights, one process", one / half, "", 2.1),

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_heating.march import ensemble
 
@@ -92,6 +93,11 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         ensemble.THREADED_POINT_STEPS = before
+
+
+def span(values: Sequence[float] | NDArray[np.float64]) -> str:
+    """Least and largest of a ratio that was measured in several rounds."""
+    return f"{min(values):.2f} to {max(values):.2f} in {len(values)} rounds"
 
 
 def table(figures: list[Figure]) -> str:

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.dispersion import STUDY
-from benchmarks.measure import Figure, save
+from benchmarks.measure import Figure, save, span
 from benchmarks.problems import NOTHING, ensemble_of, entry, points
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.parallel.threads import march_threads, one_thread
@@ -184,10 +184,10 @@ def run() -> list[Figure]:
     figures += [
         Figure(f"loop closed on {len(once)} records, one process of one thread", one, "s"),
         Figure(f"loop closed on {len(records)} records, two workers, their start included", two, "s"),
-        Figure("two workers over twice one process", float(np.median(of_two)), "", note=_range(of_two)),
+        Figure("two workers over twice one process", float(np.median(of_two)), "", note=span(of_two)),
         Figure("two plain processes at once over twice one: the machine's own", float(np.median(of_machine)), "",
-               note=f"{_range(of_machine)}, {os.cpu_count()} cores"),
-        Figure("the engine: the former over the latter", float(np.median(of_engine)), "", 0.9, True, _range(of_engine)),
+               note=f"{span(of_machine)}, {os.cpu_count()} cores"),
+        Figure("the engine: the former over the latter", float(np.median(of_engine)), "", 0.9, True, span(of_engine)),
         Figure("start of two workers", begin, "s", note="of tasks of no work"),
         Figure("engine: scheduler and ledger, each task", 1e3 * each, "ms", note=f"{EMPTY_TASKS} tasks of no work"),
         Figure("engine: bytes of a task", float(moved), ""),
@@ -198,10 +198,6 @@ def run() -> list[Figure]:
     ]  # fmt: skip
     save("scaling", figures, {"rounds_s": rounds})
     return figures
-
-
-def _range(values: Sequence[float]) -> str:
-    return f"{min(values):.2f} to {max(values):.2f} in {len(values)} rounds"
 
 
 def _results_bytes(record: Path) -> int:

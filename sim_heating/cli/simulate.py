@@ -45,37 +45,29 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.results import run_table
-    from sim_heating.simulation.run import files_of, fly_beside, require_points, rmse_by_point, run, summary, write_run
+    from sim_heating.simulation.run import (
+        files_of,
+        fly_beside,
+        load_writers,
+        require_points,
+        rmse_by_point,
+        run,
+        summary,
+        write_run,
+    )
 
     loaded = load_scenario(scenario, root=root)
     if plot_points is not None:
         require_points(plot_points, loaded.names, "--plot-points")
     require_writable(out, "run", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
-        flight = fly_beside(loaded, _load_results, progress)
+        flight = fly_beside(loaded, load_writers, progress)
         result = run(loaded, flight=flight, progress=progress)
         names = write_run(result, out, points=plot_points, progress=progress)
     found = summary(result)
     _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
     _print_run_warnings(found)
     print_outputs(out, names, found)
-
-
-def _load_results() -> None:
-    """Import what a run is written with: pictures, its page, its netCDF file."""
-    import netCDF4  # noqa: F401
-    import xarray as xr
-
-    import sim_heating.simulation.report.pages
-    import sim_heating.simulation.report.plots  # noqa: F401
-
-    _load_page()
-    xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
-
-
-def _load_page() -> None:
-    """Import what a page is written with."""
-    import sim_heating.base.report.page  # noqa: F401
 
 
 def _print_with_margins(table: Table) -> None:
@@ -136,7 +128,7 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation.run import fly_beside
-    from sim_heating.simulation.synthesize import files_of, write_records
+    from sim_heating.simulation.synthesize import files_of, load_writers, write_records
     from sim_heating.simulation.synthesize import synthesize as fly_and_measure
 
     loaded = load_scenario(scenario, root=root)
@@ -144,7 +136,7 @@ def synthesize(scenario: Path, out: Path, root: Path | None) -> None:
         raise InputError(f"{scenario}: none of its control points has a sensor; choose one that has")
     require_writable(out, "synthesize", expected=files_of(loaded), inputs=loaded.files)
     with progress_line(loaded.title) as progress:
-        flight = fly_beside(loaded, _load_page, progress)
+        flight = fly_beside(loaded, load_writers, progress)
         records = fly_and_measure(loaded, flight=flight, progress=progress)
         names = write_records(loaded, records, out)
     samples = sum(int(np.sum(np.isfinite(r.temperatures_K()))) for r in records.values())

@@ -196,25 +196,11 @@ class Comparison:
         return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
 
 
-def fly_scenario(
-    scenario: Scenario,
-    *,
-    progress: Progress = no_progress,
-    on_frame: OnFrame | None = None,
-    meanwhile: Callable[[], object] | None = None,
-) -> Flight:
-    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file.
-
-    meanwhile : where it can, a copy of this process flies, and this one calls it; not with `on_frame`
-    """
+def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
+    """Fly the trajectory of a scenario with its source; what its numbers make impossible is reported with its file."""
     spec = scenario.declared.trajectory
-
-    def fly(report: Progress) -> Flight:
-        return SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=report)
-
-    has_own_process = spec.source == "fmu"
     with error_context(display_path(scenario.path)):
-        flight = fly(progress) if meanwhile is None or has_own_process else in_copy(fly, meanwhile, progress)
+        flight = SOURCES[spec.source](spec, scenario.vehicle, on_frame=on_frame, progress=progress)
         if spec.source != "recorded":
             with error_context("[trajectory]"):
                 check_samples(flight, spec.sample_s)
@@ -284,16 +270,16 @@ def fly_beside(scenario: Scenario, load: Callable[[], object], progress: Progres
     """The flight of a scenario for `run` or `synthesize`, flown by a copy of this process while this one loads.
 
     load    : loads what is needed after the march
-    returns : None where the plug-in flies along, which `run` has to see
+    returns : None where `run` has to fly: the plug-in flies along, or an FMU has a process of its own
     """
-    if scenario.declared.heating.alongside:
+    if scenario.declared.heating.alongside or scenario.declared.trajectory.source == "fmu":
         return None
 
     def load_all() -> None:
         load()
         _load_march(scenario)
 
-    return fly_scenario(scenario, progress=partial(flying, progress), meanwhile=load_all)
+    return in_copy(lambda report: fly_scenario(scenario, progress=report), load_all, partial(flying, progress))
 
 
 def flying(progress: Progress, fraction: float, text: str) -> None:
@@ -394,6 +380,16 @@ def _picture_of(number: int, kind: str) -> str:
     return f"manoeuvre_{number}_{kind}.png"
 
 
+def load_writers() -> None:
+    """Import what `write_run` needs: pictures, its page, its netCDF file."""
+    import netCDF4  # noqa: F401
+    import xarray as xr
+
+    from sim_heating.simulation.report import pages, plots  # noqa: F401
+
+    xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
+
+
 def write_run(
     result: RunResult,
     out: str | os.PathLike[str],
@@ -405,12 +401,14 @@ def write_run(
 
     points : control points that are drawn, by default all;  raises : InputError for one that was not flown
     """
+    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
+
     with output_directory(out, "run", inputs=result.scenario.files) as folder:
         write_json(folder / SUMMARY, summary(result))
         write_csv(folder / CONDITIONS, with_reference_heating(result).columns, ".12g")
         _write_tables(result, folder)
         progress(0.92, "drawing")
-        draw_run(result, folder, points)
+        draw_files([*_drawings(result, folder, points), partial(_write_histories, result, folder / HISTORIES)])
         progress(0.96, "writing the page")
         _write_page(result, folder, points)
         names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
@@ -463,20 +461,17 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
     return bytes(file.close())
 
 
-def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> None:
-    """Pictures of a run, trajectory, temperatures, heating, each manoeuvre, measured against predicted, and beside them
-    the file of its histories.
+def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> list[Callable[[], object]]:
+    """What draws each picture of a run: heating, trajectory, temperatures, each manoeuvre, measured against predicted.
 
     points : names of those that are drawn, by default all
     """
-    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
-    from sim_heating.simulation.report import plots
+    from sim_heating.simulation.report import plots  # matplotlib is slow to import
 
     title, flown, windows = result.scenario.title, result.flight.conditions, result.flight.windows
     histories = result.histories(points)
     draws: list[Callable[[], object]] = [
         partial(plots.draw_heating, folder / HEAT, title, histories, windows),
-        partial(_write_histories, result, folder / HISTORIES),
         partial(plots.draw_trajectory, folder / TRAJECTORY, title, flown, windows),
         partial(plots.draw_temperatures, folder / TEMPERATURES, title, histories, windows, result.limits),
     ]
@@ -494,7 +489,7 @@ def draw_run(result: RunResult, folder: Path, points: Sequence[str] | None = Non
             for c in compared
         ]  # fmt: skip
         draws.append(partial(plots.draw_comparison, folder / COMPARED, title, panels))
-    draw_files(draws)
+    return draws
 
 
 def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:

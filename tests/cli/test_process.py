@@ -222,8 +222,6 @@ def run_one_after_the_other(*commands: list[str]) -> list[tuple[int, str]]:
     """Exit status and errors of several commands in one other process; this one would wait for a pipe for ever."""
     code = """
 import json, sys
-from benchmarks.kills import state
-from sim_heating.base.parallel.threads import march_threads
 from sim_heating.cli import main
 for command in json.loads(sys.argv[1]):
     print(f"status {main(command)}", file=sys.stderr)
@@ -282,7 +280,7 @@ def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir
 
 @pytest.mark.parametrize("command", ["run", "synthesize"])
 def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_process(
-    command: str, workdir: Path, capsys: pytest.CaptureFixture[str]
+    command: str, workdir: Path
 ) -> None:
     """That of a shell has its flight in a copy, where there are two cores; that of this test has no other threads."""
     made = subprocess.run([*MODULE, command, "short.toml", "--out", "shell"], env=ENVIRONMENT, capture_output=True)

@@ -21,9 +21,9 @@ from typing import Any, TypeVar
 
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.threads import march_threads, thread_count
+from sim_heating.base.progress import Progress, no_progress
 
 R = TypeVar("R")
-Hear = Callable[..., None]
 SAID, DONE, FAILED = "said", "done", "failed"
 """What a copy sends: progress, its result, its error."""
 NUMBER_BYTES = 4
@@ -69,20 +69,20 @@ def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]
     return [found[i % shares][i // shares] for i in range(count)]
 
 
-def in_copy(task: Callable[[Hear], R], meanwhile: Callable[[], object], hear: Hear) -> R:
+def in_copy(task: Callable[[Progress], R], meanwhile: Callable[[], object], progress: Progress) -> R:
     """Result of a task that a copy of this process does, while this one does something else.
 
-    task      : called with what hears of its progress; otherwise as a task of `in_processes`
+    task      : called with what reports its progress; otherwise as a task of `in_processes`
     meanwhile : loads what is needed after the task; without a copy it is not called
-    hear      : called here with what the task says, from when `meanwhile` is done
+    progress  : called here with what the task reports, from when `meanwhile` is done
     """
     if _processes_for(2) == 1:
-        return task(hear)
+        return task(progress)
     with march_threads(1):
         copy = _Copy(task)
         try:
             meanwhile()
-            found: R = copy.result(hear)
+            found: R = copy.result(progress)
             return found
         finally:
             copy.end()
@@ -104,12 +104,8 @@ def _in_copies(shares: Sequence[Callable[[], R]]) -> list[R]:
             copy.end()
 
 
-def _alone(share: Callable[[], R], _hear: Hear) -> R:
+def _alone(share: Callable[[], R], _progress: Progress) -> R:
     return share()
-
-
-def _nobody(*_said: object) -> None:
-    pass
 
 
 class _Numbers:
@@ -144,7 +140,7 @@ def _can_be_copied() -> bool:
 class _Copy:
     """A copy of this process that does a share of the work."""
 
-    def __init__(self, share: Callable[[Hear], Any]) -> None:
+    def __init__(self, share: Callable[[Progress], Any]) -> None:
         self._share = share
         reading, writing = os.pipe()
         with warnings.catch_warnings():
@@ -156,7 +152,7 @@ class _Copy:
         os.close(writing)
         self._pipe = os.fdopen(reading, "rb")
 
-    def result(self, hear: Hear = _nobody) -> Any:
+    def result(self, progress: Progress = no_progress) -> Any:
         """What the copy has sent, or its error; else its share is done here."""
         kind: str = SAID
         content: Any = ()
@@ -164,11 +160,11 @@ class _Copy:
             while kind == SAID:
                 kind, content = pickle.load(self._pipe)
                 if kind == SAID:
-                    hear(*content)
+                    progress(*content)
         _, status = os.waitpid(self._process, 0)
         self._process = 0
         if status != 0 or kind == SAID:
-            return self._share(hear)
+            return self._share(progress)
         if kind == FAILED:
             raise content
         return content
@@ -183,7 +179,7 @@ class _Copy:
             self._process = 0
 
 
-def _send_result(share: Callable[[Hear], Any], writing: int) -> None:
+def _send_result(share: Callable[[Progress], Any], writing: int) -> None:
     """Do a share and send its result; the process ends here, without anything that Python does at its end."""
     status = 1
     shown: list[object] = []
