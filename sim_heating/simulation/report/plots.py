@@ -33,6 +33,8 @@ HOT_STRUCTURE = 0.95
 """Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
 LIMITS_SHOWN = 4
 """Number of points in a picture of temperatures up to which their limits are drawn as well."""
+LEGEND_LINES = 24
+"""Number of lines in a column of a legend that is no taller than half a figure."""
 DRAWN_CHANGE_DEG = 0.5
 """An angle that changes less during a manoeuvre is not drawn with the one that is flown [deg]."""
 
@@ -164,15 +166,32 @@ def _plot_by_peak(
     unit = label.rpartition(", ")[2]
     for name in sorted(lines, key=lambda n: -float(np.max(lines[n][1]))):
         t, values = lines[name]
-        top = float(np.max(values))
-        axes.plot(t, values, label=legend_label(f"{name}  {top:.{0 if top >= 100.0 else 1}f} {unit}"), **style[name])
+        axes.plot(t, values, label=legend_label(f"{name}  {_peak(values)} {unit}"), **style[name])
     axes.set_ylabel(label)
     if lines:
         _legend_right(axes)
 
 
+def _peak(values: FloatArray) -> str:
+    """Largest value, with a decimal where it is below 100."""
+    top = float(np.max(values))
+    return f"{top:.{0 if top >= 100.0 else 1}f}"
+
+
 def _legend_right(axes: Axes) -> None:
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7.5, title="peak", title_fontsize=8)
+    axes.legend(
+        loc="center left",
+        bbox_to_anchor=(1.01, 0.5),
+        ncols=_legend_columns(len(axes.lines)),
+        fontsize=7.5,
+        title="peak",
+        title_fontsize=8,
+    )
+
+
+def _legend_columns(lines: int) -> int:
+    """Number of columns of a legend that is no taller than a panel of half a figure."""
+    return -(-lines // LEGEND_LINES)
 
 
 @replaced_if_undrawable
@@ -186,9 +205,25 @@ def draw_heating(path: Path | None, title: str, points: Sequence[PointHistory], 
         ("conducted_W_m2", 1e3, "conducted, kW/m2"),
         ("heat_load_J_m2", 1e6, "heat load, MJ/m2"),
     )
+    hottest = {name: next(p for p in points if p.name == name) for name in style}
     for a, (key, unit, label) in zip(axes, panels, strict=True):
-        _plot_by_peak(a, {p.name: (p.time_s, p.heat.columns()[key] / unit) for p in points}, style, label)
+        for name, p in hottest.items():
+            a.plot(p.time_s, p.heat.columns()[key] / unit, **style[name])
+        a.set_ylabel(label)
         _shade(a, windows)
+    peaks = [
+        f"{name}  {_peak(p.heat.convected_W_m2 / 1e3)} kW/m2, {_peak(p.heat.heat_load_J_m2 / 1e6)} MJ/m2"
+        for name, p in hottest.items()
+    ]
+    figure.legend(
+        axes[0].lines[: len(peaks)],
+        [legend_label(text) for text in peaks],
+        loc="outside right upper",
+        ncols=_legend_columns(len(peaks)),
+        fontsize=7.5,
+        title="peak of convected flux, heat load",
+        title_fontsize=8,
+    )
     axes[2].axhline(0.0, color="0.3", linewidth=0.8)
     axes[-1].set_xlabel("time, s")
     _name_windows(axes[0], windows)
