@@ -73,6 +73,35 @@ def test_a_request_to_end_gives_status_143_wherever_it_arrives(place: str) -> No
     assert done.stderr == "interrupted: nothing was left half-written\n"
 
 
+ENDED = """
+import atexit, os
+import sim_heating.cli
+class Work:
+    @staticmethod
+    def main(*_, **__):
+        atexit.register(print, "closed")
+        print("done")
+class Module:
+    def __del__(self):
+        os.write(1, b"taken down")
+held = Module()
+sim_heating.cli.cli = Work
+from sim_heating.__main__ import {entry}
+{entry}()
+"""
+
+
+def test_a_command_ends_with_what_libraries_do_at_the_exit_and_takes_down_no_module() -> None:
+    """As other programs call it, it leaves the process as it is."""
+    printed = {
+        entry: subprocess.run(
+            [sys.executable, "-c", ENDED.format(entry=entry)], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout
+        for entry in ("run_and_exit", "main")
+    }
+    assert printed == {"run_and_exit": "done\nclosed\n", "main": "done\nclosed\ntaken down"}
+
+
 DASK = """
 import sys
 from pathlib import Path
