@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import files_written, output_directory
-from sim_heating.base.parallel.threads import in_threads, one_thread
+from sim_heating.base.parallel.processes import in_processes
+from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
@@ -46,7 +48,7 @@ from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.remarks import remarks
-from sim_heating.estimation.report.report import FIT_FILES, noise_floor_K, write_fit
+from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
 from sim_heating.heating.effects import effects
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.heating.effects.curve import FIRST, LABELS, UNITS, VALUES, CurveBand
@@ -131,10 +133,25 @@ def close_loop(
         raise InputError(of_clock.message)
     record, of_noise = with_noise(record)
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
-    progress(SEARCH_FRACTION, "refitting with the effects found")
+    progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
+    tasks: list[Callable[[], Any]] = [partial(_refitted, result), partial(_residual_before, result)]
+    (fitted, after), before = in_processes(tasks)
+    return ClosedLoop(result, fitted, _closure(result, fitted, (before, after), of_noise))
+
+
+def _refitted(result: SearchResult) -> tuple[FitResult, ResidualHeating | None]:
+    """The last fit, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    progress(0.9, "residual as heating")
-    return ClosedLoop(result, fitted, _closure(result, fitted, of_noise))
+    if not result.explained:
+        return fitted, None
+    with one_thread():
+        return fitted, residual_heating(fitted.problem, fitted.fit.values)
+
+
+def _residual_before(result: SearchResult) -> ResidualHeating:
+    """What the declared model lacks, fitted."""
+    with one_thread():
+        return residual_heating(result.before.problem, result.before.fit.values)
 
 
 def refit(result: SearchResult) -> FitResult:
@@ -176,14 +193,18 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     return priors
 
 
-def _closure(result: SearchResult, fitted: FitResult, notes: Sequence[str] = ()) -> Closure:
-    """The results of a search and its refit, for the report; `notes` on the record come first of its warnings."""
-    before, values = result.before, result.before.fit.values
-    after = fitted.after[0]
-    fits = [(before.problem, values), *([(fitted.problem, fitted.fit.values)] if result.explained else [])]
-    with one_thread():  # around both: the limit is the process's, and the first to end would lift it for the other
-        residuals = in_threads(lambda k: residual_heating(*fits[k]), len(fits))
-    residual, residual_after = residuals[0], residuals[1] if result.explained else None
+def _closure(
+    result: SearchResult,
+    fitted: FitResult,
+    residuals: tuple[ResidualHeating, ResidualHeating | None],
+    notes: Sequence[str] = (),
+) -> Closure:
+    """The results of a search and its refit, for the report.
+
+    residuals : as heating, of the declared model and, where a cause was found, after the last fit
+    notes     : on the record; they come first of its warnings
+    """
+    before, after, (residual, residual_after) = result.before, fitted.after[0], residuals
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
@@ -475,6 +496,6 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
     """
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
-        write_closure(closed.report, folder)
-        write_fit(closed.fitted, folder, page=False)
+        draws = write_fit_data(closed.fitted, estimate_contents(closed.fitted), folder)
+        write_closure(closed.report, folder, draws)
     return sorted(files_written(out))

@@ -12,7 +12,7 @@ The chance of a false alarm, an effect named where nothing is missing, is counte
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -217,13 +217,13 @@ def closure_json(found: Closure) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_closure(found: Closure, folder: Path) -> None:
-    """Write the files of a closure into an existing folder."""
+def write_closure(found: Closure, folder: Path, beside: Sequence[Callable[[], object]] = ()) -> None:
+    """Write the files of a closure into an existing folder; `beside` as in `page_html`."""
     write_json(folder / NAME, closure_json(found))
     write_residual_heating(folder / HEATING_NAME, found.residual)
     if found.curve is not None:
         write_curve(folder / CURVE_NAME, found.curve)
-    write_page(folder / PAGE, closure_page(found))
+    write_page(folder / PAGE, closure_page(found), beside)
 
 
 # The page ------------------------------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from sim_heating.base.files.text import result_path, write_bytes_atomic
 from sim_heating.base.parallel.processes import in_processes
 
 F = TypeVar("F", bound=Callable[..., object])
+R = TypeVar("R")
 DPI = 110
 ANGLES = {
     "alpha_deg": ("angle of attack", "tab:blue"),
@@ -84,14 +85,18 @@ def write_content(path: Path, content: bytes) -> None:
         _held[path] = content
 
 
-def draw_files(draws: Sequence[Callable[[], object]]) -> None:
+def draw_files(draws: Sequence[Callable[[], object]], beside: Sequence[Callable[[], R]] = ()) -> list[R]:
     """Call functions that make files by `save_figure` or `write_content`, in processes of their own, and write these.
 
-    draws : those that take longest first
+    draws   : those that take longest first
+    beside  : called in the same processes, with picklable results
+    returns : results of `beside`
     """
-    for drawn in in_processes([partial(_hold, draw) for draw in draws]):
+    made: list[Any] = in_processes([*(partial(_hold, draw) for draw in draws), *beside])
+    for drawn in made[: len(draws)]:
         for path, content in drawn.items():
             write_bytes_atomic(path, content)
+    return made[len(draws) :]
 
 
 def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:

@@ -30,9 +30,8 @@ from PIL import Image
 from sim_heating.base.errors import printable
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
-from sim_heating.base.parallel.processes import in_processes
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
-from sim_heating.base.report.figure import explanation, picture_file
+from sim_heating.base.report.figure import draw_files, explanation, picture_file
 from sim_heating.base.report.table import Table
 
 TEMPLATE = "page.html.j2"
@@ -151,12 +150,15 @@ class Page:
     warnings: Sequence[str] = field(default=())
 
 
-def page_html(page: Page) -> str:
-    """The page as text; everything in it is escaped."""
+def page_html(page: Page, beside: Sequence[Callable[[], object]] = ()) -> str:
+    """The page as text; everything in it is escaped.
+
+    beside : functions that make files (draw_files), called in the processes that draw the page's pictures
+    """
     charts = [c for section in page.sections for c in section.charts]
     pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
     pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    urls = dict(zip(pictures, in_processes([partial(_url_of, p) for p in pictures.values()]), strict=True))
+    urls = dict(zip(pictures, draw_files(beside, [partial(_url_of, p) for p in pictures.values()]), strict=True))
     names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
     names = [*(SHARED_SCRIPTS if names else ()), *names]
     scripts = [_asset(name) for name in names]
@@ -202,9 +204,9 @@ def _digest(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def write_page(path: Path, page: Page) -> None:
-    """Write the page, whole or not at all."""
-    write_text_atomic(path, page_html(page))
+def write_page(path: Path, page: Page, beside: Sequence[Callable[[], object]] = ()) -> None:
+    """Write the page, whole or not at all; `beside` as in `page_html`."""
+    write_text_atomic(path, page_html(page, beside))
 
 
 @cache

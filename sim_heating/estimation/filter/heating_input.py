@@ -35,7 +35,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, lapack
-from scipy.optimize import minimize
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
@@ -357,6 +356,8 @@ class _InverseProblem:
         self, here: _MarchedInput, A: FloatArray, b: FloatArray, last: Disturbance | None, factor: float
     ) -> tuple[Disturbance, float]:
         """Noise model of the correction, and the variance of the readings' noise over the declared one."""
+        from scipy.optimize import minimize  # slow to import
+
         low = np.log([DENSITIES_1_S[0], float(np.min(np.diff(self.coarse), initial=np.inf))])
         high = np.log([DENSITIES_1_S[1], float(np.ptp(self.coarse))])
         if np.any(low >= high):

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import lsq_linear
 
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import InputError
@@ -402,6 +401,8 @@ class _NewtonSearch:
         step[free] = s * (vectors @ (target / root))
         lower, upper = (side[free] for side in self.box(trust))
         if np.any((step[free] < lower) | (step[free] > upper)):
+            from scipy.optimize import lsq_linear  # slow to import
+
             # the same quadratic form in the box; a clipped free minimum leaves correlated parameters off theirs
             scaled = lsq_linear(root[:, np.newaxis] * vectors.T, target, (lower / s, upper / s), method="bvls")
             step[free] = np.clip(s * scaled.x, lower, upper)

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gammaincinv
 
 from sim_heating.base.arrays import FloatArray
@@ -143,6 +142,8 @@ def estimate_noise(samples: ReadingIntervals, mean_K: FloatArray, fitted: float 
 
 def _limits(value: Callable[[float], float], least: float, most: float) -> NoiseEstimate:
     """Maximum of a log likelihood over log sigma, and where it has dropped by LIKELIHOOD_DROP on either side."""
+    from scipy.optimize import brentq, minimize_scalar  # slow to import
+
     # the likelihood of rounded samples need not have a single maximum in log sigma: grid first, then refine
     grid = np.linspace(least, most, POINTS)
     k = int(np.argmax([value(x) for x in grid]))

@@ -291,32 +291,17 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
 
     page : whether report.html is written; the report of a closed loop shows its last fit
     """
-    from sim_heating.base.report.figure import draw_files
+    from sim_heating.base.report.figure import draw_files  # matplotlib is slow to import
     from sim_heating.base.report.page import write_page
-    from sim_heating.estimation.report.filtered import PICTURE, filtered_history, write_filtered
+    from sim_heating.estimation.report.filtered import PICTURE
     from sim_heating.estimation.report.page import estimate_page
-    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import, and needed only here
-    from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     with output_directory(out, "estimate", inputs=[p.record.directory for p in fitted.after]) as folder:
         found = estimate_contents(fitted)
-        write_estimate(folder / NAME, found)
-        folders: list[Path] = []
-        draws: list[Callable[[], object]] = []
-        for record_fit, before, after in zip(fitted.problem.record_fits, fitted.before, fitted.after, strict=True):
-            record_folder = folder if len(fitted.after) == 1 else folder / after.record.name
-            record_folder.mkdir(exist_ok=True, parents=True)
-            folders.append(record_folder)
-            history = after.history
-            write_temperatures_csv(record_folder / TEMPERATURES, history.time_s, history, after.record.sensors)
-            filtered = fitted.innovations is not None
-            draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, after, filtered=filtered))
-            draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
-            if fitted.innovations is not None:
-                write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
-        draw_files(draws)
+        draw_files(write_fit_data(fitted, found, folder))
         if page:
             captions = {RATIO_PICTURE: "heating ratio, declared and fitted", PICTURE: "filtered temperatures"}
+            folders = _record_folders(fitted, folder)
             pictures = [
                 (f / name, f"{p.record.name}: {caption}.")
                 for f, p in zip(folders, fitted.after, strict=True)
@@ -325,3 +310,32 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
             table, fits = estimate_table("", found), [f / FIT_PICTURE for f in folders]
             write_page(folder / PAGE, estimate_page(fitted, found, table, fits, pictures))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+
+
+def write_fit_data(fitted: FitResult, found: Estimate, folder: Path) -> list[Callable[[], object]]:
+    """Write the numbers of a fit into an existing folder: estimate.json and temperatures.
+
+    found   : contents of estimate.json
+    returns : functions that draw its pictures there, for `draw_files`
+    """
+    from sim_heating.estimation.report.filtered import filtered_history, write_filtered
+    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import
+    from sim_heating.estimation.report.ratio_plot import draw_ratio
+
+    write_estimate(folder / NAME, found)
+    draws: list[Callable[[], object]] = []
+    parts = zip(fitted.problem.record_fits, fitted.before, fitted.after, _record_folders(fitted, folder), strict=True)
+    for record_fit, before, after, own in parts:
+        own.mkdir(exist_ok=True, parents=True)
+        write_temperatures_csv(own / TEMPERATURES, after.history.time_s, after.history, after.record.sensors)
+        filtered = fitted.innovations is not None
+        draws.append(partial(draw_fit, own / FIT_PICTURE, before, after, filtered=filtered))
+        draws.append(partial(draw_ratio, own / RATIO_PICTURE, fitted, record_fit))
+        if fitted.innovations is not None:
+            write_filtered(own, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
+    return draws
+
+
+def _record_folders(fitted: FitResult, folder: Path) -> list[Path]:
+    """The folder of each record's files: that of the fit, or one below it where there are several."""
+    return [folder if len(fitted.after) == 1 else folder / p.record.name for p in fitted.after]
