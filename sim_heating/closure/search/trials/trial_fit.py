@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -87,17 +88,17 @@ class TrialFit:
         """The plain prediction of the record at the estimates."""
         return predict_fit(self.problem.record_fits[0], self.fit.values)
 
-    @property
+    @cached_property
     def excess_chi2(self) -> float:
         """Reduced chi-square of the fitted samples less one, noise alone giving 0."""
         return rms_normalised_residual(self.problem.samples(self.fit.values)) ** 2 - 1.0
 
-    @property
+    @cached_property
     def lag1_autocorrelation(self) -> float:
         """Mean product of neighbouring normalised residuals."""
         return lag1_autocorrelation(self.problem.samples(self.fit.values))
 
-    @property
+    @cached_property
     def held_out_log_likelihood(self) -> float:
         """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched."""
         if self.held_out is None:
@@ -105,7 +106,7 @@ class TrialFit:
         found = self.held_out.evaluate(self.fit.values).log_likelihood
         return found if np.isfinite(found) else -np.inf
 
-    @property
+    @cached_property
     def held_out_chi2(self) -> float:
         """Reduced chi-square of the samples held out; 0 where there are none, or they cannot be marched."""
         if self.held_out is None or self.held_out_log_likelihood == -np.inf:
