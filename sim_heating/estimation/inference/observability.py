@@ -293,11 +293,19 @@ def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     recorder steps or sigmas [K]. The criterion is a rule of this program, not of a publication.
     """
     mask, lines = record.fit_mask(), []
-    indicated = predict(record).indicated_K[:, mask]
+    readings = [read[np.isfinite(read)] for read in record.temperatures_K()[:, mask]]
+    still = [
+        s.used and len(read) >= FEWEST_STUCK and np.ptp(read) == 0.0
+        for s, read in zip(record.sensors, readings, strict=True)
+    ]
+    if not any(still):  # the usual case, which needs no march
+        return record, []
     stuck = []
-    for sensor, read, expected in zip(record.sensors, record.temperatures_K()[:, mask], indicated, strict=True):
+    for sensor, read, expected, equal in zip(
+        record.sensors, record.temperatures_K()[:, mask], predict(record).indicated_K[:, mask], still, strict=True
+    ):
         valid = np.isfinite(read) & np.isfinite(expected)
-        if not sensor.used or np.count_nonzero(valid) < FEWEST_STUCK or np.ptp(read[valid]) > 0.0:
+        if not equal or np.count_nonzero(valid) < FEWEST_STUCK:
             continue
         change = float(np.ptp(expected[valid]))
         if change > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):
