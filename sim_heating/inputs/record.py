@@ -14,6 +14,7 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, ClassVar, Literal
@@ -30,6 +31,7 @@ from sim_heating.base.files import (
     Declared,
     LocatedError,
     Location,
+    csv_text,
     display_path,
     output_directory,
     path_below,
@@ -40,13 +42,12 @@ from sim_heating.base.files import (
     roots_of,
     suggestion,
     toml_text,
-    write_csv,
     write_text_atomic,
 )
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_table, write_ratio_table
+from sim_heating.heating.ratio.table import RatioTable, depends_on, ratio_table_text, read_ratio_table
 from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
@@ -916,16 +917,27 @@ def write_record(
     comment : lines at the head of record.toml
     raises  : InputError where the directory contains files of these names that this program did not write
     """
+    with record_directory(directory) as folder:
+        for name, text in record_texts(record, formats, comment).items():
+            write_text_atomic(folder / name, text)
+
+
+def record_texts(record: Record, formats: Mapping[str, str] | None = None, comment: str = "") -> dict[str, str]:
+    """The files of a record's directory by name; arguments as of `write_record`."""
     declared = record.declared
-    with output_directory(directory, "write_record") as folder:
-        write_text_atomic(folder / DECLARATION, toml_text(declared.model_dump(exclude_unset=True), comment))
-        conditions = {name: values for name, values in record.conditions.columns.items() if name not in DERIVED}
-        write_csv(folder / declared.conditions.file, conditions, formats)
-        write_csv(folder / declared.thermocouples.file, record.thermocouples, formats)
-        tables = (
-            (declared.heating.ratio_table, record.ratio_table),
-            (declared.heating.turbulent_file, record.turbulent),
-        )
-        for file, table in tables:
-            if file is not None and table is not None:
-                write_ratio_table(folder / file, table, formats)
+    conditions = {name: values for name, values in record.conditions.columns.items() if name not in DERIVED}
+    tables = (
+        (declared.heating.ratio_table, record.ratio_table),
+        (declared.heating.turbulent_file, record.turbulent),
+    )
+    return {
+        DECLARATION: toml_text(declared.model_dump(exclude_unset=True), comment),
+        declared.conditions.file: csv_text(conditions, formats),
+        declared.thermocouples.file: csv_text(record.thermocouples, formats),
+        **{file: ratio_table_text(table, formats) for file, table in tables if file is not None and table is not None},
+    }
+
+
+def record_directory(directory: str | os.PathLike[str]) -> AbstractContextManager[Path]:
+    """Context in which the files of a record are written into a directory, which lists them at the end."""
+    return output_directory(directory, "write_record")

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import check, output_directory, toml_text, write_text_atomic
+from sim_heating.base.files import check, output_directory, text_bytes, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.heating.effects import use
@@ -23,7 +24,14 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
 from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
 from sim_heating.inputs.points import conditions_at_point, intermittency_along, mean_condition
-from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, write_record
+from sim_heating.inputs.record import (
+    DECLARATION,
+    Record,
+    RecordFile,
+    make_record,
+    record_directory,
+    record_texts,
+)
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
@@ -327,14 +335,25 @@ def write_records(
     scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
     with output_directory(out, "synthesize", inputs=scenario.files) as folder:
-        for name, record in records.items():
-            write_record(record, folder if len(records) == 1 else folder / name, comment=comment)
+        folders = {name: folder if len(records) == 1 else folder / name for name in records}
         first = next(iter(records.values()))
         flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
         windows = [Window(w.kind, w.start_s, w.end_s) for w in first.declared.manoeuvre]
-        write_page(folder / PAGE, records_page(scenario.title, records, windows))
+        texts = [partial(_write_texts, folders[name], record, comment) for name, record in records.items()]
+        write_page(folder / PAGE, records_page(scenario.title, records, windows), texts)
+        for own in folders.values():
+            with record_directory(own):  # whose files are complete now
+                pass
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+
+
+def _write_texts(folder: Path, record: Record, comment: str) -> None:
+    """Make the files of a record, for `draw_files` to write."""
+    from sim_heating.base.report.figure import write_content  # matplotlib is slow to import
+
+    for name, text in record_texts(record, comment=comment).items():
+        write_content(folder / name, text_bytes(text))
 
 
 def _truth_text(scenario: Scenario, flown: Conditions) -> str:

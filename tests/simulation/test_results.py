@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.simulation.report.charts import shades
+from sim_heating.simulation.report.plots import draw_heating, draw_temperatures
 from sim_heating.simulation.run import PointResult, RunResult, run, with_reference_heating, write_run
 from tests.support.browser import assert_fits, needs_browser
 from tests.support.gliding import gliding
@@ -99,10 +102,27 @@ def test_a_reader_chooses_the_points_of_a_picture(result: RunResult) -> None:
     labels = [[line.get_text() for line in a.get_legend().get_texts()] for a in result.plot(["LEE_UPPER"]).axes]
     assert all(any("limit" in text for text in panel) for panel in labels)
     assert all("LEE_UPPER" in text for panel in labels for text in panel)
-    heating = [a.get_legend().get_texts()[0].get_text() for a in result.plot_heating(["V09T9527"]).axes]
-    assert [text.split()[-1] for text in heating] == ["kW/m2"] * 3 + ["MJ/m2"]
+    (heating,) = result.plot_heating(["V09T9527"]).legends[0].get_texts()
+    assert re.fullmatch(r"V09T9527  [\d.]+ kW/m2, [\d.]+ MJ/m2", heating.get_text())
     with pytest.raises(InputError, match="`V09T9528` is not a control point of this flight; did you mean `V09T9527`"):
         result.plot(["V09T9528"])
+
+
+@pytest.mark.parametrize("draw", [draw_temperatures, draw_heating])
+def test_panels_and_legends_of_many_points_cover_none_of_each_other(
+    draw: Callable[..., Figure], result: RunResult
+) -> None:
+    history = result.points["V09T9527"].history
+    figure = draw(None, "Thirty points", [replace(history, name=f"V09T{9500 + k}") for k in range(30)], [])
+    panels = [a.get_window_extent() for a in figure.axes]
+    legends = [a.get_legend() for a in figure.axes if a.get_legend()] + figure.legends
+    boxes = [legend.get_window_extent() for legend in legends]
+    assert sum(len(legend.get_texts()) for legend in legends) >= 30
+    assert all(box.height > 0.5 * figure.bbox.height / len(panels) for box in panels)
+    assert all(figure.bbox.containsx(x) for box in boxes for x in (box.x0, box.x1))
+    assert all(figure.bbox.containsy(y) for box in boxes for y in (box.y0, box.y1))
+    apart = [*panels, *boxes]
+    assert not any(a.overlaps(b) for i, a in enumerate(apart) for b in apart[:i])
 
 
 def test_a_manoeuvre_is_drawn_at_the_rate_of_the_simulation(result: RunResult) -> None:

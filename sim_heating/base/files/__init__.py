@@ -40,6 +40,7 @@ from sim_heating.base.files.text import (
     read_text,
     repeated_name,
     suggestion,
+    text_bytes,
     write_text_atomic,
 )
 from sim_heating.base.files.toml import (
@@ -63,6 +64,6 @@ __all__ = [
     "nearest_name", "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns",
     "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "replaces_others",
     "replacing_others", "require_exclusive", "require_writable", "results_digest", "roots_of", "settle",
-    "suggestion", "text_digest", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
+    "suggestion", "text_bytes", "text_digest", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
     "write_text_atomic",
 ]  # fmt: skip

@@ -162,7 +162,12 @@ def write_text_atomic(path: str | os.PathLike[str], text: str) -> None:
 
     raises : InputError where the place cannot be written; RunError where it is full
     """
-    write_bytes_atomic(path, text.encode("utf-8", errors="backslashreplace"))  # bytes of a name that is not UTF-8
+    write_bytes_atomic(path, text_bytes(text))
+
+
+def text_bytes(text: str) -> bytes:
+    """A text as a file has it; bytes of a name that is not UTF-8 become escapes."""
+    return text.encode("utf-8", errors="backslashreplace")
 
 
 def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:

@@ -89,14 +89,14 @@ def draw_files(draws: Sequence[Callable[[], object]], beside: Sequence[Callable[
     """Call functions that make files by `save_figure` or `write_content`, in processes of their own, and write these.
 
     draws   : those that take longest first
-    beside  : called in the same processes, with picklable results
+    beside  : called before them in the same processes, with picklable results
     returns : results of `beside`
     """
-    made: list[Any] = in_processes([*(partial(_hold, draw) for draw in draws), *beside])
-    for drawn in made[: len(draws)]:
+    made: list[Any] = in_processes([*beside, *(partial(_hold, draw) for draw in draws)])
+    for drawn in made[len(beside) :]:
         for path, content in drawn.items():
             write_bytes_atomic(path, content)
-    return made[len(draws) :]
+    return made[: len(beside)]
 
 
 def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:
