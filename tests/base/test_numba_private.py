@@ -38,6 +38,7 @@ from sim_heating.base.kernels.numba_private import (
 )
 from sim_heating.base.kernels.operations import call_dispatcher, call_step, pointer, power_of_two, split
 from sim_heating.heating.effects import transition
+from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 
@@ -55,6 +56,32 @@ def one_llvm(kernel) -> str:
     """LLVM IR of a kernel that was compiled for one set of arguments."""
     (text,) = kernel.inspect_llvm().values()
     return str(text)
+
+
+LOADED = """
+import sys
+from {module} import {names}
+print({call}, any(name.startswith("numba.np.arraymath") for name in sys.modules))
+"""
+
+
+def test_a_compiled_function_is_loaded_without_a_compiler_and_may_make_arrays() -> None:
+    """The compiler is prepared where something is compiled, as numba's own functions for arrays show."""
+    calls = (
+        ("sim_heating.heating.atmosphere", "gravity", "float(gravity(0.0))"),
+        (
+            "sim_heating",
+            "load_record, predict",
+            "predict(load_record('scenarios/records/practice/p06')).indicated_K[0, 0]",
+        ),
+    )
+    for module, names, call in calls:
+        code = LOADED.format(module=module, names=names, call=call)
+        for _ in range(2):  # the first may compile
+            done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+        number, prepared = done.stdout.split()
+        assert float(number) > 0.0
+        assert prepared == "False"
 
 
 # Compilers -----------------------------------------------------------------------------------------------------------
@@ -141,6 +168,7 @@ def test_an_effect_of_the_package_is_the_packages_own_in_a_process_that_it_is_se
 import pickle, sys
 sent = pickle.load(sys.stdin.buffer)
 from sim_heating.heating.effects import transition
+from tests.support.paths import ROOT
 assert sent.built_in
 assert sent.kernel is transition.EFFECT.kernel
 """

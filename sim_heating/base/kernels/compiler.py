@@ -24,6 +24,7 @@ from sim_heating.base.kernels.numba_private import (
     KernelCompiler,
     array_data,
     c_function_is_cached,
+    cached_c_function,
     call_dispatcher_at,
     call_effect_at,
     call_step_at,
@@ -73,7 +74,7 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
 
 def kernel(function: Any, inline: bool) -> Any:
     """numba's dispatcher of a kernel; `inline` as in jit.njit."""
-    made = numba.njit(cache=True, nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
+    made = numba.njit(nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
     return compile_within(compiled_by_one_process, made(function))
 
 
@@ -84,11 +85,12 @@ def inlined_kernel(function: Any) -> Any:
 
 def c_function(signature: Any, function: Any, cache: bool) -> Any:
     """A kernel as a C function of numba."""
-    made = numba.cfunc(signature, cache=cache, pipeline_class=CFunctionCompiler, **_ARITHMETIC)
-    if not cache or c_function_is_cached(signature, function):
-        return made(function)
+    if not cache:
+        return numba.cfunc(signature, pipeline_class=CFunctionCompiler, **_ARITHMETIC)(function)
+    if c_function_is_cached(signature, function):
+        return cached_c_function(signature, function, _ARITHMETIC)
     with compiled_by_one_process(function):
-        return made(function)
+        return cached_c_function(signature, function, _ARITHMETIC)
 
 
 @numba.extending.overload(pointer, inline="always")

@@ -1,7 +1,8 @@
 """Parts of numba that its documentation does not promise, all in this file.
 
-Compilers with Python's garbage collection off and without entry points that nobody calls, a compilation that something
-surrounds, LLVM code for pointers, bits and calls through addresses, and the LLVM module behind a compiled function.
+Compilers with Python's garbage collection off and without entry points that nobody calls, functions that are loaded
+without a compiler, a compilation that something surrounds, LLVM code for pointers, bits and calls through addresses,
+and the LLVM module behind a compiled function.
 tests/base/test_numba_private.py has a test for each: after a change of numba its name states what no longer works.
 """
 
@@ -9,16 +10,18 @@ from __future__ import annotations
 
 import gc
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
 import llvmlite.ir
 import numba
 import numba.core.caching
+import numba.core.ccallback
 import numba.core.compiler
 import numba.core.compiler_lock
 import numba.core.registry
+import numba.core.runtime
 import numba.core.sigutils
 import numba.extending
 
@@ -54,6 +57,28 @@ class KernelCompiler(CFunctionCompiler):
         flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
 
 
+class LoadedFunctions(numba.core.caching.FunctionCache):
+    """numba's cache of a function, which loads one without what compiling one needs.
+
+    numba prepares its compiler before it loads anything, a tenth of a short command; a compilation prepares it by
+    itself.
+    """
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        numba.core.runtime.rtsys.initialize(context)  # a kernel may make arrays
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, context)
+
+
+def cached_c_function(signature: Any, function: Any, options: Mapping[str, Any]) -> Any:
+    """A function as numba's cfunc makes it, loaded from the cache where that has it; options as that takes them."""
+    arguments = numba.core.sigutils.normalize_signature(signature)
+    made: Any = numba.core.ccallback.CFunc(function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler)
+    made._cache = LoadedFunctions(function)
+    made.compile()
+    return made
+
+
 def _is_cached(cache: Any, signature: Any) -> bool:
     """Whether numba's cache of a function has it compiled for a signature, or a tuple of types of its arguments."""
     key = cache._index_key(signature, numba.core.registry.cpu_target.target_context.codegen())
@@ -66,10 +91,12 @@ def c_function_is_cached(signature: Any, function: Any) -> bool:
 
 
 def compile_within(surrounding: Callable[[Any], AbstractContextManager[None]], dispatcher: Any) -> Any:
-    """The dispatcher, which now enters a context before it compiles its function, and not where it loads it.
+    """The dispatcher, which now has a cache, and enters a context before it compiles its function, not where it loads
+    it.
 
     surrounding : gives the context of a Python function
     """
+    dispatcher._cache = LoadedFunctions(dispatcher.py_func)
     compile_now = dispatcher.compile
 
     def compile_(signature: Any) -> Any:
