@@ -66,7 +66,6 @@ def _text_output(number: int, before: Any, title: str) -> Any:
 
 def main() -> int:
     """Run the command; its exit status: 0 done, 1 failed, 2 bad usage or input, 128 and its number after a signal."""
-    gc.set_threshold(ALLOCATIONS)
     signals = EndingSignals()
     signals.install()
     _open_standard_streams()
@@ -100,6 +99,7 @@ class _End:
 
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
+    gc.set_threshold(ALLOCATIONS)
     end = _End()
     atexit.register(end)
     end.status = main()

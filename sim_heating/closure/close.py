@@ -134,7 +134,7 @@ def close_loop(
     record, of_noise = with_noise(record)
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
-    tasks: list[Callable[[], Any]] = [partial(_refitted, result), partial(_residual_before, result)]
+    tasks: list[Callable[[], Any]] = [partial(_refitted, result), partial(_residual_after, result.before)]
     (fitted, after), before = in_processes(tasks)
     return ClosedLoop(result, fitted, _closure(result, fitted, (before, after), of_noise))
 
@@ -142,16 +142,13 @@ def close_loop(
 def _refitted(result: SearchResult) -> tuple[FitResult, ResidualHeating | None]:
     """The last fit, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    if not result.explained:
-        return fitted, None
-    with one_thread():
-        return fitted, residual_heating(fitted.problem, fitted.fit.values)
+    return fitted, _residual_after(fitted) if result.explained else None
 
 
-def _residual_before(result: SearchResult) -> ResidualHeating:
-    """What the declared model lacks, fitted."""
+def _residual_after(fitted: FitResult) -> ResidualHeating:
+    """What the model of a fit lacks, as heating."""
     with one_thread():
-        return residual_heating(result.before.problem, result.before.fit.values)
+        return residual_heating(fitted.problem, fitted.fit.values)
 
 
 def refit(result: SearchResult) -> FitResult:

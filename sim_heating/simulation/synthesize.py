@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -334,17 +335,16 @@ def write_records(
 
     scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
-    with output_directory(out, "synthesize", inputs=scenario.files) as folder:
-        folders = {name: folder if len(records) == 1 else folder / name for name in records}
+    with output_directory(out, "synthesize", inputs=scenario.files) as folder, ExitStack() as parts:
+        texts = []
+        for name, record in records.items():
+            own = parts.enter_context(record_directory(folder if len(records) == 1 else folder / name))
+            texts.append(partial(_write_texts, own, record, comment))
         first = next(iter(records.values()))
         flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
         windows = [Window(w.kind, w.start_s, w.end_s) for w in first.declared.manoeuvre]
-        texts = [partial(_write_texts, folders[name], record, comment) for name, record in records.items()]
         write_page(folder / PAGE, records_page(scenario.title, records, windows), texts)
-        for own in folders.values():
-            with record_directory(own):  # whose files are complete now
-                pass
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
 
 

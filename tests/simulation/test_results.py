@@ -113,7 +113,8 @@ def test_panels_and_legends_of_many_points_cover_none_of_each_other(
     draw: Callable[..., Figure], result: RunResult
 ) -> None:
     history = result.points["V09T9527"].history
-    figure = draw(None, "Thirty points", [replace(history, name=f"V09T{9500 + k}") for k in range(30)], [])
+    title = "Thirty points with a title that is as wide as the figure is, which is hardly ever so"
+    figure = draw(None, title, [replace(history, name=f"V09T{9500 + k}") for k in range(30)], [])
     panels = [a.get_window_extent() for a in figure.axes]
     legends = [a.get_legend() for a in figure.axes if a.get_legend()] + figure.legends
     boxes = [legend.get_window_extent() for legend in legends]
@@ -121,7 +122,7 @@ def test_panels_and_legends_of_many_points_cover_none_of_each_other(
     assert all(box.height > 0.5 * figure.bbox.height / len(panels) for box in panels)
     assert all(figure.bbox.containsx(x) for box in boxes for x in (box.x0, box.x1))
     assert all(figure.bbox.containsy(y) for box in boxes for y in (box.y0, box.y1))
-    apart = [*panels, *boxes]
+    apart = [*panels, *boxes, figure._suptitle.get_window_extent()]
     assert not any(a.overlaps(b) for i, a in enumerate(apart) for b in apart[:i])
 
 

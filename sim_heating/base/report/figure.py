@@ -85,18 +85,18 @@ def write_content(path: Path, content: bytes) -> None:
         _held[path] = content
 
 
-def draw_files(draws: Sequence[Callable[[], object]], beside: Sequence[Callable[[], R]] = ()) -> list[R]:
+def draw_files(draws: Sequence[Callable[[], object]], before: Sequence[Callable[[], R]] = ()) -> list[R]:
     """Call functions that make files by `save_figure` or `write_content`, in processes of their own, and write these.
 
     draws   : those that take longest first
-    beside  : called before them in the same processes, with picklable results
-    returns : results of `beside`
+    before  : called before them in the same processes, with picklable results
+    returns : results of `before`
     """
-    made: list[Any] = in_processes([*beside, *(partial(_hold, draw) for draw in draws)])
-    for drawn in made[len(beside) :]:
+    made: list[Any] = in_processes([*before, *(partial(_hold, draw) for draw in draws)])
+    for drawn in made[len(before) :]:
         for path, content in drawn.items():
             write_bytes_atomic(path, content)
-    return made[: len(beside)]
+    return made[: len(before)]
 
 
 def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:

@@ -103,7 +103,7 @@ class Hypothesis:
         """Whether its p-value is at least ADEQUATE, or its residuals are noise that is larger than declared."""
         return self.adequacy.p_value >= ADEQUATE or self.adequacy.unstructured
 
-    @cached_property
+    @property
     def excess_chi2(self) -> float:
         """Reduced chi-square of the fitted samples less one."""
         return self.last.excess_chi2

@@ -283,6 +283,12 @@ def least_determined(
     return {name: reason} if name else {}
 
 
+def _is_still(read: FloatArray) -> bool:
+    """Whether there are enough readings to call a sensor stuck, and all are equal."""
+    known = read[np.isfinite(read)]
+    return len(known) >= FEWEST_STUCK and bool(np.ptp(known) == 0.0)
+
+
 def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     """A record without the sensors that are stuck at one value although the declared model changes there.
 
@@ -293,19 +299,16 @@ def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     recorder steps or sigmas [K]. The criterion is a rule of this program, not of a publication.
     """
     mask, lines = record.fit_mask(), []
-    readings = [read[np.isfinite(read)] for read in record.temperatures_K()[:, mask]]
-    still = [
-        s.used and len(read) >= FEWEST_STUCK and np.ptp(read) == 0.0
-        for s, read in zip(record.sensors, readings, strict=True)
-    ]
-    if not any(still):  # the usual case, which needs no march
+    readings = record.temperatures_K()[:, mask]
+    still = [k for k, sensor in enumerate(record.sensors) if sensor.used and _is_still(readings[k])]
+    if not still:  # the usual case, which needs no march
         return record, []
+    indicated = predict(record).indicated_K[:, mask]
     stuck = []
-    for sensor, read, expected, equal in zip(
-        record.sensors, record.temperatures_K()[:, mask], predict(record).indicated_K[:, mask], still, strict=True
-    ):
+    for k in still:
+        sensor, read, expected = record.sensors[k], readings[k], indicated[k]
         valid = np.isfinite(read) & np.isfinite(expected)
-        if not equal or np.count_nonzero(valid) < FEWEST_STUCK:
+        if np.count_nonzero(valid) < FEWEST_STUCK:
             continue
         change = float(np.ptp(expected[valid]))
         if change > STUCK * max(sensor.lsb_K, sensor.noise_sigma_K or 1.0):

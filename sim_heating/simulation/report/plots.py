@@ -33,6 +33,7 @@ HOT_STRUCTURE = 0.95
 """Ratio of bondline to surface peak above which a point is hot structure and has no line among the bondlines."""
 LIMITS_SHOWN = 4
 """Number of points in a picture of temperatures up to which their limits are drawn as well."""
+LEGEND_TEXT = {"fontsize": 7.5, "title_fontsize": 8}
 LEGEND_LINES = 24
 """Number of lines in a column of a legend that is no taller than half a figure."""
 DRAWN_CHANGE_DEG = 0.5
@@ -183,9 +184,8 @@ def _legend_right(axes: Axes) -> None:
         loc="center left",
         bbox_to_anchor=(1.01, 0.5),
         ncols=_legend_columns(len(axes.lines)),
-        fontsize=7.5,
         title="peak",
-        title_fontsize=8,
+        **LEGEND_TEXT,
     )
 
 
@@ -218,11 +218,10 @@ def draw_heating(path: Path | None, title: str, points: Sequence[PointHistory], 
     figure.legend(
         axes[0].lines[: len(peaks)],
         [legend_label(text) for text in peaks],
-        loc="outside right upper",
+        loc="outside right center",
         ncols=_legend_columns(len(peaks)),
-        fontsize=7.5,
         title="peak of convected flux, heat load",
-        title_fontsize=8,
+        **LEGEND_TEXT,
     )
     axes[2].axhline(0.0, color="0.3", linewidth=0.8)
     axes[-1].set_xlabel("time, s")
