@@ -7,15 +7,23 @@ remain separate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.processes import in_turn
 from sim_heating.base.parallel.threads import in_threads, thread_count
-from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration, next_request
+from sim_heating.estimation.inference.newton import (
+    Evaluation,
+    Fit,
+    Iteration,
+    NewtonSettings,
+    iteration,
+    next_request,
+)
 from sim_heating.estimation.problem import FitProblem, LastMarches
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
@@ -105,44 +113,70 @@ def maximise_together(
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
+    # of all problems first: a prior that is invalid is told before any work
+    searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
 
-    def of_share(chosen: Sequence[int]) -> list[tuple[Fit, LastMarches]]:
-        own = [problems[k] for k in chosen]
-        fits = _maximise([iteration(p.parameters, begin[k], settings) for k, p in zip(chosen, own, strict=True)], own)
-        return [(fit, p.last_marches) for fit, p in zip(fits, own, strict=True)]
+    def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
+        asked = list(vectors.items())
+        return in_threads(lambda i: problems[asked[i][0]].log_likelihoods(asked[i][1]), len(asked))
 
-    found = in_shares(of_share, len(problems))
+    def of_some(numbers: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
+        lanes = _Lanes(problems)
+        fits = iterate_together(searches, numbers, together, lanes.evaluate, of_fractions)
+        return {k: (fit, problems[k].last_marches) for k, fit in fits.items()}
+
+    found = in_turn(of_some, len(problems))
     for problem, (_, marches) in zip(problems, found, strict=True):
         problem.last_marches = marches
     return [fit for fit, _ in found]
 
 
-def _maximise(searches: Sequence[Iteration], problems: Sequence[FitProblem]) -> list[Fit]:
-    """The fit that each iteration ends with, all marched together."""
-    requests = {k: next(search) for k, search in enumerate(searches)}
+class _Lanes:
+    """Some of several problems marched together, their lanes packed again where they are others than the last time."""
+
+    def __init__(self, problems: Sequence[FitProblem]) -> None:
+        self._problems = problems
+        self._packed: tuple[int, ...] = ()
+        self._together = JointMarch([])
+
+    def evaluate(self, vectors: Mapping[int, FloatArray]) -> list[Evaluation]:
+        """Evaluation of each problem at its own (parameter,) vector, both by the number of the problem."""
+        if tuple(vectors) != self._packed:
+            self._packed = tuple(vectors)
+            self._together = JointMarch([self._problems[k] for k in vectors])
+        return self._together.evaluate(list(vectors.values()))
+
+
+def iterate_together(
+    searches: Sequence[Iteration],
+    numbers: Iterator[int],
+    together: int,
+    evaluate: Callable[[Mapping[int, FloatArray]], Sequence[Evaluation]],
+    log_likelihoods: Callable[[Mapping[int, FloatArray]], Sequence[FloatArray]],
+) -> dict[int, Fit]:
+    """The fits that some iterations end with, several evaluated side by side; a further one begins where one has ended.
+
+    searches : all iterations;  numbers : of those that are taken, one after another;  together : how many at a time
+    evaluate, log_likelihoods : answers to requests of iterations (newton.iteration), both by number: evaluations [-] at
+               (parameter,) vectors, and log likelihoods [-] of (candidate, parameter) vectors
+    returns  : fits by number
+
+    Source: docs/theory/estimation_statistics.md, equations 13 to 17.
+    """
+    requests: dict[int, FloatArray] = {}
     fits: dict[int, Fit] = {}
-    together, marched = None, tuple(requests)
-    while requests:
-        # lanes are packed again when a fit has ended, so that no lane is marched in vain
-        if together is None or len(requests) < len(marched):
-            marched = tuple(requests)
-            together = JointMarch([problems[k] for k in marched])
-        found = together.evaluate([requests[k] for k in marched])
-        following = _next_requests([(searches[k], e, problems[k]) for k, e in zip(marched, found, strict=True)])
-        for k, request in zip(marched, following, strict=True):
-            if isinstance(request, Fit):
-                fits[k] = request
-                del requests[k]
-            else:
-                requests[k] = request
-    return [fits[k] for k in range(len(problems))]
-
-
-def _next_requests(evaluated: Sequence[tuple[Iteration, Evaluation, FitProblem]]) -> list[FloatArray | Fit]:
-    """`next_request` of each iteration, in threads: fractions of a step are marches by themselves."""
-
-    def of(i: int) -> FloatArray | Fit:
-        search, evaluation, problem = evaluated[i]
-        return next_request(search, evaluation, problem.log_likelihoods)
-
-    return in_threads(of, len(evaluated))
+    while True:
+        requests |= {k: next(searches[k]) for k in islice(numbers, together - len(requests))}
+        if not requests:
+            return fits
+        answers: dict[int, Evaluation | FloatArray] = dict(zip(requests, evaluate(requests), strict=True))
+        while answers:
+            for k, answer in answers.items():
+                request = next_request(searches[k], answer)
+                if isinstance(request, Fit):
+                    fits[k] = request
+                    del requests[k]
+                else:
+                    requests[k] = request
+            fractions = {k: request for k, request in requests.items() if request.ndim == 2}
+            answers = dict(zip(fractions, log_likelihoods(fractions), strict=True))

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.parallel.processes import in_copy, in_processes, in_shares
+from sim_heating.base.parallel.processes import in_copy, in_processes, in_shares, in_turn
 from sim_heating.base.parallel.threads import march_threads, thread_count
 from sim_heating.base.report.figure import draw_files, new_figure, save_figure
 
@@ -63,6 +63,18 @@ def shares_keep_the_order_of_their_numbers():
     assert [value for value, _ in found] == [0, 1, 4, 9, 16]
     assert in_shares(lambda chosen: [thread_count() for _ in chosen], 2) == [1, 1]
     assert in_shares(lambda chosen: [square(k) for k in chosen], 0) == []
+
+
+def numbers_are_taken_in_turn_with_enough_left_for_each_process():
+    found = in_turn(lambda numbers, together: {k: (*square(k), together) for k in numbers}, 12)
+    assert [value for value, _, _ in found] == [k * k for k in range(12)]
+    assert {together for _, _, together in found} == ({3} if sys.platform == "linux" else {12})
+    assert in_turn(lambda numbers, _: dict.fromkeys(numbers), 0) == []
+
+
+def numbers_that_a_failed_copy_had_taken_are_done_here():
+    found = in_turn(lambda numbers, _: {k: only_here(k) for k in numbers}, 7)
+    assert found == list(range(7))
 
 
 def beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here():
@@ -188,6 +200,8 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
         results_keep_the_order_of_the_tasks,
         a_process_that_is_done_takes_the_next_task,
         shares_keep_the_order_of_their_numbers,
+        numbers_are_taken_in_turn_with_enough_left_for_each_process,
+        numbers_that_a_failed_copy_had_taken_are_done_here,
         beside_a_thread_and_in_one_that_shares_its_cores_all_is_done_here,
         what_fails_in_a_copy_is_done_again_here,
         a_warning_of_a_copy_is_given_here,

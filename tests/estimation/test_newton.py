@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.inference.newton import Evaluate, Evaluation, NewtonSettings, Status, maximise
+from sim_heating.estimation.inference.newton import (
+    Evaluate,
+    Evaluation,
+    Fit,
+    NewtonSettings,
+    Status,
+    iteration,
+    maximise,
+    next_request,
+)
 
 FloatArray = NDArray[np.float64]
 approx = pytest.approx
@@ -165,6 +174,31 @@ def test_candidates_come_in_one_batch_and_lead_to_the_same_maximum() -> None:
     batch = maximise(poisson, parameters(1), start=[20.0], log_likelihoods=several)
     assert set(asked) == {(8, 1)}
     np.testing.assert_array_equal(one.history, batch.history)
+
+
+def test_where_whole_steps_keep_failing_derivatives_are_evaluated_where_a_step_ends_and_nowhere_else() -> None:
+    # with 0.4 of the information every whole step is 2.5 times too long, and lowers the likelihood
+    design, fractions = np.array([[1.0, 0.3], [0.2, 2.0]]), (0.5, 0.1)
+    exact = line(design, np.array([3.0, -1.0]))
+    search = iteration(parameters(2), [0.0, 0.0], NewtonSettings(step_fractions=fractions))
+    asked: list[FloatArray] = []
+    request: FloatArray | Fit = next(search)
+    while not isinstance(request, Fit):
+        asked.append(request)
+        if request.ndim == 2:
+            request = next_request(search, np.array([exact(p).log_likelihood for p in request]))
+        else:
+            found = exact(request)
+            request = next_request(search, Evaluation(found.log_likelihood, found.gradient, 0.4 * found.information))
+    np.testing.assert_allclose(request.values, np.linalg.solve(design, [3.0, -1.0]), rtol=1e-3)
+    first, *later = (k for k, vectors in enumerate(asked) if vectors.ndim == 2)
+    assert len(asked[first]) == len(fractions)
+    assert len(later) > 3
+    # the next step is tried whole and in parts at once, as soon as the derivatives at the end of the last one are known
+    assert [len(asked[k]) for k in later] == [1 + len(fractions)] * len(later)
+    assert later == [first + 2 * k for k in range(1, len(later) + 1)]
+    for k in (first, *later):
+        assert any(np.array_equal(p, asked[k + 1]) for p in asked[k])
 
 
 def test_a_maximum_beyond_a_bound_stops_at_it_and_the_rest_is_the_maximum_given_it() -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
 
-from sim_heating.estimation.inference.newton import NewtonSettings, Status, maximise
+from sim_heating.base.parameters import Parameter
+from sim_heating.estimation.inference.newton import Evaluation, NewtonSettings, Status, iteration, maximise
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
-from sim_heating.estimation.side_by_side import JointMarch, maximise_together
+from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.record import in_segments
 from tests.support.walls import practice_record
@@ -80,3 +81,31 @@ def test_more_problems_than_lanes_and_none_at_all():
     assert len({f.log_likelihood for f in found}) == 11
     assert JointMarch([]).evaluate([]) == []
     assert maximise_together([]) == []
+
+
+def counts(observed: int, rate: np.ndarray) -> Evaluation:
+    """Poisson counts: log likelihood n log(rate) - rate, with its maximum at n."""
+    with np.errstate(invalid="ignore"):
+        value = observed * np.log(rate[0]) - rate[0]
+    return Evaluation(float(value), observed / rate - 1.0, np.array([[observed / rate[0] ** 2]]))
+
+
+def test_an_iteration_begins_where_another_has_ended_and_no_more_go_together():
+    observed, at_once = [40, 12, 3, 5], []
+    rate = Parameter("rate", "1", 1.0)
+    searches = [iteration([rate], [12.0]) for _ in observed]
+
+    def evaluate(vectors: Mapping[int, np.ndarray]) -> list[Evaluation]:
+        at_once.append(tuple(vectors))
+        return [counts(observed[k], v) for k, v in vectors.items()]
+
+    def log_likelihoods(vectors: Mapping[int, np.ndarray]) -> list[np.ndarray]:
+        return [np.array([counts(observed[k], v).log_likelihood for v in several]) for k, several in vectors.items()]
+
+    fits = iterate_together(searches, iter(range(4)), 2, evaluate, log_likelihoods)
+    assert at_once[0] == (0, 1)
+    assert max(map(len, at_once)) == 2
+    # the second is at its maximum from the beginning: its place is the third one's while the first goes on
+    assert at_once[1] == (0, 2)
+    for k, n in enumerate(observed):
+        assert np.array_equal(fits[k].history, maximise(lambda v, n=n: counts(n, v), [rate], [12.0]).history)

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import chain
@@ -27,6 +27,8 @@ R = TypeVar("R")
 SAID, DONE, FAILED = "said", "done", "failed"
 """What a copy sends: progress, its result, its error."""
 NUMBER_BYTES = 4
+TURNS, LEAST_TOGETHER = 2, 2
+"""How often a process takes numbers to work at together, and how many it takes at least."""
 PROGRESS = "rich."
 """Modules whose threads may run while a process is copied: they show progress, and nothing waits for them."""
 
@@ -41,18 +43,27 @@ def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
     Each process marches in one thread. On other systems than Linux, and beside threads that may hold locks, all is done
     here.
     """
-    count = len(tasks)
+    return in_turn(lambda numbers, _: {k: tasks[k]() for k in numbers}, len(tasks))
+
+
+def in_turn(of: Callable[[Iterator[int], int], Mapping[int, R]], count: int) -> list[R]:
+    """Results number 0 to count - 1, in their order; this process and copies of it take one number after another.
+
+    of    : results, by number, of all numbers that it takes from an iterator; else as a task of `in_processes`. Its
+            second argument is how many to work at together: with more, too few would be left for the other processes
+    count : of all results
+    """
     shares = _processes_for(count)
     if shares == 1:
-        return [task() for task in tasks]
-    with march_threads(1), _Numbers(range(shares, count)) as left:
-
-        def in_turn(first: int) -> dict[int, R]:
-            return {k: tasks[k]() for k in chain([first], left)}
-
-        parts = _in_copies([partial(in_turn, k) for k in range(shares)])
-        found = {k: result for part in parts for k, result in part.items()}
-        return [found[k] if k in found else tasks[k]() for k in range(count)]
+        found = dict(of(iter(range(count)), count))
+    else:
+        together = max(LEAST_TOGETHER, -(-count // (TURNS * shares)))
+        with march_threads(1), _Numbers(range(shares, count)) as left:
+            parts = _in_copies([partial(of, chain([k], left), together) for k in range(shares)])
+            found = {k: result for part in parts for k, result in part.items()}
+            # what a copy had taken that failed
+            found.update(of((k for k in range(count) if k not in found), together))
+    return [found[k] for k in range(count)]
 
 
 def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]:

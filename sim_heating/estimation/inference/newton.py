@@ -7,7 +7,8 @@ With log likelihood L(p), gradient g and information M (Gauss-Newton, or observe
 on the parameters that are not fixed at a bound; the step is shortened until the posterior grows and is cut off at the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
 20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
-watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call.
+watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call,
+with the whole step among them after one that did not help.
 Levenberg damping where M + P is singular, more where no fraction helps. Converged when a full step predicts an
 improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma. Derived in
 docs/theory/estimation_statistics.md, equations 13 to 17.
@@ -42,8 +43,8 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e6
 MORE, LESS = 10.0, 0.1
 WATCHED = 3
-"""Further whole steps after one that lowered the posterior, before its fractions are tried; 0 where they did not help
-the last time.
+"""Further whole steps after one that lowered the posterior, before its fractions are tried. Where none helped, the next
+step is tried together with its fractions.
 """
 SHORTER = 0.5
 """Factor on `trust_radius` after whole steps did not help; it grows back after they do."""
@@ -282,7 +283,7 @@ def maximise(
     search = iteration(parameters, start, settings, on_step)
     request: FloatArray | Fit = next(search)
     while not isinstance(request, Fit):
-        request = next_request(search, evaluate(request), several)
+        request = next_request(search, evaluate(request) if request.ndim == 1 else several(request))
     return request
 
 
@@ -314,24 +315,20 @@ def iteration(
     return search.fit(names, status)
 
 
-def next_request(search: Iteration, evaluation: Evaluation, log_likelihoods: LogLikelihoods) -> FloatArray | Fit:
-    """What an iteration needs after an evaluation: the next vector to be evaluated, or nothing more.
+def next_request(search: Iteration, answer: Evaluation | FloatArray) -> FloatArray | Fit:
+    """What an iteration needs after an answer to its last request.
 
-    evaluation      : at the vector that was needed last
-    log_likelihoods : log likelihoods [-] of several parameter vectors at once, for the fractions of a step
-    returns         : (parameter,) vector, each value in the unit of its parameter ([-] where it has none); the fit
-                      where the iteration has ended
+    answer  : the evaluation at its vector, or the (candidate,) log likelihoods [-] of its vectors
+    returns : (parameter,) vector or (candidate, parameter) vectors, each value in the unit of its parameter ([-] where
+              it has none); the fit where the iteration has ended
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     try:
-        request = search.send(evaluation)
-        while request.ndim == 2:
-            request = search.send(log_likelihoods(request))
+        return search.send(answer)
     except StopIteration as ended:
         fit: Fit = ended.value
         return fit
-    return request
 
 
 class _NewtonSearch:
@@ -363,14 +360,18 @@ class _NewtonSearch:
             step = self.step(self.damping, self.trust)
             if self.is_converged(step):
                 return Status.CONVERGED
-            accepted = yield from self.take_whole_steps(step)
-            self.trust = min(self.trust / SHORTER, 1.0) if accepted else SHORTER * self.trust
-            # along a bent valley whole steps keep failing: do not pay for them again at once
-            self.watched = WATCHED if accepted else 0
-            accepted = accepted or (yield from self.take_best_fraction(step))
+            if self.watched:
+                whole = yield from self.take_whole_steps(step)
+                accepted = whole or (yield from self.take_fraction(step)) > 0.0
+            else:
+                # along a bent valley whole steps keep failing: do not pay for one and its gradient before its fractions
+                taken = yield from self.take_fraction(step, whole_first=True)
+                whole, accepted = taken == 1.0, taken > 0.0
+            self.trust = min(self.trust / SHORTER, 1.0) if whole else SHORTER * self.trust
+            self.watched = WATCHED if whole else 0
             while not accepted and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
-                accepted = yield from self.take_best_fraction(self.step(self.damping, self.trust))
+                accepted = (yield from self.take_fraction(self.step(self.damping, self.trust))) > 0.0
             if not accepted:
                 # no fraction helps at the maximum either, where the remaining gradient is rounding
                 return Status.CONVERGED if self.is_within_rounding() else Status.STALLED
@@ -454,18 +455,25 @@ class _NewtonSearch:
         self.move_to(*begin)
         return False
 
-    def take_best_fraction(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
-        """Take the best of the fractions of a step, cut off at the bounds; False where none raises the posterior."""
-        fractions = np.array(self.settings.step_fractions)[:, None]
-        candidates = np.clip(self.at + fractions * step, self.posterior.lower, self.posterior.upper)
+    def take_fraction(self, step: FloatArray, *, whole_first: bool = False) -> Generator[FloatArray, Any, float]:
+        """Take the best of the fractions of a step, cut off at the bounds.
+
+        whole_first : take the whole step, where it raises the posterior, rather than a better fraction of it
+        returns     : the fraction taken [-]; 0 where none raises the posterior
+        """
+        fractions = self.settings.step_fractions
+        if whole_first:
+            fractions = (1.0, *(f for f in fractions if f != 1.0))
+        candidates = np.clip(self.at + np.array(fractions)[:, None] * step, self.posterior.lower, self.posterior.upper)
         reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
         # a candidate that cannot be marched loses to any that can
         reached = np.where(np.isfinite(reached), reached, -np.inf)
-        best = int(np.argmax(reached))
-        raised = bool(reached[best] > self.found.log_likelihood)
-        if raised:
-            self.move_to(candidates[best], (yield candidates[best]))
-        return raised
+        raises = reached > self.found.log_likelihood
+        if not np.any(raises):
+            return 0.0
+        best = 0 if whole_first and raises[0] else int(np.argmax(reached))
+        self.move_to(candidates[best], (yield candidates[best]))
+        return fractions[best]
 
     def is_within_rounding(self) -> bool:
         """Whether the improvement that an undamped step predicts is below the rounding of the log posterior."""

@@ -13,15 +13,16 @@ it can gain; changes that predict little are not fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.screening import (
@@ -43,10 +44,10 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.likelihood import scores
-from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration, next_request
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
-from sim_heating.estimation.side_by_side import JointMarch, maximise_together
+from sim_heating.estimation.side_by_side import JointMarch, iterate_together, maximise_together
 from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
@@ -577,11 +578,8 @@ def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[in
     chosen   : indices of the changes, which have ends
     searches : how often at most; a last one in finer steps follows where it is more than one
     """
-
-    def of_share(own: Sequence[int]) -> list[tuple[list[_Move], Fit]]:
-        return [_best_ends(models[chosen[i]], fits[chosen[i]], searches) for i in own]
-
-    for k, (moves, fit) in zip(chosen, in_shares(of_share, len(chosen)), strict=True):
+    searched = [partial(_best_ends, models[k], fits[k], searches) for k in chosen]
+    for k, (moves, fit) in zip(chosen, in_processes(searched), strict=True):
         for move in moves:
             models[k] = _model(models[k].base, move.of(models[k].change))
         fits[k] = fit
@@ -640,29 +638,18 @@ def _maximise(
 ) -> list[Fit]:
     """The fit of each model, iterated side by side."""
 
-    def of_share(chosen: Sequence[int]) -> list[Fit]:
-        return _maximise_share([models[k] for k in chosen], [starts[k] for k in chosen], settings)
-
-    return in_shares(of_share, len(models))
-
-
-def _maximise_share(
-    models: Sequence[_ChangedModel], starts: Sequence[FloatArray], settings: NewtonSettings
-) -> list[Fit]:
-    """The fit of each model, all marched together."""
     searches = [iteration(m.parameters, first, settings) for m, first in zip(models, starts, strict=True)]
-    requests, fits = {k: next(search) for k, search in enumerate(searches)}, dict[int, Fit]()
-    while requests:
-        going = tuple(requests)
-        found = _evaluate_together([models[k] for k in going], [requests[k] for k in going])
-        for k, evaluation in zip(going, found, strict=True):
-            request = next_request(searches[k], evaluation, models[k].log_likelihoods)
-            if isinstance(request, Fit):
-                fits[k] = request
-                del requests[k]
-            else:
-                requests[k] = request
-    return [fits[k] for k in range(len(models))]
+
+    def evaluate(vectors: Mapping[int, FloatArray]) -> list[Evaluation]:
+        return _evaluate_together([models[k] for k in vectors], list(vectors.values()))
+
+    def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
+        return [models[k].log_likelihoods(v) for k, v in vectors.items()]  # one after another: models share a problem
+
+    def of_some(numbers: Iterator[int], together: int) -> dict[int, Fit]:
+        return iterate_together(searches, numbers, together, evaluate, of_fractions)
+
+    return in_turn(of_some, len(models))
 
 
 def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:

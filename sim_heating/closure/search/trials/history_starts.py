@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -21,7 +22,7 @@ from scipy.optimize import least_squares
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.base.parallel.processes import in_shares
+from sim_heating.base.parallel.processes import in_processes
 from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.closure.clues.residual_heating import residual_heating
@@ -118,7 +119,7 @@ def history_starts(base: TrialFit, tried: Sequence[Candidate]) -> list[Candidate
             history = histories[key]
             if history is not None:
                 suitable.append((history, several))
-        found = in_shares(lambda chosen: [_best_starts(*suitable[k]) for k in chosen], len(suitable))
+        found = in_processes([partial(_best_starts, *s) for s in suitable])
     return [replace(several[k], start=start, active=several[k].names)
             for (_, several), starts in zip(suitable, found, strict=True) for k, start in starts]  # fmt: skip
 
