@@ -2,17 +2,13 @@
 
 import atexit
 import errno
-import gc
 import io
 import os
 import sys
 from typing import Any, NoReturn
 
+from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.progress import EndingSignals
-
-ALLOCATIONS = 50_000
-"""New objects after which Python searches for cyclic garbage. A search goes through the many objects of loaded modules:
-after every 700, as Python has it, the searches take up to a tenth of a command."""
 
 
 class _OutputFile(io.FileIO):
@@ -99,7 +95,7 @@ class _End:
 
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
-    gc.set_threshold(ALLOCATIONS)
+    search_seldom()
     end = _End()
     atexit.register(end)
     end.status = main()

@@ -3,7 +3,6 @@ order of files and their distribution to processes."""
 
 from __future__ import annotations
 
-import gc
 import os
 import shutil
 import sys
@@ -15,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sim_heating.__main__ import ALLOCATIONS
+from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.parallel.threads import core_count, march_threads
 
 # Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's
@@ -28,7 +27,7 @@ sys.dont_write_bytecode = False
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Every search for cyclic garbage goes through the many objects of loaded modules: a seventh of the time of a picture.
-gc.set_threshold(ALLOCATIONS)
+search_seldom()
 
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")
