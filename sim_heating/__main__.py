@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.progress import EndingSignals
+from sim_heating.base.unused_parts import leave_out
 
 
 class _OutputFile(io.FileIO):
@@ -96,6 +97,7 @@ class _End:
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
     search_seldom()
+    leave_out()
     end = _End()
     atexit.register(end)
     end.status = main()
