@@ -13,7 +13,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from sim_heating.base.kernels.cache_folder import PACKAGE, kernel_sources, source_digest
+from sim_heating.base.kernels.cache_folder import PACKAGE, kernel_sources, known_digest, source_digest
 
 
 def parsed_imports(path: Path, modules: dict[str, Path]) -> set[Path]:
@@ -78,6 +78,34 @@ def test_a_change_of_text_or_of_what_no_kernel_imports_keeps_the_cache(package, 
 
 def test_a_copy_of_the_package_has_the_digest_of_the_package(package):
     assert source_digest(package) == source_digest()
+
+
+def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_time_of_a_file(package, tmp_path):
+    source, kept = package / "thermal" / "step.py", tmp_path / "kept"
+    kept.mkdir()
+    before = known_digest(kept, package)
+    assert before == known_digest(kept, package) == source_digest(package)
+    assert len(list(kept.iterdir())) == 1
+    state, text = source.stat(), source.read_text()
+    source.write_text(text.replace("0", "1", 1))
+    os.utime(source, ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert source.stat().st_size == state.st_size
+    assert known_digest(kept, package) == source_digest(package) != before
+
+
+@pytest.mark.parametrize("damage", [b"", b"0123", b"\xff" * 16, b"no digest at all"])
+def test_a_kept_digest_that_is_damaged_is_worked_out_again(package, tmp_path, damage):
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    digest = known_digest(kept, package)
+    (file,) = kept.iterdir()
+    file.write_bytes(damage)
+    assert known_digest(kept, package) == digest
+    assert file.read_text() == digest
+
+
+def test_the_digest_is_found_where_none_can_be_kept(package, tmp_path):
+    assert known_digest(tmp_path / "absent", package) == source_digest(package)
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]

@@ -18,10 +18,12 @@ import numba
 PACKAGE = Path(__file__).resolve().parents[2]
 CACHE_AGE_S = 14 * 86400.0
 """Age [s] at which unused caches of other versions of the package are removed."""
+KERNELS, KNOWN = "kernels-", "sources-"
+"""Beginnings of the names of a folder of kernels, and of a file with a digest of sources."""
 DECORATORS = "base.kernels.jit"
 """Module that each module with a kernel imports."""
 
-
+_DIGEST = re.compile("[0-9a-f]{16}")
 _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 
 
@@ -76,22 +78,56 @@ def source_digest(package: Path = PACKAGE) -> str:
     return digest.hexdigest()[:16]
 
 
+def file_states(package: Path = PACKAGE) -> str:
+    """Digest of the states of all files that may be sources: names, sizes, times and numbers, without their content.
+
+    package : folder of the package
+    returns : 16 hexadecimal digits, others after any change of a file: its time of change cannot be put back
+    """
+    states, folders = [numba.__version__], [os.fspath(package)]
+    while folders:
+        with os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                elif entry.name.endswith((".py", ".csv")):
+                    s = entry.stat()
+                    states.append(f"{entry.path} {s.st_size} {s.st_mtime_ns} {s.st_ctime_ns} {s.st_ino} {s.st_dev}")
+    return hashlib.sha256("\n".join(sorted(states)).encode()).hexdigest()[:16]
+
+
+def known_digest(home: Path, package: Path = PACKAGE) -> str:
+    """`source_digest` of a package, as it was found before for the same states of its files: all are read only once.
+
+    home : folder where it is kept, in a file named after these states
+    """
+    known = home / f"{KNOWN}{file_states(package)}"
+    with suppress(OSError, ValueError):
+        kept = known.read_text(encoding="ascii")
+        if _DIGEST.fullmatch(kept):
+            return kept
+    digest = source_digest(package)
+    with suppress(OSError):
+        known.write_text(digest, encoding="ascii")
+    return digest
+
+
 def cache_folder() -> str:
     """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
-    name = f"kernels-{source_digest()}"
     for place in (_user_cache, _temporary_cache):
         try:
             home = place()
             if home is None:
                 continue
-            folder = home / name
-            folder.mkdir(parents=True, exist_ok=True)
+            home.mkdir(parents=True, exist_ok=True)
+            folder = home / f"{KERNELS}{known_digest(home)}"
+            folder.mkdir(exist_ok=True)
             # Writing is tried: permissions alone do not show a full or read-only file system.
             with tempfile.TemporaryFile(dir=folder):
                 folder.touch()
-            for other in home.glob("kernels-*"):
-                if time.time() - other.stat().st_mtime > CACHE_AGE_S:
-                    shutil.rmtree(other, ignore_errors=True)
+            for other in home.iterdir():
+                if other.name.startswith((KERNELS, KNOWN)) and time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                    shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink()
             return str(folder)
         except OSError:
             continue
