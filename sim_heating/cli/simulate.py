@@ -23,8 +23,10 @@ from sim_heating.cli.console import (
 )
 
 if TYPE_CHECKING:
+    from sim_heating.base.progress import Progress
     from sim_heating.base.report.table import Table
     from sim_heating.inputs.scenario import Scenario
+    from sim_heating.simulation.predict import Prediction
 
 SHOWN_NAMES = 4
 """Control points that a line names; of the others it gives the number."""
@@ -267,11 +269,12 @@ def predict(
 ) -> None:
     """Predict the temperatures of flight records with their declared models, nothing fitted."""
     from sim_heating.base.files import require_writable
+    from sim_heating.base.parallel.processes import in_copy
     from sim_heating.inputs.declared_effects import left_out
     from sim_heating.inputs.points import point_of_record, point_with_vehicle_table, undeclared_effects
     from sim_heating.inputs.record import load_records
     from sim_heating.inputs.vehicle import load_vehicle
-    from sim_heating.simulation.predict import FILES, summary, write_prediction, write_predictions_page
+    from sim_heating.simulation.predict import FILES, load_writers, summary, write_prediction, write_predictions_page
     from sim_heating.simulation.predict import predict as predict_record
     from sim_heating.simulation.results import prediction_table
 
@@ -288,12 +291,18 @@ def predict(
         (point_of_record(record), None) if revised is None else point_with_vehicle_table(record, revised)
         for record in loaded
     ]
-    predictions = []
-    with progress_line("predict") as progress:
-        for i, record in enumerate(loaded):
+
+    def predicted(progress: Progress) -> list[Prediction]:
+        found = []
+        for i, (record, (model, flow)) in enumerate(zip(loaded, models, strict=True)):
             progress(i / len(loaded), f"marching {record.name}")
-            model, flow = models[i]
-            predictions.append(predict_record(record, model.without_effects(absent), flow=flow))
+            prediction = predict_record(record, model.without_effects(absent), flow=flow)
+            _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
+            found.append(prediction)
+        return found
+
+    with progress_line("predict") as progress:
+        predictions = in_copy(predicted, load_writers, progress)
         names = [
             (folder / name).relative_to(out)
             for prediction, folder in zip(predictions, folders, strict=True)
