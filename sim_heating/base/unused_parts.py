@@ -21,8 +21,14 @@ UNUSED = {"scipy": ("numpy.f2py", "numpy.testing"), "scipy.optimize": ("scipy.sp
 """What a module imports without using it; it is loaded when something of it is used."""
 
 
+_is_own_process = False
+"""Whether parts are left out here."""
+
+
 def leave_out() -> None:
     """Leave unused parts out of libraries that are imported from now on, in a process that is this program's own."""
+    global _is_own_process
+    _is_own_process = True
     actions = {name: partial(_load_when_used, parts) for name, parts in UNUSED.items()}
     # of matplotlib's modules of things to draw the first one, whichever is asked for
     sys.meta_path.insert(0, _Watch({**actions, "matplotlib.lines": _strip_matplotlib}))
@@ -33,8 +39,10 @@ def without(*names: str) -> Iterator[None]:
     """Context in which modules that are not loaded yet are not found; a library that asks for one in it does without.
 
     names : dotted names of modules
+
+    Without effect in a process that is not this program's own (`leave_out`).
     """
-    absent = [name for name in names if name not in sys.modules]
+    absent = [name for name in names if name not in sys.modules] if _is_own_process else []
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None is what import takes for absent
     try:
         yield

@@ -140,7 +140,7 @@ class _Lanes:
         self._together = JointMarch([])
 
     def evaluate(self, vectors: Mapping[int, FloatArray]) -> list[Evaluation]:
-        """Evaluation of each problem at its own (parameter,) vector, both by the number of the problem."""
+        """Evaluation at each (parameter,) vector, which is given by the number of its problem, in their order."""
         if tuple(vectors) != self._packed:
             self._packed = tuple(vectors)
             self._together = JointMarch([self._problems[k] for k in vectors])
@@ -157,8 +157,9 @@ def iterate_together(
     """The fits that some iterations end with, several evaluated side by side; a further one begins where one has ended.
 
     searches : all iterations;  numbers : of those that are taken, one after another;  together : how many at a time
-    evaluate, log_likelihoods : answers to requests of iterations (newton.iteration), both by number: evaluations [-] at
-               (parameter,) vectors, and log likelihoods [-] of (candidate, parameter) vectors
+    evaluate : from (parameter,) vectors by the number of their iteration, the evaluation at each, in their order
+    log_likelihoods : from (candidate, parameter) vectors by number, the (candidate,) log likelihoods [-] of each, in
+               their order
     returns  : fits by number
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.

@@ -13,7 +13,9 @@ from pathlib import Path
 import numba
 import pytest
 
+from sim_heating.base.kernels import cache_folder
 from sim_heating.base.kernels.cache_folder import PACKAGE, kernel_sources, known_digest, source_digest
+from tests.support.systems import posix
 
 
 def parsed_imports(path: Path, modules: dict[str, Path]) -> set[Path]:
@@ -51,6 +53,13 @@ def package(tmp_path):
     return copy
 
 
+@pytest.fixture
+def settled(package, monkeypatch):
+    """A copy of the package that counts as unchanged for long."""
+    monkeypatch.setattr(cache_folder, "SETTLED_S", 0.0)
+    return package
+
+
 def test_sources_of_kernels_are_those_that_a_parser_finds():
     assert {path for path in kernel_sources() if path.suffix == ".py"} == parsed_sources()
 
@@ -80,7 +89,9 @@ def test_a_copy_of_the_package_has_the_digest_of_the_package(package):
     assert source_digest(package) == source_digest()
 
 
-def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_time_of_a_file(package, tmp_path):
+@posix
+def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_time_of_a_file(settled, tmp_path):
+    package = settled
     source, kept = package / "thermal" / "step.py", tmp_path / "kept"
     kept.mkdir()
     before = known_digest(kept, package)
@@ -93,8 +104,10 @@ def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_
     assert known_digest(kept, package) == source_digest(package) != before
 
 
+@posix
 @pytest.mark.parametrize("damage", [b"", b"0123", b"\xff" * 16, b"no digest at all"])
-def test_a_kept_digest_that_is_damaged_is_worked_out_again(package, tmp_path, damage):
+def test_a_kept_digest_that_is_damaged_is_worked_out_again(settled, tmp_path, damage):
+    package = settled
     kept = tmp_path / "kept"
     kept.mkdir()
     digest = known_digest(kept, package)
@@ -104,8 +117,20 @@ def test_a_kept_digest_that_is_damaged_is_worked_out_again(package, tmp_path, da
     assert file.read_text() == digest
 
 
-def test_the_digest_is_found_where_none_can_be_kept(package, tmp_path):
-    assert known_digest(tmp_path / "absent", package) == source_digest(package)
+def test_the_digest_is_found_where_none_can_be_kept(settled, tmp_path):
+    assert known_digest(tmp_path / "absent", settled) == source_digest(settled)
+
+
+def test_no_digest_is_kept_of_files_that_were_changed_a_moment_ago(package, tmp_path):
+    assert known_digest(tmp_path, package) == source_digest(package)
+    assert [path.name for path in tmp_path.iterdir()] == [package.name]
+
+
+@posix
+def test_a_link_to_nothing_that_an_editor_left_is_no_source(settled, tmp_path):
+    before = known_digest(tmp_path, settled)
+    (settled / "thermal" / ".#step.py").symlink_to("user@host.1234")
+    assert known_digest(tmp_path, settled) == source_digest(settled) == before
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]

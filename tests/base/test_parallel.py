@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import random
 import signal
@@ -19,7 +18,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import exclusive
 from sim_heating.base.parallel import batches
 from sim_heating.base.parallel.batches import Job, run_batches
-from sim_heating.base.parallel.garbage import ALLOCATIONS, seldom_searched
+from sim_heating.base.parallel.garbage import ALLOCATIONS
 from tests.support import batch_jobs
 from tests.support.batch_jobs import jobs
 from tests.support.paths import ROOT
@@ -56,17 +55,9 @@ def test_a_job_that_raises_is_reported_and_the_others_continue(tmp_path, workers
     assert not (tmp_path / "job-003.error").exists()
 
 
-def test_a_worker_searches_for_garbage_seldom_while_it_works_and_others_as_before(tmp_path):
+def test_local_workers_search_for_garbage_as_seldom_as_a_command(tmp_path):
     outcome = run_batches(jobs(2), batch_jobs.allocations_per_search, tmp_path, workers=2)
     assert {path.read_text() for path in outcome.done.values()} == {str(ALLOCATIONS)}
-    before = gc.get_threshold()
-    gc.set_threshold(700, 10, 10)
-    try:
-        with seldom_searched():
-            assert gc.get_threshold()[0] == ALLOCATIONS
-        assert gc.get_threshold() == (700, 10, 10)
-    finally:
-        gc.set_threshold(*before)
 
 
 def _square(task):

@@ -18,6 +18,8 @@ import numba
 PACKAGE = Path(__file__).resolve().parents[2]
 CACHE_AGE_S = 14 * 86400.0
 """Age [s] at which unused caches of other versions of the package are removed."""
+SETTLED_S = 2.0
+"""Age [s] of the last change of a file from which on a further one has another time, whatever the file system."""
 KERNELS, KNOWN = "kernels-", "sources-"
 """Beginnings of the names of a folder of kernels, and of a file with a digest of sources."""
 DECORATORS = "base.kernels.jit"
@@ -29,7 +31,7 @@ _IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(
 
 def _modules(package: Path) -> dict[str, Path]:
     """File of each module and folder of a package, by its dotted name within it."""
-    files = {path.relative_to(package).with_suffix("").parts: path for path in package.rglob("*.py")}
+    files = {path.relative_to(package).with_suffix("").parts: path for path in package.rglob("*.py") if path.is_file()}
     return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in files.items()}
 
 
@@ -60,7 +62,7 @@ def kernel_sources(package: Path = PACKAGE) -> list[Path]:
         if path not in sources:
             sources.add(path)
             waiting += imports[path]
-    return sorted([*sources, *package.rglob("*.csv")])
+    return sorted([*sources, *(path for path in package.rglob("*.csv") if path.is_file())])
 
 
 def source_digest(package: Path = PACKAGE) -> str:
@@ -78,22 +80,29 @@ def source_digest(package: Path = PACKAGE) -> str:
     return digest.hexdigest()[:16]
 
 
-def file_states(package: Path = PACKAGE) -> str:
+def file_states(package: Path = PACKAGE) -> str | None:
     """Digest of the states of all files that may be sources: names, sizes, times and numbers, without their content.
 
     package : folder of the package
-    returns : 16 hexadecimal digits, others after any change of a file: its time of change cannot be put back
+    returns : 16 hexadecimal digits, others after any change of a file; None where a change could be missed: on Windows,
+              which tells no time of change, and where a file was changed a moment ago, so that a second change could
+              have the same time
     """
-    states, folders = [numba.__version__], [os.fspath(package)]
+    if os.name == "nt":
+        return None
+    states, folders, newest_s = [numba.__version__.encode()], [os.fspath(package)], 0.0
     while folders:
         with os.scandir(folders.pop()) as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(entry.path)
                 elif entry.name.endswith((".py", ".csv")):
-                    s = entry.stat()
-                    states.append(f"{entry.path} {s.st_size} {s.st_mtime_ns} {s.st_ctime_ns} {s.st_ino} {s.st_dev}")
-    return hashlib.sha256("\n".join(sorted(states)).encode()).hexdigest()[:16]
+                    with suppress(FileNotFoundError):  # a link to nothing, as editors leave
+                        s = entry.stat()
+                        state = f" {s.st_size} {s.st_mtime_ns} {s.st_ctime_ns} {s.st_ino} {s.st_dev}"
+                        states.append(os.fsencode(entry.path) + state.encode())
+                        newest_s = max(newest_s, s.st_ctime)
+    return None if time.time() - newest_s < SETTLED_S else hashlib.sha256(b"\n".join(sorted(states))).hexdigest()[:16]
 
 
 def known_digest(home: Path, package: Path = PACKAGE) -> str:
@@ -101,7 +110,10 @@ def known_digest(home: Path, package: Path = PACKAGE) -> str:
 
     home : folder where it is kept, in a file named after these states
     """
-    known = home / f"{KNOWN}{file_states(package)}"
+    states = file_states(package)
+    if states is None:
+        return source_digest(package)
+    known = home / f"{KNOWN}{states}"
     with suppress(OSError, ValueError):
         kept = known.read_text(encoding="ascii")
         if _DIGEST.fullmatch(kept):
@@ -125,13 +137,19 @@ def cache_folder() -> str:
             # Writing is tried: permissions alone do not show a full or read-only file system.
             with tempfile.TemporaryFile(dir=folder):
                 folder.touch()
-            for other in home.iterdir():
-                if other.name.startswith((KERNELS, KNOWN)) and time.time() - other.stat().st_mtime > CACHE_AGE_S:
-                    shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink()
+            _remove_old(home)
             return str(folder)
         except OSError:
             continue
     return tempfile.mkdtemp(prefix="sim_heating_kernels_")
+
+
+def _remove_old(home: Path) -> None:
+    """Remove what has not been used for long; another process may do so at the same time."""
+    for other in home.iterdir():
+        with suppress(OSError):
+            if other.name.startswith((KERNELS, KNOWN)) and time.time() - other.stat().st_mtime > CACHE_AGE_S:
+                shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink()
 
 
 def _user_cache() -> Path | None:

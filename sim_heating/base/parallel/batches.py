@@ -27,7 +27,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.paths import bytes_digest
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
-from sim_heating.base.parallel.garbage import seldom_searched
+from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.base.progress import Progress, no_progress, signals_deferred
 
@@ -281,7 +281,7 @@ def _unpickled(_digest: str, pickled: bytes) -> Work:
 def _run_in_worker(digest: str, pickled: bytes, task: Any) -> bytes:
     """Run one task in a worker; the function is unpickled once a process."""
     function = _unpickled(digest, pickled)
-    with one_thread(), march_threads(1), seldom_searched():
+    with one_thread(), march_threads(1):
         return function(task)
 
 
@@ -297,6 +297,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             with ExitStack() as ending:
                 with signals_deferred():  # processes half started would not be ended
                     client = ending.enter_context(Client(ending.enter_context(_local_processes(workers))))
+                client.run(search_seldom, on_error="ignore")
                 yield client
             return
         try:

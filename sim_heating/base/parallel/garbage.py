@@ -7,8 +7,6 @@ take up to a tenth of a command; what they would free is little.
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 ALLOCATIONS = 50_000
 """New objects after which garbage is searched for."""
@@ -17,14 +15,3 @@ ALLOCATIONS = 50_000
 def search_seldom() -> None:
     """Search for cyclic garbage seldom from now on: in a process that is this program's own."""
     gc.set_threshold(ALLOCATIONS)
-
-
-@contextmanager
-def seldom_searched() -> Iterator[None]:
-    """Context in which cyclic garbage is searched for seldom: in a process that also does the work of others."""
-    before = gc.get_threshold()
-    search_seldom()
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)

@@ -49,7 +49,7 @@ def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
 def in_turn(of: Callable[[Iterator[int], int], Mapping[int, R]], count: int) -> list[R]:
     """Results number 0 to count - 1, in their order; this process and copies of it take one number after another.
 
-    of    : results, by number, of all numbers that it takes from an iterator; else as a task of `in_processes`. Its
+    of    : results, by number, of all numbers that it takes from an iterator; otherwise a task of `in_processes`. Its
             second argument is how many to work at together: with more, too few would be left for the other processes
     count : of all results
     """

@@ -8,7 +8,7 @@ on the parameters that are not fixed at a bound; the step is shortened until the
 bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simple Constraints", SIAM J. Control Optim.
 20 (1982)). The whole step is tried first, and a few more from its end where it does not help (Chamberlain et al., "The
 watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call,
-with the whole step among them after one that did not help.
+and from then on the whole step and its fractions together, until a whole step helps again.
 Levenberg damping where M + P is singular, more where no fraction helps. Converged when a full step predicts an
 improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma. Derived in
 docs/theory/estimation_statistics.md, equations 13 to 17.
@@ -86,7 +86,7 @@ class NewtonSettings:
     min_improvement : of the log posterior [-] that a full step must predict for another iteration
     min_step        : change of a parameter over its sigma [-] that a full step must make for another iteration
     iterations      : largest number of steps
-    step_fractions  : fractions of the full step [-], the best of which is taken
+    step_fractions  : fractions of the full step [-]; the best is taken where the full step does not help
     trust_radius    : limit on the change of a parameter in one step, over the sigma of its prior [-], for a strongly
                       nonlinear model
     unlimited       : labels of parameters with a prior that `trust_radius` does not limit: the model is linear in them
