@@ -79,7 +79,7 @@ def first_waits_and_copies_fail_late(numbers: Iterator[int], made: Path) -> dict
         if os.getpid() != HERE and k == 4:
             made.touch()
             raise RuntimeError("a copy fails")
-        found[k] = waits_for_the_last(k, made) if k == 0 and not made.exists() else k
+        found[k] = waits_for_the_last(k, made)
     return found
 
 
