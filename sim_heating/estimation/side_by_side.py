@@ -101,34 +101,38 @@ class JointMarch:
 def maximise_together(
     problems: Sequence[FitProblem],
     starts: Sequence[ArrayLike | None] | None = None,
-    settings: NewtonSettings | None = None,
+    settings: NewtonSettings | Sequence[NewtonSettings] | None = None,
 ) -> list[Fit]:
     """The fit of each problem as newton.maximise finds it, all iterated side by side.
 
     starts   : by problem, (parameter,) first values, each in its unit ([-] for a ratio); by default those of the priors
-    settings : when to stop and how far to step
+    settings : when to stop and how far to step, common to all or by problem
     returns  : by problem, its fit; one that did not converge has its status
     raises   : InputError for an invalid prior or bounds
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
+    own = settings if isinstance(settings, Sequence) else [settings] * len(problems)
     # of all problems first: a prior that is invalid is told before any work
-    searches = [iteration(p.parameters, first, settings) for p, first in zip(problems, begin, strict=True)]
+    searches = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, own, strict=True)]
 
     def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
         asked = list(vectors.items())
         return in_threads(lambda i: problems[asked[i][0]].log_likelihoods(asked[i][1]), len(asked))
 
-    def of_some(numbers: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
-        lanes = _Lanes(problems)
-        fits = iterate_together(searches, numbers, together, lanes.evaluate, of_fractions)
-        return {k: (fit, problems[k].last_marches) for k, fit in fits.items()}
+    # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
+    order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))
 
-    found = in_turn(of_some, len(problems))
-    for problem, (_, marches) in zip(problems, found, strict=True):
-        problem.last_marches = marches
-    return [fit for fit, _ in found]
+    def of_some(places: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
+        lanes = _Lanes(problems)
+        fits = iterate_together(searches, (order[i] for i in places), together, lanes.evaluate, of_fractions)
+        return {order.index(k): (fit, problems[k].last_marches) for k, fit in fits.items()}
+
+    found = dict(zip(order, in_turn(of_some, len(problems)), strict=True))
+    for k, problem in enumerate(problems):
+        problem.last_marches = found[k][1]
+    return [found[k][0] for k in range(len(problems))]
 
 
 class _Lanes:

@@ -299,3 +299,24 @@ def test_an_invalid_prior_is_refused_by_name(keys: dict[str, float], message: st
 def test_nothing_to_estimate_is_refused() -> None:
     with pytest.raises(InputError, match="name at least one"):
         maximise(ROSENBROCK, [])
+
+
+def test_a_search_ends_early_only_where_its_gains_would_not_lead_to_the_likelihood_that_is_needed():
+    start = [3.0, -1.0, 0.0, 1.0]
+    whole = maximise(POWELL, parameters(4), start)
+    reached = np.array([POWELL(at).log_likelihood for at in whole.history])
+    for needed in (whole.log_likelihood, reached[2], -math.inf):
+        found = maximise(POWELL, parameters(4), start, settings=NewtonSettings(needed_log_likelihood=needed))
+        assert found.converged
+        assert np.array_equal(found.history, whole.history)
+
+    needed = 10.0  # the likelihood has its maximum at 0
+    behind = maximise(POWELL, parameters(4), start, settings=NewtonSettings(needed_log_likelihood=needed))
+    assert behind.status is Status.BEHIND
+    assert not behind.converged
+    n = behind.iterations
+    assert 3 <= n < whole.iterations
+    assert np.array_equal(behind.history, whole.history[: n + 1])
+    best_gain = [max(np.diff(reached[k - 3 : k + 1])) for k in range(3, n + 1)]
+    within = [reached[k] + (NewtonSettings().iterations - k) * g >= needed for k, g in enumerate(best_gain, start=3)]
+    assert within == [True] * (n - 3) + [False]

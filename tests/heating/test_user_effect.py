@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -18,10 +19,11 @@ from sim_heating.base.files import read_csv_columns
 from sim_heating.cli import main
 from sim_heating.closure.search.trials.candidates import candidates
 from sim_heating.closure.several.batch import record_job
-from sim_heating.heating.effects import Effect, effects, flight, model_parameter
-from sim_heating.inputs.points import conditions_of_record
+from sim_heating.heating.effects import Effect, effects, flight, model_parameter, use
+from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.inputs.scenario import load_scenario
+from sim_heating.simulation.predict import predict
 from tests.support.paths import ROOT
 
 POINT = "LOWER_FWD"
@@ -121,6 +123,17 @@ def test_predict_applies_it_from_a_vehicle():
         assert main(["predict", "record", "--out", f"p{len(options)}", *options]) == 0
         errors.append(json.loads(Path(f"p{len(options)}/summary.json").read_text())["fit"]["rmse_K"])
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_prediction_with_one_goes_to_another_process(monkeypatch):
+    """As one that `predict` marches in a copy: by name, as no import finds the functions of the user's file."""
+    monkeypatch.setenv("SIM_HEATING_EFFECTS", str(ROOT / "examples" / "effects"))
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    kept = predict(record, point_of_record(record, effects=[use("shock-passage", {"rise": 0.4})]))
+    sent = pickle.loads(pickle.dumps(kept))
+    assert np.array_equal(sent.indicated_K, kept.indicated_K, equal_nan=True)
+    assert sent.model.effects[0].effect is effects()["shock-passage"]
+    assert sent.model.effects[0].effect.search_starts is not None
 
 
 CLOCK_EFFECT = """

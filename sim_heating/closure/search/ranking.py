@@ -109,6 +109,15 @@ def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float
     return float(-2.0 * gained + len(candidate.names) * np.log(sample_count(base.problem)))
 
 
+def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
+    """Log likelihood that a fit of a candidate has at least where its `delta_bic` with c = 1 is as low as a given one.
+
+    The prior density of the table is taken at its largest.
+    """
+    cost = len(candidate.names) * np.log(sample_count(base.problem))
+    return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
+
+
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:
     """Probability of each candidate with equal prior ones, exp(-BIC / 2) over their sum."""
     lowest = min(delta_bic.values())

@@ -15,7 +15,7 @@ import numpy as np
 from sim_heating.base.errors import InputError
 from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.ranking import delta_bic
+from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
@@ -26,6 +26,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
+from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
@@ -78,20 +79,42 @@ def refine(
     led = sorted(
         (t for t in trials if gains[t.name] >= min(share * best, best - CONTENDER_MARGIN)), key=lambda t: t.delta_bic
     )[:CONTENDERS]
-    wanted = [(c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
-    problems = [problem_with(base, c) for c, _ in wanted]
-    firsts = [start_values(p, start) for p, (_, start) in zip(problems, wanted, strict=True)]
-    fits = maximise_together(problems, firsts, CONVERGE)
+    forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
+    problems = [problem_with(base, c) for _, c, _ in forms]
+    firsts = [start_values(p, start) for p, (_, _, start) in zip(problems, forms, strict=True)]
+    nameable = {t.name for t in led if not objections(t)}
+    settings = [_unless_behind(base, t, c) if t.name in nameable else CONVERGE for t, c, _ in forms]
+    fits = maximise_together(problems, firsts, settings)
+    contenders = [_contender(base, c, p, fit) for (_, c, _), p, fit in zip(forms, problems, fits, strict=True)]
+    # the form that others fell behind may be one that may not be named any more
+    named = {k.name for k in contenders if k.admissible and k.trial.fit.status is not Status.BEHIND}
+    again = [k for k, c in enumerate(contenders) if c.trial.fit.status is Status.BEHIND and c.name not in named]
+    continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
+    for k, fit in zip(again, continued, strict=True):
+        contenders[k] = _contender(base, forms[k][1], problems[k], fit)
     found: dict[str, list[Contender]] = {}
-    for (c, _), problem, fit in zip(wanted, problems, fits, strict=True):
-        if np.isfinite(fit.log_likelihood):
-            trial = TrialFit(c.name, c, problem, None, fit, delta_bic(base, fit, c, 1.0))
-            found.setdefault(c.name, []).append(Contender(trial, objections(trial)))
+    for contender in contenders:
+        if np.isfinite(contender.trial.fit.log_likelihood):
+            found.setdefault(contender.name, []).append(contender)
     chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
     complete = [
         replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
     ]
     return sorted(complete, key=lambda k: k.trial.delta_bic)
+
+
+def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> NewtonSettings:
+    """Settings of a fit that ends where the candidate falls far behind another form of its effect, which may be named.
+
+    Such a fit takes the most steps of all, and nobody asks for its result.
+    """
+    needed = needed_log_likelihood(base, candidate, leading.delta_bic)
+    return CONVERGE if candidate is leading.candidate else replace(CONVERGE, needed_log_likelihood=needed)
+
+
+def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender:
+    trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
+    return Contender(trial, objections(trial))
 
 
 def recorrected(trial: TrialFit, whole: Record) -> TrialFit:

@@ -20,6 +20,7 @@ import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ WATCHED = 3
 """Further whole steps after one that lowered the posterior, before its fractions are tried. Where none helped, the next
 step is tried together with its fractions.
 """
+RECENT = 3
+"""Steps whose largest gain is what each step left may gain, in `needed_log_likelihood`."""
 SHORTER = 0.5
 """Factor on `trust_radius` after whole steps did not help; it grows back after they do."""
 
@@ -91,6 +94,8 @@ class NewtonSettings:
                       nonlinear model
     unlimited       : labels of parameters with a prior that `trust_radius` does not limit: the model is linear in them
     first_values    : label of a parameter -> value that the search begins with; the prior's value for all others
+    needed_log_likelihood : [-] without which the fit is of no use: the search ends where it would not come to it even
+                      if each step that is left gained as much as the largest of the last RECENT
 
     Source: docs/theory/estimation_statistics.md, equation 17 and the line search above it.
     """
@@ -102,6 +107,7 @@ class NewtonSettings:
     trust_radius: float = math.inf
     unlimited: tuple[str, ...] = ()
     first_values: Mapping[str, float] = field(default_factory=dict)
+    needed_log_likelihood: float = -math.inf
 
 
 class Status(Enum):
@@ -110,6 +116,7 @@ class Status(Enum):
     CONVERGED = "converged"
     ITERATIONS = "not converged within the iterations allowed; start nearer or allow more"
     STALLED = "diverged: no step, however short, raises the likelihood; its gradient or the model is not smooth here"
+    BEHIND = "not converged: ended far below the likelihood that was needed"
     NO_START = "diverged: the model cannot be evaluated at the start"
 
 
@@ -345,6 +352,8 @@ class _NewtonSearch:
         self.posterior, self.settings, self.limited, self.on_step = posterior, settings, limited, on_step
         self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
         self.history = [at]
+        self.reached: list[float] = []
+        """Log posterior at the start and after each step [-]."""
 
     def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
         self.at, self.likelihood = at, likelihood
@@ -356,6 +365,7 @@ class _NewtonSearch:
         self.move_to(start, (yield start))
         if not _finite(self.found):
             return Status.NO_START
+        self.reached.append(self.found.log_likelihood)
         for _ in range(self.settings.iterations):
             step = self.step(self.damping, self.trust)
             if self.is_converged(step):
@@ -376,9 +386,12 @@ class _NewtonSearch:
                 # no fraction helps at the maximum either, where the remaining gradient is rounding
                 return Status.CONVERGED if self.is_within_rounding() else Status.STALLED
             self.history.append(self.at)
+            self.reached.append(self.found.log_likelihood)
             self.on_step(self.at, self.found.log_likelihood)
             if not _finite(self.found):
                 return Status.STALLED
+            if self.is_out_of_reach():
+                return Status.BEHIND
             # damping dies out, so that the last steps are Newton's own and the end is quadratic
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
         return Status.CONVERGED if self.is_converged(self.step(self.damping, self.trust)) else Status.ITERATIONS
@@ -436,6 +449,15 @@ class _NewtonSearch:
         sigma = np.sqrt(np.diag(self.covariance()))
         small = np.abs(step) <= self.settings.min_step * np.where(self.on_bound, np.inf, sigma)
         return improvement < self.settings.min_improvement and bool(np.all(small))
+
+    def is_out_of_reach(self) -> bool:
+        """Whether the steps that are left would not lead to the log likelihood that is needed, as far as gains tell."""
+        steps = len(self.history) - 1
+        if steps < RECENT:
+            return False
+        gain = max(after - before for before, after in pairwise(self.reached[-1 - RECENT :]))
+        left = self.settings.iterations - steps
+        return self.likelihood.log_likelihood + left * gain < self.settings.needed_log_likelihood
 
     def take_whole_steps(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take a whole step, cut off at the bounds, where it raises the posterior, which is the usual case.

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copyreg
 import importlib
 import importlib.util
 import os
+import pickle
 import pkgutil
 import sys
 import traceback
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
@@ -148,3 +151,12 @@ def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
         if not p.lower <= value <= p.upper:
             raise InputError(f"effect {name}, {p.name}: {value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
     return EffectUse(found, chosen)
+
+
+def _reduced(found: Effect) -> Any:
+    """An effect as another process gets it: by its name, as the module of a user's file has none to be imported by."""
+    known = effects().get(found.name) is found
+    return (effect, (found.name,)) if known else found.__reduce_ex__(pickle.DEFAULT_PROTOCOL)
+
+
+copyreg.pickle(Effect, _reduced)
