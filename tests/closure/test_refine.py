@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,15 @@ def test_where_no_form_may_be_named_in_the_end_those_that_fell_behind_are_fitted
         (further,) = [f for f in fits.made if np.array_equal(f.history[0], fit.values)]
         assert further.status is not Status.BEHIND
         assert further.log_posterior >= fit.log_posterior
+
+
+def test_a_form_that_cannot_be_marched_where_it_starts_is_left_out(first_round: SearchRound) -> None:
+    (led,) = first_round.trials
+    unknown = {f"effect.{NAME}.slope": np.nan}
+    tried = [c if c is led.candidate else replace(c, start={**c.start, **unknown}) for c in first_round.tried]
+    found = refine(first_round.base, first_round.trials, tried, first_round.predicted)
+    assert [k.trial.candidate for k in found] == [led.candidate]
+    assert found[0].admissible
 
 
 def test_the_likelihood_that_is_needed_is_that_at_which_two_forms_cost_the_same(first_round: SearchRound) -> None:

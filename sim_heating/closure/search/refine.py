@@ -87,15 +87,14 @@ def refine(
     fits = maximise_together(problems, firsts, settings)
     contenders = [_contender(base, c, p, fit) for (_, c, _), p, fit in zip(forms, problems, fits, strict=True)]
     # the form that others fell behind may be one that may not be named any more
-    named = {k.name for k in contenders if k.admissible and k.trial.fit.status is not Status.BEHIND}
-    again = [k for k, c in enumerate(contenders) if c.trial.fit.status is Status.BEHIND and c.name not in named]
+    named = {k.name for k in contenders if k and k.admissible and k.trial.fit.status is not Status.BEHIND}
+    again = [k for k, fit in enumerate(fits) if fit.status is Status.BEHIND and forms[k][1].name not in named]
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
         contenders[k] = _contender(base, forms[k][1], problems[k], fit)
     found: dict[str, list[Contender]] = {}
-    for contender in contenders:
-        if np.isfinite(contender.trial.fit.log_likelihood):
-            found.setdefault(contender.name, []).append(contender)
+    for contender in filter(None, contenders):
+        found.setdefault(contender.name, []).append(contender)
     chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
     complete = [
         replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
@@ -112,7 +111,10 @@ def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> N
     return CONVERGE if candidate is leading.candidate else replace(CONVERGE, needed_log_likelihood=needed)
 
 
-def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender:
+def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender | None:
+    """A candidate with its fit; None where it cannot be marched."""
+    if not np.isfinite(fit.log_likelihood):
+        return None
     trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
     return Contender(trial, objections(trial))
 
