@@ -87,7 +87,7 @@ def refine(
     fits = maximise_together(problems, firsts, settings)
     contenders = [_contender(base, c, p, fit) for (_, c, _), p, fit in zip(forms, problems, fits, strict=True)]
     # the form that others fell behind may be one that may not be named any more
-    named = {k.name for k in contenders if k and k.admissible and k.trial.fit.status is not Status.BEHIND}
+    named = {t.name for (t, c, _), k in zip(forms, contenders, strict=True) if c is t.candidate and k and k.admissible}
     again = [k for k, fit in enumerate(fits) if fit.status is Status.BEHIND and forms[k][1].name not in named]
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
