@@ -115,23 +115,23 @@ def maximise_together(
     begin = [None] * len(problems) if starts is None else list(starts)
     own = settings if isinstance(settings, Sequence) else [settings] * len(problems)
     # of all problems first: a prior that is invalid is told before any work
-    searches = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, own, strict=True)]
+    every = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, own, strict=True)]
+    # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
+    order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))
+    richest, searches = [problems[k] for k in order], [every[k] for k in order]
 
     def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
         asked = list(vectors.items())
-        return in_threads(lambda i: problems[asked[i][0]].log_likelihoods(asked[i][1]), len(asked))
+        return in_threads(lambda i: richest[asked[i][0]].log_likelihoods(asked[i][1]), len(asked))
 
-    # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
-    order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))
+    def of_some(numbers: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
+        lanes = _Lanes(richest)
+        fits = iterate_together(searches, numbers, together, lanes.evaluate, of_fractions)
+        return {k: (fit, richest[k].last_marches) for k, fit in fits.items()}
 
-    def of_some(places: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
-        lanes = _Lanes(problems)
-        fits = iterate_together(searches, (order[i] for i in places), together, lanes.evaluate, of_fractions)
-        return {order.index(k): (fit, problems[k].last_marches) for k, fit in fits.items()}
-
-    found = dict(zip(order, in_turn(of_some, len(problems)), strict=True))
-    for k, problem in enumerate(problems):
-        problem.last_marches = found[k][1]
+    found = dict(zip(order, in_turn(of_some, len(order)), strict=True))
+    for k, (_, marches) in found.items():
+        problems[k].last_marches = marches
     return [found[k][0] for k in range(len(problems))]
 
 

@@ -106,7 +106,7 @@ def model_bic(trial: TrialFit, best: TrialFit) -> float:
 def delta_bic(base: TrialFit, fit: Fit, candidate: Candidate, c: float) -> float:
     """BIC of a fit minus that of the model it is on top of; c is the scale of the residuals."""
     gained = (fit.log_likelihood - base.fit.log_likelihood) / c + table_log_prior(fit) - table_log_prior(base.fit)
-    return float(-2.0 * gained + len(candidate.names) * np.log(sample_count(base.problem)))
+    return float(-2.0 * gained + _parameter_cost(base, candidate))
 
 
 def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) -> float:
@@ -114,8 +114,13 @@ def needed_log_likelihood(base: TrialFit, candidate: Candidate, delta: float) ->
 
     The prior density of the table is taken at its largest.
     """
-    cost = len(candidate.names) * np.log(sample_count(base.problem))
+    cost = _parameter_cost(base, candidate)
     return float(base.fit.log_likelihood + table_log_prior(base.fit) + 0.5 * (cost - delta))
+
+
+def _parameter_cost(base: TrialFit, candidate: Candidate) -> float:
+    """k log n of a candidate on top of a model."""
+    return float(len(candidate.names) * np.log(sample_count(base.problem)))
 
 
 def posteriors(delta_bic: Mapping[str, float]) -> dict[str, float]:

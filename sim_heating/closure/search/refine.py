@@ -83,12 +83,14 @@ def refine(
     problems = [problem_with(base, c) for _, c, _ in forms]
     firsts = [start_values(p, start) for p, (_, _, start) in zip(problems, forms, strict=True)]
     nameable = {t.name for t in led if not objections(t)}
-    settings = [_unless_behind(base, t, c) if t.name in nameable else CONVERGE for t, c, _ in forms]
+    settings = [
+        _unless_behind(base, t, c) if t.name in nameable and c is not t.candidate else CONVERGE for t, c, _ in forms
+    ]
     fits = maximise_together(problems, firsts, settings)
     contenders = [_contender(base, c, p, fit) for (_, c, _), p, fit in zip(forms, problems, fits, strict=True)]
     # the form that others fell behind may be one that may not be named any more
     named = {t.name for (t, c, _), k in zip(forms, contenders, strict=True) if c is t.candidate and k and k.admissible}
-    again = [k for k, fit in enumerate(fits) if fit.status is Status.BEHIND and forms[k][1].name not in named]
+    again = [k for k, (t, _, _) in enumerate(forms) if fits[k].status is Status.BEHIND and t.name not in named]
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
         contenders[k] = _contender(base, forms[k][1], problems[k], fit)
@@ -107,13 +109,12 @@ def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> N
 
     Such a fit takes the most steps of all, and nobody asks for its result.
     """
-    needed = needed_log_likelihood(base, candidate, leading.delta_bic)
-    return CONVERGE if candidate is leading.candidate else replace(CONVERGE, needed_log_likelihood=needed)
+    return replace(CONVERGE, needed_log_likelihood=needed_log_likelihood(base, candidate, leading.delta_bic))
 
 
 def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender | None:
-    """A candidate with its fit; None where it cannot be marched."""
-    if not np.isfinite(fit.log_likelihood):
+    """A candidate with its fit; None where it cannot be marched, or fell far behind."""
+    if fit.status is Status.BEHIND or not np.isfinite(fit.log_likelihood):
         return None
     trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
     return Contender(trial, objections(trial))
