@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
+R = TypeVar("R")
+S = TypeVar("S")
 LONGEST = 600
 """Characters of one problem; of a longer one, such as a library's own text, the middle is left out."""
 TAIL = 150
@@ -79,3 +83,28 @@ class RunError(RuntimeError):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+class LeftOutWarning(UserWarning):
+    """A piece of the results that is left out because it could not be made.
+
+    Evidence, sections of a page and entries of a JSON file are pieces. What a command was asked for, such as
+    temperatures, estimates or a finding, fails as a whole instead.
+    """
+
+
+def reason_of(error: Exception) -> str:
+    """The type and the message of an error on one line."""
+    return one_line(f"{type(error).__name__}: {' '.join(str(error).split())}")
+
+
+def or_left_out(make: Callable[[], R], substitute: S, title: str) -> R | S:
+    """The piece that `make` returns; where it raises, a substitute, and a LeftOutWarning that gives the reason.
+
+    title : names the piece in the warning, such as "evidence, axial steps"
+    """
+    try:
+        return make()
+    except Exception as error:
+        warnings.warn(f"{title}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=3)
+        return substitute

@@ -71,7 +71,7 @@ def errors_table(result: CampaignResult) -> Table:
 
 def write_campaign_page(path: Path, result: CampaignResult) -> None:
     """Write the page of a campaign."""
-    write_page(path, campaign_page(result))
+    write_page(path, lambda: campaign_page(result))
 
 
 def campaign_page(result: CampaignResult) -> Page:

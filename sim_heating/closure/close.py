@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, or_left_out
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parallel.processes import in_processes
 from sim_heating.base.parallel.threads import one_thread
@@ -223,7 +223,7 @@ def _closure(
         residual_after=residual_after,
         evidence=residual_evidence(residual, ratio_at(before.after[0], residual.time_s)),
         statement=_statement(result, fitted, [*_left_out(result), *not_effects]),
-        curve=_curve(result),
+        curve=or_left_out(lambda: _curve(result), None, "curve that the residual follows"),
         faults=[] if not_effects else faults,
         false_alarm=false_alarm_statement(),
         warnings=[
@@ -256,7 +256,9 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         probability=probability_of(result),
         not_effects=not_effects,
         converged=fitted.fit.converged,
-        would_tell_apart=tell_apart(result.none, conclusion.best, _rivals(result)),
+        would_tell_apart=or_left_out(
+            lambda: tell_apart(result.none, conclusion.best, _rivals(result)), [], "what would tell causes apart"
+        ),
         alternative_values=_alternative_values(result),
         experiment="flight" if result.record.has_flow else "test",
     )
@@ -493,6 +495,9 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
     """
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
-        draws = write_fit_data(closed.fitted, estimate_contents(closed.fitted), folder)
+        no_draws: list[Callable[[], object]] = []
+        draws = or_left_out(
+            lambda: write_fit_data(closed.fitted, estimate_contents(closed.fitted), folder), no_draws, NAME
+        )
         write_closure(closed.report, folder, draws)
     return sorted(files_written(out))

@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.errors import or_left_out
 from sim_heating.base.files import write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import EFFECT_PREFIX
-from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
@@ -217,13 +218,16 @@ def closure_json(found: Closure) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_closure(found: Closure, folder: Path, beside: Sequence[Callable[[], object]] = ()) -> None:
-    """Write the files of a closure into an existing folder; `beside` as in `page_html`."""
-    write_json(folder / NAME, closure_json(found))
-    write_residual_heating(folder / HEATING_NAME, found.residual)
-    if found.curve is not None:
-        write_curve(folder / CURVE_NAME, found.curve)
-    write_page(folder / PAGE, closure_page(found), beside)
+def write_closure(closure: Closure, folder: Path, draws: Sequence[Callable[[], object]] = ()) -> None:
+    """Write the files of a closure into an existing folder.
+
+    draws : functions that make further files (draw_files), called in the processes that draw the page's pictures
+    """
+    write_json(folder / NAME, closure_json(closure))
+    or_left_out(lambda: write_residual_heating(folder / HEATING_NAME, closure.residual), None, HEATING_NAME)
+    if (curve := closure.curve) is not None:
+        or_left_out(lambda: write_curve(folder / CURVE_NAME, curve), None, CURVE_NAME)
+    write_page(folder / PAGE, lambda: closure_page(closure), draws)
 
 
 # The page ------------------------------------------------------------------------------------------------------------
@@ -236,12 +240,19 @@ def closure_page(found: Closure) -> Page:
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data"
     warnings = [*(f.message for f in found.faults), *further_warnings(found.warnings, found.remarks)]
-    sections = [
-        *_not_effects_section(found), *tell_apart_section(found.statement),
-        _errors_section(found), *_adequacy_section(found),
-        _comparison_section(found), *_parameters_section(found), _candidates_section(found), _heating_section(found),
-        _evidence_section(found), _sensors_section(found), credibility_section(found.credibility.as_json()),
-    ]  # fmt: skip
+    sections = sections_of({
+        "Not an aerothermal effect": lambda: _not_effects_section(found),
+        "What would tell them apart": lambda: tell_apart_section(found.statement),
+        "Errors": lambda: _errors_section(found),
+        "Does it explain the record?": lambda: _adequacy_section(found),
+        "Measured against predicted": lambda: _comparison_section(found),
+        "Estimated parameters": lambda: _parameters_section(found),
+        "Candidates": lambda: _candidates_section(found),
+        "Residual as heating": lambda: _heating_section(found),
+        "Evidence": lambda: _evidence_section(found),
+        "Residuals that no heating explains": lambda: _sensors_section(found),
+        "Credibility": lambda: credibility_section(found.credibility.as_json()),
+    })  # fmt: skip
     return Page(title, subtitle, sections, _headline(found), warnings)
 
 
@@ -499,7 +510,8 @@ def _evidence_section(found: Closure) -> Section:
     figure = hysteresis_figure(found.residual, flight_variables(found.residual), e)
     caption = "Residual around the manoeuvres with the widest loops: an error of the thermal model, a clock or a lag."
     pictures = [] if figure is None else [Picture(figure, caption)]
-    return Section("Evidence", points=e.proposal(), tables=[fits, correlations], pictures=pictures)
+    points = [*e.proposal(), *(f"Left out: {piece} ({reason})." for piece, reason in e.left_out.items())]
+    return Section("Evidence", points=points, tables=[fits, correlations], pictures=pictures)
 
 
 def _p_value_cell(p: float | None) -> float | str | None:

@@ -139,7 +139,7 @@ def plan(
         # The same object is written and returned: its credibility flies the base entry, once.
         done = replace(done, files=tuple(sorted(names)))
         write_json(folder / SUMMARY, summary(done))
-        write_page(folder / PAGE, page_of(done, folder))
+        write_page(folder / PAGE, lambda: page_of(done, folder))
     return done
 
 

@@ -217,8 +217,7 @@ def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> lis
         found = summary(prediction)
         write_json(folder / SUMMARY, found)
         prediction.draw(folder / PICTURE)
-        page = prediction_page(found, record, history, _curve(prediction), folder / PICTURE)
-        write_page(folder / PAGE, page)
+        write_page(folder / PAGE, lambda: prediction_page(found, record, history, _curve(prediction), folder / PICTURE))
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
@@ -232,7 +231,7 @@ def write_predictions_page(predictions: Sequence[Prediction], out: str | os.Path
 
     table = prediction_table([summary(p) for p in predictions])
     with output_directory(out, "predict", inputs=[p.record.directory for p in predictions]) as folder:
-        write_page(folder / PAGE, predictions_page(table, [(p.record, _curve(p)) for p in predictions]))
+        write_page(folder / PAGE, lambda: predictions_page(table, [(p.record, _curve(p)) for p in predictions]))
     return Path(PAGE)
 
 

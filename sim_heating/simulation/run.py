@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from sim_heating.base.report.page import Page
+
 
 def fly_fmu(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
@@ -498,6 +500,12 @@ def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = No
 def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -> None:
     """Write report.html over the pictures of a run, which stand in place of its charts on paper."""
     from sim_heating.base.report.page import write_page  # matplotlib is slow to import
+
+    write_page(folder / PAGE, lambda: _page(result, folder, points))
+
+
+def _page(result: RunResult, folder: Path, points: Sequence[str] | None) -> Page:
+    """The page of a run, whose pictures are in the folder."""
     from sim_heating.simulation.report.pages import MeasuredCurve, RunPictures, run_page
 
     found, windows = summary(result), result.flight.windows
@@ -513,10 +521,9 @@ def _write_page(result: RunResult, folder: Path, points: Sequence[str] | None) -
         folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres
     )  # fmt: skip
     peaks = run_table("", found, rmse_by_point(result))
-    page = run_page(
+    return run_page(
         found, peaks, result.flight.conditions, result.histories(points), windows, result.limits, compared, pictures
     )
-    write_page(folder / PAGE, page)
 
 
 def _outermost_sensor(point: PointResult) -> PointHistory:

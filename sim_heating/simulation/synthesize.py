@@ -344,7 +344,7 @@ def write_records(
         flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))
         windows = [Window(w.kind, w.start_s, w.end_s) for w in first.declared.manoeuvre]
-        write_page(folder / PAGE, records_page(scenario.title, records, windows), texts)
+        write_page(folder / PAGE, lambda: records_page(scenario.title, records, windows), texts)
         return sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
 
 

@@ -113,7 +113,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Section("Fleet", tables=[fleet()]),
     ]
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_page(path, Page(HOSTILE, "charts and a fleet", sections))
+    write_page(path, lambda: Page(HOSTILE, "charts and a fleet", sections))
     return path
 
 

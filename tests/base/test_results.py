@@ -8,10 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.kills import Case, bad, kill_and_judge, killed, operations
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, LeftOutWarning, RunError
 from sim_heating.base.files import (
     MARKER,
     file_digest,
@@ -21,6 +22,7 @@ from sim_heating.base.files import (
     replace_files,
     require_writable,
     toml_text,
+    with_digest,
     write_csv,
     write_json,
     write_text_atomic,
@@ -135,9 +137,20 @@ def test_an_unwritable_place_is_reported(tmp_path: Path) -> None:
         write_text_atomic(tmp_path / "file" / "a.csv", "x")
 
 
+def test_a_number_that_is_not_finite_costs_no_other_result(tmp_path: Path) -> None:
+    with pytest.warns(LeftOutWarning, match=r"left out as not finite: steps\[1\]\.p_value is nan, size is inf"):
+        write_json(tmp_path / "a.json", {"rmse_K": 1.5, "steps": [{}, {"p_value": float("nan")}], "size": np.inf})
+    assert json.loads((tmp_path / "a.json").read_text()) == {
+        "rmse_K": 1.5,
+        "steps": [{}, {"p_value": None}],
+        "size": None,
+        "left_out": ["steps[1].p_value is nan", "size is inf"],
+    }
+
+
 def test_nan_and_infinity_are_never_written(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"fit\.rmse_K is nan"):
-        write_json(tmp_path / "a.json", {"fit": {"rmse_K": float("nan")}})
+        with_digest({"fit": {"rmse_K": float("nan")}})
     with pytest.raises(RunError, match="column T_K contains an infinite number"):
         write_csv(tmp_path / "a.csv", {"T_K": [1.0, float("inf")]})
     with pytest.raises(RunError, match=r"`a\.b` is nan"):

@@ -116,6 +116,17 @@ def with_axial(relative: float, at_s: float) -> Record:
     )
 
 
+def test_an_axial_force_without_noise_has_a_step_of_probability_one() -> None:
+    """Coefficients that are constant to rounding: a step improves the fit by less than rounding, or worsens it."""
+    record = residual_with("nothing")[0].record
+    flown = record.conditions
+    for begun_s in np.arange(1000.0, 1200.0, 5.0):
+        measured = (flown.time_s > begun_s) & (flown.time_s < begun_s + 100.0)
+        a = measured * 1e-4 * flown["rho_kg_m3"] * flown["velocity_m_s"] ** 2
+        steps = axial_steps(replace(record, conditions=flown.with_columns(axial_accel_g=a))) or ()
+        assert all(0.0 <= step.p_value <= 1.0 for step in steps)
+
+
 def test_a_step_in_axial_acceleration_is_found_in_time_and_size():
     found = axial_steps(with_axial(0.03, 1100.3))
     assert found is not None

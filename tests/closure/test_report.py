@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from sim_heating.base.errors import LeftOutWarning
 from sim_heating.base.files import files_written, output_directory, read_csv_columns
 from sim_heating.base.report.page import Page, Picture, Section, page_html
 from sim_heating.base.report.table import Table
-from sim_heating.closure.clues.correlation import residual_evidence
+from sim_heating.closure.clues.correlation import Correlation, residual_evidence
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.record_checks import TRAJECTORY, DataFault
 from sim_heating.closure.report import (
@@ -104,6 +105,27 @@ def test_closure_json_has_every_field_of_its_format():
     assert data["candidates"][0]["delta_bic"] < data["candidates"][1]["delta_bic"] == 0.0
     assert data["residual_heating"] == "residual_heating.csv"
     assert "effects" not in data
+
+
+def test_a_section_that_cannot_be_made_costs_neither_page_nor_numbers(tmp_path: Path) -> None:
+    textual = Correlation("alpha_deg", 0.0, 0.5, 10.0, "lost", 0.5)  # type: ignore[arg-type]
+    report = replace(closed(), evidence=replace(closed().evidence, correlations=(textual,)))
+    with pytest.warns(LeftOutWarning, match="section `Evidence`: left out"):
+        write_closure(report, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "This section could not be made: " in page
+    assert "Residuals that no heating explains" in page
+    assert json.loads((tmp_path / "closure.json").read_text())["effect"]["name"] == "impingement-onset"
+
+
+def test_a_piece_of_evidence_that_cannot_be_made_is_left_out_with_its_reason() -> None:
+    residual = closed().residual
+    with pytest.warns(LeftOutWarning, match="evidence, negative ratio: left out"):
+        evidence = residual_evidence(residual, np.ones(len(residual.time_s) + 1))  # a ratio of other knots
+    assert "negative ratio" in evidence.left_out
+    assert evidence.negative_s is None
+    assert evidence.shape_fits == residual_evidence(residual).shape_fits
+    assert evidence.as_json()["left_out"] == dict(evidence.left_out)
 
 
 def test_errors_fall_towards_the_noise_floor_as_the_model_grows():

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, LeftOutWarning, RunError
 from sim_heating.base.files.paths import display_path, file_digest, has_digest, real_path, text_digest
 from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
 from sim_heating.base.files.transaction import (
@@ -59,20 +59,36 @@ def replaces_others() -> bool:
     return bool(os.environ.get(REPLACE_OTHERS))
 
 
+LEFT_OUT = "left_out"
+"""Key of a JSON object that lists its numbers that are not finite, which stand as null in it."""
+
+
 def json_text(data: Any) -> str:
     """Plain data, numpy numbers and arrays as JSON.
 
     raises : RunError naming the entry where a number is not finite
     """
-    found = _not_finite(data, "")
-    if found:
-        raise RunError(f"{found}, which JSON cannot represent; nothing was written")
+    entry = next(_not_finite(data, ""), None)
+    if entry:
+        raise RunError(f"{entry}, which JSON cannot represent; nothing was written")
     return json.dumps(data, indent=2, default=_to_builtin, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def write_json(path: str | os.PathLike[str], data: Any) -> None:
-    """Write data as JSON, whole or not at all; NaN is an error, None becomes null."""
-    write_text_atomic(path, json_text(data))
+def finite_json(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Results with null in place of each number that is not finite: one such number does not cost the others.
+
+    The entries are listed under `left_out`, and a LeftOutWarning names them; without such a number, the data as it is.
+    """
+    entries = list(_not_finite(data, ""))
+    if not entries:
+        return data
+    warnings.warn(f"left out as not finite: {_listed(entries)}", LeftOutWarning, stacklevel=3)
+    return {**_with_null(data), LEFT_OUT: entries}
+
+
+def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
+    """Write results as JSON, whole or not at all; None and numbers that are not finite become null (finite_json)."""
+    write_text_atomic(path, json_text(finite_json(data)))
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -108,16 +124,27 @@ def _to_builtin(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be represented in JSON")
 
 
-def _not_finite(value: Any, place: str) -> str | None:
-    """`place is nan` for the first number that is not finite, or None."""
+def _not_finite(value: Any, key: str) -> Iterator[str]:
+    """`key is nan` for each number that is not finite."""
     value = as_builtin(value)
     if isinstance(value, float) and not math.isfinite(value):
-        return f"{place.lstrip('.') or 'the value'} is {value}"
+        yield f"{key.lstrip('.') or 'the value'} is {value}"
     if isinstance(value, Mapping):
-        return next((f for k, v in value.items() if (f := _not_finite(v, f"{place}.{k}"))), None)
+        for k, v in value.items():
+            yield from _not_finite(v, f"{key}.{k}")
     if isinstance(value, (list, tuple)):
-        return next((f for i, v in enumerate(value) if (f := _not_finite(v, f"{place}[{i}]"))), None)
-    return None
+        for i, v in enumerate(value):
+            yield from _not_finite(v, f"{key}[{i}]")
+
+
+def _with_null(value: Any) -> Any:
+    """Data with None in place of each number that is not finite."""
+    value = as_builtin(value)
+    if isinstance(value, Mapping):
+        return {k: _with_null(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_with_null(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from matplotlib.ticker import FuncFormatter, LogFormatter, NullFormatter, Scalar
 from matplotlib.transforms import Bbox, TransformedBbox
 from numpy.typing import ArrayLike
 
-from sim_heating.base.errors import InputError, RunError, printable
+from sim_heating.base.errors import InputError, LeftOutWarning, RunError, printable, reason_of
 from sim_heating.base.files.paths import display_path
 from sim_heating.base.files.text import result_path, write_bytes_atomic
 from sim_heating.base.parallel.processes import in_processes
@@ -181,7 +181,7 @@ def _printable_label(label: Callable[..., str]) -> Callable[..., str]:
     return lambda *place: printable(label(*place))
 
 
-class PictureWarning(UserWarning):
+class PictureWarning(LeftOutWarning):
     """A picture that could not be drawn; the results in numbers are complete."""
 
 
@@ -209,7 +209,7 @@ def replaced_if_undrawable(draw: F) -> F:
 
 def explanation(name: str, error: Exception) -> Figure:
     """A figure in place of one that could not be drawn, which is named and reported by a PictureWarning."""
-    reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    reason = reason_of(error)
     warnings.warn(
         f"{name}: this picture could not be drawn ({reason}); the numbers are complete", PictureWarning, stacklevel=3
     )

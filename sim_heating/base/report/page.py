@@ -1,8 +1,9 @@
 """A self-contained HTML page of sections with text, tables and figures: one look for all reports.
 
-    write_page(path, Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
+    write_page(path, lambda: Page("Title", "what it is", [Section("Errors", tables=[Table(...)], figures=[...])]))
 
-The file is complete: style, figures and scripts are embedded, nothing is loaded. Every text is escaped, and the page's
+The file is complete: style, figures and scripts are embedded, nothing is loaded. A part that cannot be
+made is replaced by the reason. Every text is escaped, and the page's
 own policy forbids addresses elsewhere and all scripts but ours, by their digests: names in it come from input files,
 and other people open it. What a text has between backticks, as messages have names and keys, is set as code. A page has
 a script only for its charts (`chart.js` and uPlot) and for its sortable tables (`table.js`); without scripts it shows
@@ -15,11 +16,12 @@ import base64
 import hashlib
 import io
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jinja2
 import matplotlib as mpl
@@ -27,7 +29,7 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sim_heating.base.errors import printable
+from sim_heating.base.errors import LeftOutWarning, or_left_out, printable, reason_of
 from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.chart import Chart, chart_data, intervals_of, script_json
@@ -150,15 +152,31 @@ class Page:
     warnings: Sequence[str] = field(default=())
 
 
-def page_html(page: Page, beside: Sequence[Callable[[], object]] = ()) -> str:
+def sections_of(makers: Mapping[str, Callable[[], Section | Sequence[Section]]]) -> list[Section]:
+    """The sections that functions make, by their titles; one that fails gives a section with the reason.
+
+    makers : by title, in the order of the page; each returns a section, or several, or none
+    """
+    sections: list[Section] = []
+    for title, make in makers.items():
+        try:
+            section = make()
+        except Exception as error:
+            warnings.warn(f"report, section `{title}`: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
+            section = Section(title, [f"This section could not be made: {reason_of(error)}"])
+        sections += [section] if isinstance(section, Section) else section
+    return sections
+
+
+def page_html(page: Page, draws: Sequence[Callable[[], object]] = ()) -> str:
     """The page as text; everything in it is escaped.
 
-    beside : functions that make files (draw_files), called in the processes that draw the page's pictures
+    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
     """
     charts = [c for section in page.sections for c in section.charts]
     pictures = {id(c): c.picture or Picture(c.figure, c.title) for c in charts if c.pictured}
     pictures |= {id(p): p for section in page.sections for p in section.pictures}
-    urls = dict(zip(pictures, draw_files(beside, [partial(_url_of, p) for p in pictures.values()]), strict=True))
+    urls = dict(zip(pictures, draw_files(draws, [partial(_url_of, p) for p in pictures.values()]), strict=True))
     names = [*(CHART_SCRIPTS if charts else ()), *(TABLE_SCRIPTS if _sortable(page) else ())]
     names = [*(SHARED_SCRIPTS if names else ()), *names]
     scripts = [_asset(name) for name in names]
@@ -189,7 +207,8 @@ class _DrawnChart:
 
 
 def _drawn(chart: Chart, urls: Mapping[int, str], intervals: int) -> _DrawnChart:
-    data, note = chart_data(chart, intervals)
+    without: tuple[dict[str, Any], str] = ({}, "The data of this chart could not be made.")
+    data, note = or_left_out(lambda: chart_data(chart, intervals), without, f"report, chart `{chart.title}`")
     return _DrawnChart(chart, Markup(script_json(data)), note, urls.get(id(chart), ""))
 
 
@@ -204,9 +223,18 @@ def _digest(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def write_page(path: Path, page: Page, beside: Sequence[Callable[[], object]] = ()) -> None:
-    """Write the page, whole or not at all; `beside` as in `page_html`."""
-    write_text_atomic(path, page_html(page, beside))
+def write_page(path: Path, make: Callable[[], Page], draws: Sequence[Callable[[], object]] = ()) -> None:
+    """Write a page, whole or not at all; where it cannot be made, a page that gives the reason.
+
+    make  : returns the page
+    draws : functions that make files (draw_files), called in the processes that draw the page's pictures
+    """
+    try:
+        page = make()
+    except Exception as error:
+        warnings.warn(f"{path.name}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
+        page = Page(path.stem, f"This page could not be made: {reason_of(error)}", [])
+    write_text_atomic(path, page_html(page, draws))
 
 
 @cache

@@ -111,5 +111,6 @@ def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[
     dof = len(y) - with_step.shape[1]
     level = float(np.mean(np.abs(y)))
     floor = dof * (RESOLUTION * level) ** 2
-    improvement = float(residual_without @ residual_without - residual @ residual)
+    # The step never worsens the fit but by rounding; then F is 0, and p is 1.
+    improvement = max(float(residual_without @ residual_without - residual @ residual), 0.0)
     return improvement / ((float(residual @ residual) + floor) / dof), dof, float(fit[-1]) / level

@@ -12,15 +12,17 @@ degrees of freedom, corrected for the number of variables and lags (Sidak).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE
+from sim_heating.base.errors import LeftOutWarning, reason_of
 from sim_heating.base.parallel.threads import one_thread
 from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
 from sim_heating.closure.clues.hysteresis import HysteresisLoop, hysteresis_loops
@@ -39,6 +41,9 @@ from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
 from sim_heating.simulation.predict import Prediction
 
+R = TypeVar("R")
+S = TypeVar("S")
+SHAPES = "shapes of the residual"
 WALL, ENTHALPY = "wall_K", "wall_enthalpy_ratio"
 ACTIVE_SIGMAS = 3.0
 """A residual heating is active where it exceeds this many of its sigmas."""
@@ -96,6 +101,7 @@ class ResidualEvidence:
     axial         : steps in axial acceleration; None where the record has none
     negative_s    : how long the ratio would have to be negative by more than NEGATIVE_SIGMAS [s]; None where unknown
     unit          : what amplitudes are multiples of, in words
+    left_out      : pieces that could not be made, with the reason; their fields are empty
     """
 
     correlations: tuple[Correlation, ...]
@@ -107,9 +113,12 @@ class ResidualEvidence:
     axial: tuple[AxialStep, ...] | None
     negative_s: float | None = None
     unit: str = "ratio"
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def proposal(self) -> list[str]:
         """The evidence in lines for a person: which variable, at which lag, active when, how large."""
+        if SHAPES in self.left_out:
+            return [f"What the residual follows is left out ({self.left_out[SHAPES]})."]
         if not self.shape_fits or self.p_value > SIGNIFICANCE_LEVEL:
             return ["The residual is consistent with noise."]
         best = self.shape_fits[0]
@@ -173,6 +182,7 @@ class ResidualEvidence:
             "hysteresis": [loop.as_json() for loop in self.loops],
             "negative_ratio_s": self.negative_s,
             "axial_steps": None if self.axial is None else [asdict(s) for s in self.axial],
+            **({"left_out": dict(self.left_out)} if self.left_out else {}),
         }
 
 
@@ -187,28 +197,43 @@ def residual_evidence(residual: ResidualHeating, ratio: FloatArray | None = None
 
 
 def _evidence(residual: ResidualHeating, ratio: FloatArray | None) -> ResidualEvidence:
-    fitted = residual.fitted
-    t, variables = residual.time_s, flight_variables(residual)
+    variables, left_out = flight_variables(residual), dict[str, str]()
+
+    def piece(title: str, make: Callable[[], R], substitute: S) -> R | S:
+        try:
+            return make()
+        except Exception as error:
+            left_out[title] = reason_of(error)
+            warnings.warn(f"evidence, {title}: left out ({reason_of(error)})", LeftOutWarning, stacklevel=2)
+            return substitute
+
+    varying = {n: v for n, v in variables.items() if np.ptp(v[residual.fitted]) > 0.0}
+    fits, trials = piece(SHAPES, lambda: _shape_fits(residual, variables), ([], 1.0))
+    return ResidualEvidence(
+        correlations=tuple(piece("correlations", lambda: correlations(residual, varying), [])),
+        shape_fits=tuple(fits),
+        trials_factor=trials,
+        p_value=p_value(fits[0].z, trials) if fits else 1.0,
+        active=tuple(piece("active spans", lambda: active_spans(residual, ratio), [])),
+        loops=tuple(piece("hysteresis", lambda: hysteresis_loops(residual, variables), [])),
+        axial=piece("axial acceleration", lambda: axial_steps(residual.record), None),
+        negative_s=piece("negative ratio", lambda: None if ratio is None else negative_s(residual, ratio), None),
+        unit=residual.unit,
+        left_out=left_out,
+    )
+
+
+def _shape_fits(residual: ResidualHeating, variables: Mapping[str, FloatArray]) -> tuple[list[ShapeFit], float]:
+    """The best shape of each variable, the largest gain first, and the trials that all shapes amount to."""
     profiled = profiled_information(residual)
-    shapes, columns = candidate_shapes(t, variables)
+    shapes, columns = candidate_shapes(residual.time_s, variables)
     largest = MAX_AMPLITUDE * float(np.max(np.abs(residual.delta_ratio)))
     # A shape that nearly equals a derivative has a huge amplitude, which the derivative cancels: it explains nothing by
     # itself.
     fits = [f for f in profiled.fit_shapes(shapes, columns) if abs(f.amplitude) <= largest]
     names = dict.fromkeys(f.shape.variable for f in fits)
     best = [next(f for f in fits if f.shape.variable == name) for name in names]
-    trials = trials_factor(profiled, columns)
-    return ResidualEvidence(
-        correlations=tuple(correlations(residual, {n: v for n, v in variables.items() if np.ptp(v[fitted]) > 0.0})),
-        shape_fits=tuple(best),
-        trials_factor=trials,
-        p_value=p_value(best[0].z, trials) if best else 1.0,
-        active=tuple(active_spans(residual, ratio)),
-        loops=tuple(hysteresis_loops(residual, variables)),
-        axial=axial_steps(residual.record),
-        negative_s=None if ratio is None else negative_s(residual, ratio),
-        unit=residual.unit,
-    )
+    return best, trials_factor(profiled, columns)
 
 
 def ratio_at(prediction: Prediction, time_s: FloatArray) -> FloatArray | None:

@@ -51,7 +51,7 @@ def write_batch_page(
     path: Path, rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None]
 ) -> None:
     """Write the page of a batch; rows and residuals as its jobs give them, None for a record that failed."""
-    write_page(path, batch_page(rows, residuals))
+    write_page(path, lambda: batch_page(rows, residuals))
 
 
 def batch_page(rows: Sequence[Mapping[str, Any]], residuals: Sequence[Mapping[str, Any] | None]) -> Page:

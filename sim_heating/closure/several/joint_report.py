@@ -25,7 +25,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.parameters import AT
 from sim_heating.base.report.chart import Chart
 from sim_heating.base.report.figure import add_grid_and_title, legend_above, new_figure
-from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
@@ -234,7 +234,7 @@ def write_joint_closure(found: JointClosure, folder: Path) -> None:
     """Write the files of a joint closure into an existing folder."""
     write_json(folder / NAME, joint_closure_json(found))
     write_csv(folder / RECORDS, evidence_table(found).columns_by_key())
-    write_page(folder / PAGE, joint_page(found))
+    write_page(folder / PAGE, lambda: joint_page(found))
 
 
 # The page -------------------------------------------------------------------------------------------------------------
@@ -245,14 +245,20 @@ def joint_page(found: JointClosure) -> Page:
     points = dict.fromkeys(c.record.declared.control_point for c in found.closures)
     subtitle = f"Records {_listed(found.names)}, control point{'s' if len(points) > 1 else ''} {_listed(list(points))}"
     causes = found.statement.not_effects
-    sections = [
-        *([Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])] if causes else []),
-        _evidence_section(found), _residuals_section(found), *tell_apart_section(found.statement),
-        _errors_section(found), _adequacy_section(found), _values_section(found), _candidates_section(found),
-    ]  # fmt: skip
+    not_effects = Section("Not an aerothermal effect", points=[f"{c.kind}: {c.what}" for c in causes])
+    sections = sections_of({
+        "Not an aerothermal effect": lambda: not_effects if causes else [],
+        "What each record adds": lambda: _evidence_section(found),
+        "Residuals side by side": lambda: _residuals_section(found),
+        "What would tell them apart": lambda: tell_apart_section(found.statement),
+        "Errors": lambda: _errors_section(found),
+        "Does it explain the records?": lambda: _adequacy_section(found),
+        "Parameters": lambda: _values_section(found),
+        "Causes fitted to all records": lambda: _candidates_section(found),
+        "Credibility": lambda: credibility_section(found.credibility.as_json()),
+    })  # fmt: skip
     before, after = (found.pooled(p)["fit"] for p in ([c.before for c in found.closures], found.after))
     errors = f"RMSE over fitted data: {before['rmse_K']:.2f} K before, {after['rmse_K']:.2f} K after."
-    sections.append(credibility_section(found.credibility.as_json()))
     return Page(
         f"{len(found.closures)} records, jointly", subtitle, sections,
         (found.in_words(), f"{found.certainty()} {errors}"),

@@ -281,7 +281,7 @@ def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[st
         draw_design(folder / DESIGN, designed)
         draw_sweeps(folder / SWEEPS, designed)
         draw_instruments(folder / INSTRUMENTS, designed)
-        write_page(folder / PAGE, design_page(designed, folder))
+        write_page(folder / PAGE, lambda: design_page(designed, folder))
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 

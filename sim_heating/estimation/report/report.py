@@ -275,7 +275,7 @@ def write_trend(trend: Trend, out: Path) -> list[str]:
     with output_directory(out, "estimate", inputs=[trend.record.directory]) as folder:
         write_csv(folder / TREND_CSV, columns)
         draw_trend(folder / TREND_PICTURE, trend)
-        write_page(folder / TREND_PAGE, trend_page(trend, folder / TREND_PICTURE))
+        write_page(folder / TREND_PAGE, lambda: trend_page(trend, folder / TREND_PICTURE))
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 
@@ -308,7 +308,7 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
                 for name, caption in captions.items()
             ]
             table, fits = estimate_table("", found), [f / FIT_PICTURE for f in folders]
-            write_page(folder / PAGE, estimate_page(fitted, found, table, fits, pictures))
+            write_page(folder / PAGE, lambda: estimate_page(fitted, found, table, fits, pictures))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
 
 

@@ -59,7 +59,7 @@ def write_results(engine: LinkEngine, state: State, out: str | os.PathLike[str])
         except InputError as error:  # of a vehicle or a record that is no longer where it was
             notes += [f"no credibility statement: {line}" for line in error.problems]
         write_json(folder / RESULT, summary(engine, state, supported))
-        write_page(folder / PAGE, live_page(engine, state, supported))
+        write_page(folder / PAGE, lambda: live_page(engine, state, supported))
         for name, record in records.items():
             comment = "Made by sim-heating live of what came over a link."
             write_record(record, folder / RECORDS / name, comment=comment)
