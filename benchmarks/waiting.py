@@ -7,7 +7,8 @@ in the same rounds, as processor time. A goal is the stated time or 1.3 times th
 Machines differ, and one that others use changes by the hour: a plain loop of Python is timed in the same rounds.
 
 The last lines are of a machine that has nothing compiled yet: the installation of the README's first command from
-the clients' cache of wheels, and its demonstration.
+the clients' cache of wheels, its demonstration, and its tests. The tests are also stated over the plain loop, which is
+timed while they run.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from benchmarks.measure import Figure, save, spent_by_children_s
 ROUNDS = 3
 GOAL_OVER_FLOOR = 1.3
 ADDITIONS = 1_000_000
+LOOP_EVERY_S = 10.0
+"""Time between two of these loops while tests run [s]."""
 DEMO_S, INSTALLED_S = 30.0, 60.0
 """Goals of the first demonstration ever on a machine, and of its installation [s]."""
 ROOT = Path(__file__).parents[1]
@@ -103,11 +106,11 @@ def _floor(command: Command) -> tuple[float, float, float]:
 
 
 def _additions_s() -> float:
-    """Wall time [s] of a plain loop."""
-    start, total = time.perf_counter(), 0
+    """Processor time [s] of a plain loop."""
+    start, total = time.process_time(), 0
     for k in range(ADDITIONS):
         total += k
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def _commands() -> list[Figure]:
@@ -122,7 +125,7 @@ def _commands() -> list[Figure]:
         for command in COMMANDS:
             times[command].append(_timed(command))
             floors[command].append(_floor(command))
-    figures = [Figure("the machine: a million additions in a loop of Python, wall", median(additions), "s")]
+    figures = [Figure("the machine: a million additions in a loop of Python, processor", median(additions), "s")]
     for command in COMMANDS:
         name = " ".join(command.arguments)
         wall, processor = (median(values) for values in zip(*times[command], strict=True))
@@ -139,11 +142,41 @@ def _commands() -> list[Figure]:
     return figures
 
 
+def _without_compiled(home: Path) -> dict[str, str]:
+    """The environment of a user who has nothing compiled yet, with an empty home."""
+    home.mkdir()
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return environment | {"HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache"), "MPLCONFIGDIR": str(home / "mpl")}
+
+
+def _tests() -> list[Figure]:
+    """The README's tests, nothing compiled, in a clone of the committed state, with this interpreter."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "clone"
+        subprocess.run(["git", "clone", "-q", str(ROOT), str(copy)], check=True)
+        environment = _without_compiled(Path(folder) / "home")
+        before, start = spent_by_children_s(), time.perf_counter()
+        command = [sys.executable, "-m", "pytest", "-n", "auto"]
+        loops = []
+        with subprocess.Popen(command, cwd=copy, env=environment, stdout=subprocess.DEVNULL) as tests:
+            while tests.poll() is None:
+                loops.append(_additions_s())
+                time.sleep(LOOP_EVERY_S)
+        if tests.returncode:
+            raise RuntimeError(f"the tests of the README's command ended with {tests.returncode}")
+        wall, processor, loop = time.perf_counter() - start, spent_by_children_s() - before, median(loops)
+    return [
+        Figure("tests of the README's command, nothing compiled, wall", wall, "s"),
+        Figure("tests of the README's command, nothing compiled, processor", processor, "s"),
+        Figure("tests of the README's command, wall over a million additions", wall / loop, ""),
+        Figure("tests of the README's command, processor over a million additions", processor / loop, ""),
+    ]
+
+
 def _first_ever() -> list[Figure]:
     """The README's first command on a machine that has nothing compiled: installation, then demonstration [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        home, environment = Path(folder) / "home", Path(folder) / ".venv"
-        home.mkdir()
+        environment = Path(folder) / ".venv"
         python = str(environment / "bin" / "python")
         copy = Path(folder) / "clone"
         subprocess.run(["git", "clone", "-q", str(ROOT), str(copy)], check=True)
@@ -151,12 +184,10 @@ def _first_ever() -> list[Figure]:
         subprocess.run([sys.executable, "-m", "venv", str(environment)], check=True)
         subprocess.run([python, "-m", "pip", "install", "-q", "-e", "."], check=True, cwd=copy, capture_output=True)
         installed = time.perf_counter() - start
-        changed = {"HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache"), "MPLCONFIGDIR": str(home / "mpl")}
         start = time.perf_counter()
         subprocess.run(
             [python, "-m", "sim_heating", "demo", "--out", str(Path(folder) / "out")],
-            check=True, cwd=copy, capture_output=True,
-            env={k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | changed,
+            check=True, cwd=copy, capture_output=True, env=_without_compiled(Path(folder) / "home"),
         )  # fmt: skip
         demo = time.perf_counter() - start
     return [
@@ -166,7 +197,7 @@ def _first_ever() -> list[Figure]:
 
 
 def run() -> list[Figure]:
-    """Commands with everything compiled, then the first one ever."""
-    figures = [*_commands(), *_first_ever()]
+    """Commands with everything compiled, then the first one ever, then the tests."""
+    figures = [*_commands(), *_first_ever(), *_tests()]
     save("waiting", figures)
     return figures

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -103,8 +104,23 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.maxworkerrestart = "0"
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Long files first; the others, and the tests of each file, in their order."""
+    """Long files first, the others and the tests of each file in their order; tests of pages in a browser and cases
+    beyond a sample are thorough."""
+    cases: Counter[tuple[Path, str]] = Counter()
+    for item in items:
+        if item.get_closest_marker("browser"):
+            from tests.support.browser import CHROMIUM
+
+            item.add_marker("thorough")
+            item.add_marker(pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed"))
+        sample = item.get_closest_marker("sample")
+        if sample is not None:
+            test = (item.path, item.name.partition("[")[0])
+            cases[test] += 1
+            if cases[test] > sample.args[0]:
+                item.add_marker("thorough")
     place = {config.rootpath / "tests" / name: k for k, name in enumerate(BEGUN_FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
 

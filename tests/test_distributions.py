@@ -72,6 +72,7 @@ def test_a_source_distribution_has_what_the_tests_and_pages_need(unpacked):
         assert (unpacked / name).read_bytes() == (ROOT / name).read_bytes()
 
 
+@pytest.mark.thorough
 def test_two_builds_in_two_folders_have_the_same_bytes(built, unpacked, tmp_path):
     for path in unpacked.rglob("*"):
         os.utime(path, (1e9, 1e9))

@@ -51,6 +51,7 @@ def test_an_unknown_name_is_an_attribute_error():
         sh.simulate  # noqa: B018
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "__version__"])
 def test_the_example_of_a_public_name_runs(name: str, monkeypatch: pytest.MonkeyPatch):
     """With every module of the package imported: that binds the name of a subpackage in the package above, and a folder

@@ -60,6 +60,7 @@ def settled(package, monkeypatch):
     return package
 
 
+@pytest.mark.thorough
 def test_sources_of_kernels_are_those_that_a_parser_finds():
     assert {path for path in kernel_sources() if path.suffix == ".py"} == parsed_sources()
 
@@ -133,6 +134,7 @@ def test_a_link_to_nothing_that_an_editor_left_is_no_source(settled, tmp_path):
     assert known_digest(tmp_path, settled) == source_digest(settled) == before
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")  # type: ignore[attr-defined]
 def test_of_two_processes_that_need_a_kernel_one_compiles_it(tmp_path):
     """Each process prints how many functions it took from the cache, of those that it has compiled or loaded."""

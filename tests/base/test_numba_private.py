@@ -65,6 +65,7 @@ print({call}, any(name.startswith("numba.np.arraymath") for name in sys.modules)
 """
 
 
+@pytest.mark.thorough
 def test_a_compiled_function_is_loaded_without_a_compiler_and_may_make_arrays() -> None:
     """The compiler is prepared where something is compiled, as numba's own functions for arrays show."""
     calls = (

@@ -34,6 +34,7 @@ def contents(folder):
     return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
+@pytest.mark.thorough
 def test_one_process_and_two_leave_the_same_bytes(tmp_path):
     (tmp_path / "notes").mkdir()
     function = partial(batch_jobs.square, tmp_path / "notes")
@@ -55,6 +56,7 @@ def test_a_job_that_raises_is_reported_and_the_others_continue(tmp_path, workers
     assert not (tmp_path / "job-003.error").exists()
 
 
+@pytest.mark.thorough
 def test_local_workers_search_for_garbage_as_seldom_as_a_command(tmp_path):
     outcome = run_batches(jobs(2), batch_jobs.allocations_per_search, tmp_path, workers=2)
     assert {path.read_text() for path in outcome.done.values()} == {str(ALLOCATIONS)}
@@ -64,6 +66,7 @@ def _square(task):
     return f"{task * task}\n".encode()
 
 
+@pytest.mark.thorough
 def test_jobs_of_a_worker_that_dies_are_run_by_another(tmp_path):
     (tmp_path / "notes").mkdir()
     function = partial(batch_jobs.square_that_dies_once, tmp_path / "notes")
@@ -73,6 +76,7 @@ def test_jobs_of_a_worker_that_dies_are_run_by_another(tmp_path):
     assert (tmp_path / "notes" / "died").exists()
 
 
+@pytest.mark.thorough
 def test_a_job_that_kills_every_worker_fails_alone(tmp_path):
     outcome = run_batches(jobs(6), batch_jobs.square_that_kills, tmp_path, workers=2)
     assert list(outcome.failed) == ["job-003"]
@@ -80,6 +84,7 @@ def test_a_job_that_kills_every_worker_fails_alone(tmp_path):
     assert len(outcome.done) == 5
 
 
+@pytest.mark.thorough
 def test_a_run_killed_at_any_moment_resumes_where_it_stopped(tmp_path):
     count, random_moments = 40, random.Random(5)
     whole = tmp_path / "whole"

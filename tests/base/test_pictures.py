@@ -40,6 +40,7 @@ def drawn(path: Path | None, name: str) -> Figure:
     return save_figure(figure, path, name, axes)
 
 
+@pytest.mark.thorough
 @settings(max_examples=10)
 @example("_")
 @example("$$")
@@ -90,6 +91,7 @@ def test_a_picture_of_a_page_that_fails_is_replaced_by_its_reason() -> None:
     assert b"This picture could not be drawn" in b64decode(url.partition(",")[2])
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["$$", r"a$\\frac{$b", "[/red]"])
 def test_a_record_with_such_names_is_predicted(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

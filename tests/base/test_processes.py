@@ -196,6 +196,7 @@ def a_copy_that_is_killed_has_its_task_done_here():
     assert set(heard) == {"begun"}
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system confines no process to some cores")
 def test_a_process_that_may_use_one_core_shares_nothing_out():
     confined = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})"
@@ -207,6 +208,7 @@ def test_a_process_that_may_use_one_core_shares_nothing_out():
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "deed",
     [
@@ -243,6 +245,7 @@ def drawn(folder: Path, threads: int) -> None:
         draw_files([partial(draw, folder / f"{n}.png") for n in range(3)])
 
 
+@pytest.mark.thorough
 def test_files_drawn_in_copies_have_the_same_bytes(tmp_path):
     drawn(tmp_path / "here", 1)
     program = f"from {__name__} import *\ndrawn(Path({str(tmp_path / 'copies')!r}), 2)"

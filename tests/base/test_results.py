@@ -263,6 +263,7 @@ def write_all(folder: Path, files: dict[str, str]) -> None:
             write_text_atomic(partial / name, text)
 
 
+@pytest.mark.thorough
 @posix
 def test_a_kill_at_any_file_operation_leaves_the_results_of_before_or_after(tmp_path: Path) -> None:
     counted = kill_and_judge(
@@ -274,6 +275,7 @@ def test_a_kill_at_any_file_operation_leaves_the_results_of_before_or_after(tmp_
     assert bad(counted) == 0
 
 
+@pytest.mark.thorough
 @posix
 def test_a_kill_at_any_file_operation_of_a_replacement_in_place_leaves_all_or_nothing(tmp_path: Path) -> None:
     """Files of a person, replaced because that is asked for: a table and the file of its control point."""

@@ -14,6 +14,8 @@ import pytest
 from sim_heating.base import unused_parts
 from sim_heating.base.unused_parts import without
 
+pytestmark = pytest.mark.thorough
+
 LEAVE_OUT = "import sys; from sim_heating.base.unused_parts import leave_out; leave_out()\n"
 DRAW = """
 import sys

@@ -93,6 +93,7 @@ def at_the_true_parameters(made: Made, record: Record) -> NDArray[np.float64]:
     return predict(record, model).indicated_K
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("number", [0, 4, 6, 12])
 def test_package_at_the_true_parameters_explains_a_null_record_to_its_noise(number, tmp_path):
     made = made_of("null", number)
@@ -129,6 +130,7 @@ def test_set_holds_every_class_and_any_first_part_of_it_holds_nearly_all_in_prop
     assert all(abs(tenth.count(name) - n / 10) <= 1 for name, n in CLASSES.items())
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("of_class", "number"), [("one", 1), ("two", 0), ("wall", 2), ("flight", 1), ("sensor", 1), ("unknown", 1)]
 )

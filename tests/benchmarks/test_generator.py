@@ -116,6 +116,7 @@ def simplest(case: Case) -> Case:
     return replace(case, point=point, heating={**case.heating, "wall_enthalpy": air}, H_w=wall_enthalpy(air))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["lower", "felt"])
 def test_generator_integrates_its_cells_as_radau_does(kind):
     case, end_s = simplest(null_case(3, kind)), 700.0
@@ -126,6 +127,7 @@ def test_generator_integrates_its_cells_as_radau_does(kind):
     assert np.max(np.abs(found - expected)[1:]) < 0.02  # the first is the initial temperature, not yet in balance
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["lower", "felt", "standoff", "metals"])
 def test_generator_has_enough_cells(kind):
     case = null_case(5, kind)
@@ -148,6 +150,7 @@ def at_the_true_parameters(made: Made, record: Record) -> FloatArray:
     return predict(record, model).indicated_K
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("number", range(5))
 def test_program_with_the_true_parameters_reproduces_a_null_record(number, tmp_path):
     made = null_record(number)
@@ -179,6 +182,7 @@ def test_same_seed_makes_the_same_record_and_another_does_not():
     assert other.measured_K.shape != again.measured_K.shape or np.any(other.measured_K != again.measured_K)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("effect", ["transition", "conductivity", "time-skew", "catalysis", "moisture"])
 def test_an_effect_moves_the_readings_by_what_the_answer_says(effect, tmp_path):
     made = make(SEED, 7, effect)

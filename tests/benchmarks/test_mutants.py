@@ -35,12 +35,14 @@ def computes(home: Path, number: int) -> bool:
     return command in subject.computes and bool(subject.checks)
 
 
+@pytest.mark.thorough
 def test_a_damaged_file_is_accepted_with_finite_results_or_answered_in_a_line(results: list[Result]) -> None:
     faults = [r for r in results if r.outcome not in GOOD]
     lines = (f"{r.number}: {r.command}; {r.file}: {r.what} -> {r.outcome}: {r.message}" for r in faults)
     assert not faults, "\n\n".join(lines)
 
 
+@pytest.mark.thorough
 def test_the_sample_damages_every_format_and_sees_every_outcome(results: list[Result]) -> None:
     assert len({r.format for r in results}) > 15
     assert set(Counter(r.outcome for r in results)) == set(GOOD)

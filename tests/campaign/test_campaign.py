@@ -67,6 +67,7 @@ def report(home: Path) -> dict[str, Any]:
     return read_json(home / "out" / "campaign.json")
 
 
+@pytest.mark.thorough
 def test_the_flights_together_find_the_truth_with_smaller_bounds_than_each_alone(report: dict[str, Any]) -> None:
     (joint,) = report["joint"]
     assert joint["flights"] == list(FITTED)
@@ -86,6 +87,7 @@ def test_the_revised_tables_predict_a_flight_that_was_not_fitted(report: dict[st
     assert checked["after_K"] < 0.3 * checked["before_K"]
 
 
+@pytest.mark.thorough
 def test_a_campaign_of_the_same_files_repeats_nothing_and_one_that_lost_a_fit_repeats_that_fit(
     home: Path, report: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,6 +156,7 @@ def test_one_line_states_what_is_wrong_with_a_campaign(
     assert not (home / "wrong").exists()
 
 
+@pytest.mark.thorough
 def test_a_campaign_without_a_manoeuvre_says_that_it_fits_nothing(
     home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -108,6 +108,7 @@ def test_the_onset_of_impingement_is_that_of_the_flight(figures: PaperFigures) -
     assert abs(float(text[0]) - ONSET_DEG) < 3.0 * float(text[2]) < 3.0
 
 
+@pytest.mark.thorough
 def test_the_trend_in_segments_is_that_of_the_table_over_either_reference(flight: CampaignFlight) -> None:
     """The truth is the declared table; over Eckert's plate table and estimate change alike."""
     both = reynolds_trend(FlownData([flight]), mach=20.0)

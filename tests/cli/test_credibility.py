@@ -36,6 +36,7 @@ def test_a_prediction_states_its_credibility_and_the_command_shows_why(board: Pa
     assert "material black-paint" in shown  # an estimate of confidence C
 
 
+@pytest.mark.thorough
 def test_an_own_case_joins_the_region_until_it_is_removed(board: Path, capsys):
     assert main(["predict", str(board), "--out", "before"]) == 0
     assert main(["credibility", "add", str(board)]) == 0
@@ -68,6 +69,7 @@ def test_synthetic_records_and_names_of_the_project_are_no_own_cases(board: Path
     assert "only measurements validate" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_a_review_counts_while_the_record_stays_as_it_is(board: Path, capsys):
     signed = ["--person", "A. Engineer", "--statement", "used for two plates before"]
     assert main(["credibility", "review", str(board), "--factor", "history", "--level", "2", *signed]) == 0

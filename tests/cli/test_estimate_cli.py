@@ -128,6 +128,7 @@ def test_estimate_json_holds_what_the_contract_names(
     )
 
 
+@pytest.mark.thorough
 def test_progress_is_reported_by_iteration(workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "fit")
     printed = capsys.readouterr()
@@ -136,6 +137,7 @@ def test_progress_is_reported_by_iteration(workdir: Path, tmp_path: Path, capsys
     assert "Noise floor" in printed.out
 
 
+@pytest.mark.thorough
 def test_two_flights_of_one_point_share_its_ratio_and_keep_their_clocks(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +172,7 @@ def test_two_points_of_one_flight_have_a_ratio_each(workdir: Path) -> None:
         assert joint.value == pytest.approx(single.value, abs=0.05 * single.sigma)
 
 
+@pytest.mark.thorough
 def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_path: Path) -> None:
     whole = estimate("first", "--parameters", "ratio.scale", out=tmp_path / "whole")
     short = estimate("first", "--parameters", "ratio.scale", "--fit", "80,130", out=tmp_path / "short")
@@ -181,6 +184,7 @@ def test_a_segment_can_be_given_without_changing_the_record(workdir: Path, tmp_p
     assert twice["fit"]["n"] == 40 * 5
 
 
+@pytest.mark.thorough
 def test_each_flight_has_its_own_segment_and_start(workdir: Path, tmp_path: Path) -> None:
     own = ["--fit", "80,130@first", "--fit", "60,120", "--start", "circuit:70@second"]
     found = estimate("first", "second", "--parameters", "ratio.scale", *own, out=tmp_path / "fit")
@@ -275,6 +279,7 @@ def test_a_record_without_a_vehicle_is_fitted(tmp_path: Path) -> None:
     assert found["parameters"]["ratio.d_alpha"]["sigma"] > 0.0
 
 
+@pytest.mark.thorough
 def test_pictures_are_drawn_with_something_in_them(fit_of_first: Path) -> None:
     for name in ("fit.png", "ratio.png"):
         picture = mpl_image.imread(fit_of_first / name)

@@ -77,6 +77,7 @@ def test_a_changed_result_is_a_persons_file(workdir: Path, capsys: pytest.Captur
     assert snapshot(workdir) == before
 
 
+@pytest.mark.thorough
 def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_the_other(workdir: Path) -> None:
     runs = [
         subprocess.Popen(
@@ -98,6 +99,7 @@ def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_
     assert snapshot(workdir / "out") in alone
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("command", "fresh", "moments"),
     [("predict", False, (3, 42)), ("synthesize", True, (9, 46)), ("fmu export", False, (8,))],
@@ -128,6 +130,7 @@ def test_force_replaces_files_of_these_names_and_no_other(workdir: Path, capsys:
     assert "replaced" not in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_force_replaces_the_results_of_another_command_but_not_a_changed_one(
     workdir: Path, capsys: pytest.CaptureFixture[str]

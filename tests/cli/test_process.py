@@ -136,6 +136,7 @@ def _group(leader: int) -> list[int]:
     return found
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="the processes of a group are read from /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_dask_starts_ends_all_processes_without_a_traceback(
@@ -169,6 +170,7 @@ def run_in_shell(redirection: str, *arguments: str, **environment: str) -> subpr
     return subprocess.run(shell, env=ENVIRONMENT | environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirection", [">&-", "<&- >&- 2>&-", "2>&1 | true"])
 def test_a_command_whose_output_nobody_reads_does_its_work(workdir: Path, redirection: str) -> None:
     done = run_in_shell(f"{redirection}; echo", "run", "short.toml", "--out", "out")
@@ -195,6 +197,7 @@ def test_an_output_that_is_full_is_named(workdir: Path, arguments: tuple[str, ..
 # Surroundings --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_terminal_without_unicode_shows_escapes(workdir: Path) -> None:
     (workdir / "short.toml").rename(workdir / "kürz.toml")
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -294,6 +297,7 @@ def test_a_working_directory_that_was_removed_is_named(workdir: Path) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir: Path) -> None:
     """A limit on the size of files acts as a full disk does: the system refuses to write on."""
     assert main(["run", "short.toml", "--out", "out"]) == 0
@@ -307,6 +311,7 @@ def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir
     assert {p.name: p.read_bytes() for p in (workdir / "out").iterdir() if p.is_file()} == before
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("command", "given", "least"),
     [("run", "short.toml", 5), ("synthesize", "short.toml", 5), ("predict", str(PRACTICE / "p06"), 4)],
@@ -324,6 +329,7 @@ def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_proc
     assert shell == here
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux" or core_count() < 2, reason="a process is copied on Linux, for two cores")
 def test_the_process_that_writes_a_prediction_loads_no_compiler(workdir: Path) -> None:
     """Its copy has marched, and the statement of what supports the prediction came with the temperatures."""

@@ -70,6 +70,7 @@ def every_eighth(record: Record) -> Record:
     return replace(record, conditions=conditions.at(conditions.time_s[::8]), thermocouples=columns)
 
 
+@pytest.mark.thorough
 def test_noise_above_the_declared_one_is_no_cause() -> None:
     noisy = search_effects(simulated_record(every_eighth(load_record(PRACTICE / "p06")), noise=2.0))
     assert noisy.names == ("none",)
@@ -110,6 +111,7 @@ def test_a_special_case_of_another_form_is_not_counted() -> None:
     assert forms["sensor-bias"] == len(record.used_sensors)
 
 
+@pytest.mark.thorough
 def test_segments_held_out_distinguish_conduction_from_radiation_in_depth_better() -> None:
     """In the mean over draws of the noise, which move the odds of one record by a factor of a hundred either way."""
     log_odds, both = [], {"conductivity", "radiative-conduction"}
@@ -218,6 +220,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.thorough
 @posix
 def test_a_killed_run_over_many_records_is_resumed_and_a_damaged_record_stops_no_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -55,6 +55,7 @@ def evidence_of() -> list[str]:
     return [record.record for revision in history().revisions for record in revision.records]
 
 
+@pytest.mark.thorough
 def test_updates_at_once_become_revisions_one_after_the_other_each_counted_once(workdir: Path) -> None:
     found = at_once(("first.json",), ("second.json",), ("first.json",))
     assert sorted(status for status, _, _ in found) == [0, 0, 2], found
@@ -64,6 +65,7 @@ def test_updates_at_once_become_revisions_one_after_the_other_each_counted_once(
     assert sorted(evidence_of()) == ["first", "second"]
 
 
+@pytest.mark.thorough
 def test_an_update_and_a_revert_at_once_follow_one_another(workdir: Path) -> None:
     update_and_write("first.json")
     found = at_once(("second.json",), ("--revert", POINT))
@@ -71,6 +73,7 @@ def test_an_update_and_a_revert_at_once_follow_one_another(workdir: Path) -> Non
     assert evidence_of() in (["first"], ["second"])
 
 
+@pytest.mark.thorough
 def test_an_update_of_a_table_that_was_changed_meanwhile_is_refused(workdir: Path) -> None:
     """Without the lock around the whole, as a program may call it."""
     update = prepare_update("second.json", "./orbiter")
@@ -106,6 +109,7 @@ def test_a_revert_leaves_no_folder_behind(workdir: Path) -> None:
     assert sorted(Path("orbiter").rglob("*")) == before
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("deed", ["update", "revert", "copy"])
 @posix
 def test_a_kill_at_any_file_operation_leaves_one_whole_revision_or_the_other(deed: str, workdir: Path) -> None:

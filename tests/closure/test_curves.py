@@ -41,6 +41,7 @@ def test_a_rise_above_an_angle_of_attack_is_a_curve_in_it_with_its_shape(tmp_pat
     assert "the heating departs with angle of attack: " in curve_words(band)
 
 
+@pytest.mark.thorough
 def test_time_is_the_last_variable_where_nothing_departs() -> None:
     base = base_trial(declared_fit(load_record(PRACTICE / "p06")))
     trials = curve_trials(base)

@@ -54,10 +54,12 @@ def flown(flights: Path, name: str) -> Record:
     return load_record(flights / name / "record")
 
 
+@pytest.mark.thorough
 def test_a_transition_that_is_as_declared_is_no_finding(flights: Path) -> None:
     assert close_loop(flown(flights, "right")).effects == ("none",)
 
 
+@pytest.mark.thorough
 def test_a_transition_earlier_than_declared_is_found_by_freeing_the_declared_one(
     flights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,6 +72,7 @@ def test_a_transition_earlier_than_declared_is_found_by_freeing_the_declared_one
     assert closed.fitted.after[0].segment_errors()["fit"]["rmse_K"] < 1.1 * record.noise_floor_K()
 
 
+@pytest.mark.thorough
 def test_a_vehicle_takes_the_fitted_transition_at_this_point_and_keeps_its_own_elsewhere(
     flights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
     assert curve.name not in found.names
 
 
+@pytest.mark.thorough
 def test_a_report_states_a_curve_and_its_file_and_has_neither_where_there_is_none(tmp_path: Path) -> None:
     plain, heights = closed("p06").report, dict.fromkeys(VALUES, 0.03)
     bent = use("curve", {"variable": 0.0, "low": 38.0, "high": 44.0} | heights)

@@ -117,6 +117,7 @@ def test_a_node_by_itself_changes_no_ratio_and_no_sigma() -> None:
     np.testing.assert_array_equal(posterior(finer, []).ratio, finer.ratio)
 
 
+@pytest.mark.thorough
 def test_an_onset_goes_into_the_table_with_a_node_where_it_is(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -67,6 +67,7 @@ def test_temperatures_of_a_flight_minutes_later_say_by_how_much():
     assert flight.likeliest_shift_s(later) == pytest.approx(150.0, abs=flight.SHIFT_STEP_S)
 
 
+@pytest.mark.thorough
 def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
     best = found(flight.shift_trajectory(CLEAN, -20.0), ends=False)[0]
     assert best.change.what == "time of velocity, altitude and air against the angles"
@@ -81,6 +82,7 @@ def test_a_flight_that_was_later_than_its_conditions_state():
     assert best.trial.excess_chi2 < 0.1
 
 
+@pytest.mark.thorough
 def test_a_velocity_that_drifts_away_and_when():
     best = found(flight.velocity_drift(500.0, 600.0).apply(CLEAN, 0.95))[0]
     begin, end = (float(word) for word in best.change.what.split() if word.isdigit())
@@ -89,6 +91,7 @@ def test_a_velocity_that_drifts_away_and_when():
     assert best.trial.excess_chi2 < 0.15
 
 
+@pytest.mark.thorough
 def test_a_layer_of_wrong_density_and_where():
     best = found(flight.density_layer(62e3, 68e3).apply(CLEAN, 0.8))[0]
     low, high = (float(word) for word in best.change.what.split() if word[0].isdigit())
@@ -96,6 +99,7 @@ def test_a_layer_of_wrong_density_and_where():
     assert best.value == pytest.approx(1.25, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_density_and_angle_of_attack_are_found_through_pressure_and_act_alike():
     # A factor on all heating is that of the table. What remains is the conductivity at another surface pressure.
     for truth, fits in ((DENSER, in_thin_air()[1]), (2.0, found(flight.with_alpha(CLEAN, -2.0), ends=False))):

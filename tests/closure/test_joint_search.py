@@ -54,6 +54,7 @@ def value(found: JointSearch, label: str) -> tuple[float, float]:
     return dict(zip(fit.names, zip(fit.values.tolist(), fit.sigma.tolist(), strict=True), strict=True))[label]
 
 
+@pytest.mark.thorough
 def test_the_scores_of_records_and_what_is_common_add_up_and_one_value_is_cheaper_than_two() -> None:
     found, evidence = joint(flown("A", 5, 41.0, 0.002), flown("B", 6, 41.0, 0.002))
     assert found.conclusion.finding == "found"
@@ -67,6 +68,7 @@ def test_the_scores_of_records_and_what_is_common_add_up_and_one_value_is_cheape
     assert found.best.score < alone - 5.0
 
 
+@pytest.mark.thorough
 def test_a_record_without_the_effect_of_the_other_contradicts_it() -> None:
     found, evidence = joint(flown("A", 5, 41.0, 0.002), flown("C", 6, 41.0, 0.0))
     assert found.best.names == ("impingement-onset",)
@@ -76,12 +78,14 @@ def test_a_record_without_the_effect_of_the_other_contradicts_it() -> None:
     assert evidence["C"].for_cause < -100.0
 
 
+@pytest.mark.thorough
 def test_nothing_is_found_in_records_that_have_nothing() -> None:
     found, evidence = joint(flown("C", 6, 41.0, 0.0), flown("E", 7, 41.0, 0.0))
     assert found.conclusion.finding == "none"
     assert [e.verdict for e in evidence.values()] == ["does not tell"] * 2
 
 
+@pytest.mark.thorough
 def test_another_onset_at_the_same_point_is_each_records_own_and_the_slope_stays_common() -> None:
     found, evidence = joint(flown("A", 5, 41.0, 0.002), flown("D", 6, 38.0, 0.002))
     assert found.best.model.levels == {ONSET: "record", SLOPE: "point"}
@@ -91,6 +95,7 @@ def test_another_onset_at_the_same_point_is_each_records_own_and_the_slope_stays
     assert all(e.member for e in evidence.values())
 
 
+@pytest.mark.thorough
 def test_neighbouring_points_share_the_onset_of_the_flow_and_not_what_it_does_to_each() -> None:
     found, evidence = joint(flown("A", 5, 41.0, 0.002, "LEFT"), flown("B", 6, 41.0, 0.001, "RIGHT"))
     assert found.best.model.levels == {ONSET: "all", SLOPE: "point"}

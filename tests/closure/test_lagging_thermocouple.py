@@ -12,6 +12,8 @@ from sim_heating.simulation.synthesize import synthesize
 from tests.support.few_candidates import search_among
 from tests.support.gliding import gliding
 
+pytestmark = pytest.mark.thorough
+
 POINT = "V09T9527"
 AMONG = ("sensor-lag", "time-skew", "alpha-curvature", "coating-thickness", "conductivity")
 ENTRY = """

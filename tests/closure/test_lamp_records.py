@@ -67,6 +67,7 @@ def plate(folder: Path, end_s: float, noise_K: float, seed: int, **truth: float)
     return folder / f"plate_{seed}"
 
 
+@pytest.mark.thorough
 def test_a_lamp_that_is_brighter_than_stated_is_found_as_that() -> None:
     """The commonest fault of such a test is no error of the wall, whose own factors do not explain the readings."""
     stated = close_loop(brighter(1.08)).report.statement
@@ -82,6 +83,7 @@ def test_under_the_lamp_that_is_stated_nothing_is_found() -> None:
     assert close_loop(brighter(1.0)).effects == ("none",)
 
 
+@pytest.mark.thorough
 def test_a_plate_that_cools_tells_its_lamp_and_one_that_is_only_heated_has_a_set(tmp_path: Path) -> None:
     """While it is heated alone, less heat capacity does the same as more flux; each has its value."""
     cooled = close_loop(plate(tmp_path, 300.0, 0.3, 3, flux_W_m2=1.08 * FLUX_OF_PLATE)).report.statement
@@ -97,6 +99,7 @@ def test_a_plate_that_cools_tells_its_lamp_and_one_that_is_only_heated_has_a_set
     assert flux in heated.in_words()
 
 
+@pytest.mark.thorough
 def test_a_joint_set_has_the_values_of_all_its_members_and_tells_what_was_not_tried_in_common(tmp_path: Path) -> None:
     """Two plates of 8 % more heat capacity that are heated alone: thickness does the same, and so would each lamp."""
     records = [plate(tmp_path, 130.0, 1.0, seed, heat_capacity=1.08) for seed in (3, 4)]
@@ -113,6 +116,7 @@ def test_a_joint_set_has_the_values_of_all_its_members_and_tells_what_was_not_tr
     assert sum("flux of the lamp" in line and "not tried in common" in line for line in found["remarks"]) == 2
 
 
+@pytest.mark.thorough
 def test_what_a_record_partly_resembles_has_its_value_and_is_not_added(tmp_path: Path) -> None:
     """Two lamps of 8 % more flux are no property of the plate that they have in common."""
     records = [plate(tmp_path, 300.0, 0.3, seed, flux_W_m2=1.08 * FLUX_OF_PLATE) for seed in (3, 4)]
@@ -139,6 +143,7 @@ def test_the_missing_flux_under_a_lamp_is_that_of_a_brighter_lamp() -> None:
     assert step.shape.at == pytest.approx(70.0, abs=12.0)  # where the lamp goes out; the steps tried are 12 s apart
 
 
+@pytest.mark.thorough
 def test_what_the_declared_model_is_fitted_with_is_not_found_as_an_effect() -> None:
     """p09 has another conductivity; fitted with it, the declared model explains the record."""
     record = load_record(PRACTICE / "p09")

@@ -64,6 +64,7 @@ def test_the_mesh_of_the_search_is_the_same_for_any_change(change):
     assert changed.construction.layer_materials()[2:] == TILE.construction.layer_materials()[2:]
 
 
+@pytest.mark.thorough
 def test_a_table_that_is_off_by_two_factors_is_recognised_by_them_and_the_last_fit_has_both():
     span = (400.0, 600.0)
     declared = flown_with(-0.3, effect=HEAT_CAPACITY, axis=TEMPERATURE, span=span)

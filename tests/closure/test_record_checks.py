@@ -51,6 +51,7 @@ def test_residual_heating_without_one_thermocouple_is_finite_where_the_mesh_was_
         assert np.all(np.isfinite(residual.delta_ratio))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1.0 / 60.0, "minutes")])
 def test_a_clock_in_another_unit_is_reported_whichever_file_has_it(factor, unit):
     record = sound_record()
@@ -64,6 +65,7 @@ def test_a_clock_in_another_unit_is_reported_whichever_file_has_it(factor, unit)
         assert unit in found.message
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("factor", [0.4, 2.0])
 def test_a_reference_heating_wrong_by_a_factor_is_reported(factor):
     message = fault_of_magnitude(with_conditions(h_ref_kg_m2_s=sound_record().conditions["h_ref_kg_m2_s"] * factor))

@@ -19,6 +19,8 @@ from sim_heating.heating.effects import effects
 from sim_heating.inputs.record import load_record
 from tests.support.paths import PRACTICE
 
+pytestmark = pytest.mark.thorough
+
 NAME = "impingement-onset"
 
 

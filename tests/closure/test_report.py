@@ -222,6 +222,7 @@ def test_a_change_of_the_wall_is_among_the_estimates_and_no_table_is_empty():
     assert "Estimated parameters" not in [s.title for s in closure_page(bare).sections]
 
 
+@pytest.mark.thorough
 def test_no_share_of_a_candidate_is_stated_as_certain():
     html = page_html(closure_page(closed()))
     assert "1.000" not in html

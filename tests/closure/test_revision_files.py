@@ -186,6 +186,7 @@ def vehicle(twice_revised: Path, tmp_path_factory: pytest.TempPathFactory) -> Ve
     return load_vehicle(home / "orbiter")
 
 
+@pytest.mark.thorough
 @settings(max_examples=100)
 @given(data=st.data())
 def test_any_change_of_a_revision_is_refused_or_does_not_matter(data: st.DataObject, vehicle: Vehicle) -> None:

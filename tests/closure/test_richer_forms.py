@@ -48,6 +48,7 @@ CERTAIN = 4.0
 STARTS = 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", FORMS)
 def test_a_richer_form_is_found_with_its_values_and_fits_better_than_the_simpler_one(name: str) -> None:
     truth = {f"effect.{name}.{key}": value for key, value in FORMS[name].items()}
@@ -82,6 +83,7 @@ def test_a_richer_form_of_an_effect_does_not_make_it_likelier_by_chance(name: st
     assert count_forms(own)[name] <= count_forms(without)[name] + 1
 
 
+@pytest.mark.thorough
 def test_an_effect_of_another_form_explains_the_record_with_a_curve_under_its_own_name() -> None:
     """A rise with elevon deflection that is steeper on one side: a parabola explains most of it, and not all."""
     record = load_record(PRACTICE / "p10")

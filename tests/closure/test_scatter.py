@@ -60,6 +60,7 @@ def test_an_effect_on_a_layer_has_the_scatter_that_its_material_declares():
     assert point_of_record(record, None, [declared]).definition(FACTOR).sigma == 0.4
 
 
+@pytest.mark.thorough
 def test_a_layer_far_from_its_scatter_is_named_only_where_it_explains_the_record():
     record, _ = record_with([], 1, stack__rsi__conductivity_factor=1.4)
     explains = conductivity_fitted(with_scatter(record, 0.05))
@@ -74,6 +75,7 @@ def test_a_layer_far_from_its_scatter_is_named_only_where_it_explains_the_record
     assert any("standard deviations off" in line for line in hypothesis([trial], {}).objections)
 
 
+@pytest.mark.thorough
 def test_conditions_that_are_all_late_or_early_are_a_skew_of_the_clock():
     """More than a thermocouple clock may be off in a fit: the conditions are moved instead."""
     record, _ = record_with([], 1)

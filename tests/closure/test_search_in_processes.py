@@ -35,6 +35,7 @@ def print_findings(processes: int) -> None:
         print(h.names, repr(float(h.last.delta_bic)), h.last.fit.values.tolist(), repr(h.adequacy))
 
 
+@pytest.mark.thorough
 def test_findings_are_the_same_from_one_process_and_from_two():
     outputs = [
         subprocess.run(

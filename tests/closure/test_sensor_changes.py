@@ -162,12 +162,14 @@ def test_a_gap_of_the_telemetry_and_a_declared_end_of_the_range_are_no_faults_of
         assert not [what for what in found if any(word in what for word in ("broken", "stuck", "clipped"))]
 
 
+@pytest.mark.thorough
 def test_one_broken_thermocouple_of_four_is_found_where_the_others_show_the_heating():
     best = found_in(plug({"T2": 20.0 * np.sin(TIME_S / 60.0)}))[0]
     assert best.change.what == "T2 broken"
     assert best.describe().startswith("T2 broken: T2 wanders by 1")
 
 
+@pytest.mark.thorough
 def test_two_broken_thermocouples_of_four_are_found_together():
     wandering = {"T2": 25.0 * np.sin(TIME_S / 60.0), "T3": 25.0 * np.sin(TIME_S / 37.0)}
     best = found_in(plug(wandering))[0]
@@ -226,6 +228,7 @@ def clipped_at(name: str, limit_K: float, begin_s: float = 0.0, noise_K: float =
     return with_readings(words=True, **{name: np.where(begin_s > TIME_S, np.nan, words)})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "limit_K", "begin_s", "end_s"),
     [("LS_surface", 1040.0, 450.0, 900.0), ("LS_bond", 316.0, 200.0, 1452.0)],

@@ -115,6 +115,7 @@ AMONG = ("impingement-onset", "alpha-curvature", "time-skew", "coating-thickness
 """Candidates of two tests beside the derivatives of the table."""
 
 
+@pytest.mark.thorough
 def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_excludes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -156,6 +157,7 @@ def test_an_estimate_that_returns_to_its_table_gains_the_prior_density() -> None
     assert delta_bic(base, returned, base.candidate, 1.0) == pytest.approx(2.0 * away)
 
 
+@pytest.mark.thorough
 def test_what_is_missing_does_not_drive_the_base_away_from_its_table() -> None:
     """Residuals of a transition are many noise levels, and flat priors fit them with slopes that no table has."""
     declared = flown_with({"alpha_deg": ALPHA, "log10_re": [4.0, 7.0], "beta_deg": [-4.0, 4.0]}, sigma=0.25)

@@ -43,6 +43,7 @@ def coated() -> tuple[Hypothesis, Hypothesis, Hypothesis]:
     return none, best, rival
 
 
+@pytest.mark.thorough
 def test_more_readings_and_a_deeper_thermocouple_tell_coating_from_heat_capacity_better() -> None:
     none, best, rival = coated()
     odds = {e.what: e.log_odds for e in tell_apart(none, best, [rival], most=99)}

@@ -29,6 +29,7 @@ def undeclared(record: Record) -> Record:
     return replace(record, declared=record.declared.model_copy(update={"heating": heating}))
 
 
+@pytest.mark.thorough
 def test_an_undeclared_transition_by_re_theta_over_edge_mach_number_heats_as_a_declared_one(declared: Record) -> None:
     runs = [
         predict(r, point_of_record(r, None, [use("transition", TURBULENT)])) for r in (declared, undeclared(declared))

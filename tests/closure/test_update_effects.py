@@ -65,6 +65,7 @@ def declared() -> dict[str, dict[str, float]]:
     return {u.effect.name: parameter_values(u) for u in load_vehicle("./orbiter").control_point(POINT).effects}
 
 
+@pytest.mark.thorough
 def test_effects_of_one_flight_predict_another_and_can_be_reverted(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,6 +110,7 @@ def test_a_copy_has_the_effects_and_the_vehicle_stays(workdir: Path) -> None:
     assert [e["name"] for e in tomllib.loads(text)["effect"]] == ["transition", "coating-thickness"]
 
 
+@pytest.mark.thorough
 def test_a_fit_of_an_effect_alone_changes_no_node(workdir: Path) -> None:
     table = load_vehicle("./orbiter").control_point(POINT).ratio
     asked = "effect.coating-thickness.coating_factor"

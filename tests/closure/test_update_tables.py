@@ -330,6 +330,7 @@ def test_rows_of_nodes_that_did_not_change_keep_their_text(workdir: Path) -> Non
     assert 0 < np.count_nonzero(same) < len(same)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
 def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(workdir: Path, line_end: str) -> None:
     table = table_of(workdir / "orbiter")
@@ -344,6 +345,7 @@ def test_reverting_twice_gives_back_the_vehicle_byte_for_byte(workdir: Path, lin
     assert contents(workdir / "orbiter") == start
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at", [f"{POINT}.csv", "revision_2.json"])
 def test_an_update_interrupted_while_it_writes_leaves_the_vehicle_as_it_was(
     at: str, workdir: Path, monkeypatch: pytest.MonkeyPatch

@@ -69,6 +69,7 @@ def test_a_skin_that_is_declared_too_thick_is_recognised():
     assert found[0].value == pytest.approx(1.0 / 1.2, abs=4.0 * found[0].sigma)
 
 
+@pytest.mark.thorough
 def test_layers_that_came_apart_are_recognised_by_the_resistance_between_them():
     resistance = 0.1
     record = simulated_record(with_contact(TILE, resistance, number=1), [])
@@ -103,6 +104,7 @@ def test_a_declared_contact_may_be_another_one_and_is_never_negative():
     assert change.describe(0.03) == "contact between layer li900 and layer rtv: 0.03 m2 K/W, declared none"
 
 
+@pytest.mark.thorough
 def test_another_material_is_recognised_among_those_of_the_library():
     flown = TILE.declared.materials["li900"]
     record = declared_with(TILE, material="li900", **dict(library_materials()["li2200"]))

@@ -179,6 +179,7 @@ def test_a_signed_review_gives_the_highest_level_only_where_all_rules_below_are_
     assert with_all["validation"] == 2  # tile 480 is far hotter than predicted under these conditions
 
 
+@pytest.mark.thorough
 @settings(max_examples=40)
 @given(st.data())
 def test_fewer_rows_data_sets_claims_and_reviews_never_raise_a_level(facts: Facts, data: st.DataObject):

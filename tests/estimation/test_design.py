@@ -172,6 +172,7 @@ def test_readings_of_a_record_are_not_used():
     assert found[0] == pytest.approx(found[1], rel=1e-12)
 
 
+@pytest.mark.thorough
 def test_predicted_bounds_are_those_of_simulated_fits():
     # of 200 fits a root mean square is known to 5 %
     planner = planner_of(before_s=5.0, after_s=15.0)
@@ -186,6 +187,7 @@ def test_predicted_bounds_are_those_of_simulated_fits():
     assert fits.rms_error(names) == pytest.approx(predicted.sigma(names), rel=0.10)
 
 
+@pytest.mark.thorough
 def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
     search = DesignSearch(planner_of(evaluations=12))
     found = search.run()

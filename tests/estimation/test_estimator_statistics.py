@@ -22,6 +22,8 @@ from sim_heating.thermal.frame import NOT_CONTROLLED_K
 from sim_heating.thermal.mesh import halve_elements, interpolate_profile
 from tests.support.walls import practice_record
 
+pytestmark = pytest.mark.thorough
+
 TRIALS = 100
 RARE = 1e-3
 """Probability of a result outside its limits by chance, for one parameter."""

@@ -18,6 +18,8 @@ from sim_heating.simulation.synthesize import synthesize, write_records
 from sim_heating.trajectory.flight import Flight
 from tests.support.gliding import gliding
 
+pytestmark = pytest.mark.thorough
+
 PLUG = "V09T9527"
 FAST_POPU = """
 [[trajectory.manoeuvre]]

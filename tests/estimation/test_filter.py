@@ -375,6 +375,7 @@ def flown(plug, hot, rng: np.random.Generator, noise_K2_s: float, ratio: Disturb
     return truth
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bits", [None, 8])
 def test_innovations_are_white_with_the_covariance_stated(plug, hot, bits):
     model, mesh, t, history = plug
@@ -453,6 +454,7 @@ def filtered_in_hex() -> list[str]:
     return [float(x).hex() for array in numbers for x in array.ravel()]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compares with the compiled kernel")
 def test_interpreted_and_compiled_filters_agree_bit_for_bit():
     interpreted = run_interpreted(

@@ -25,6 +25,8 @@ from sim_heating.trajectory.flight import Flight
 from tests.support.paths import SCENARIOS
 from tests.support.systems import posix
 
+pytestmark = pytest.mark.thorough
+
 SEEDS = range(1, 9)
 TRUTH = {"ratio.scale": 0.15, "ratio.d_alpha": 4e-4, "ratio.d_elevon": 3e-4, "ratio.d_bodyflap": 3e-4}
 POINTS = ("V09T9527", "BODYFLAP")
@@ -88,6 +90,7 @@ def errors(flown_records: FlownRecords, name: str, seed: int) -> dict[str, float
     return {label: float((value - TRUTH.get(label, 0.0)) / sigma) for label, value, sigma in pairs}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scenario", FITTED)
 def test_the_truth_is_within_the_bounds_of_the_estimates_of_the_flight(
     flown_records: FlownRecords, scenario: str
@@ -119,6 +122,7 @@ def test_derivatives_are_left_out_that_a_flight_cannot_tell_or_a_table_cannot_ho
     assert "the ratio table has one node in elevon_deg" in by_default.not_estimated["ratio.d_elevon"]
 
 
+@pytest.mark.thorough
 @posix
 @pytest.mark.parametrize("scenario", FITTED)
 def test_the_revised_table_predicts_the_fitted_and_the_other_manoeuvre(

@@ -130,6 +130,7 @@ def test_a_tenth_of_the_ratio_is_recovered_within_its_sigma(truth):
     assert correction.gain_log_likelihood > 1000.0
 
 
+@pytest.mark.thorough
 def test_draws_of_the_process_lie_within_their_bounds_as_often_as_stated():
     z = []
     for seed in range(24):

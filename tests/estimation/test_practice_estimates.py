@@ -17,6 +17,7 @@ def fitted(request: pytest.FixtureRequest) -> tuple[str, FitResult]:
     return request.param, estimate([record], reference=truth["reference_condition"])
 
 
+@pytest.mark.sample(1)
 def test_scale_and_derivatives_are_within_their_95_percent_bounds(fitted: tuple[str, FitResult]) -> None:
     name, fit = fitted
     truth = practice_record(name)[1]["parameters"]

@@ -120,11 +120,13 @@ def repetitions(request: pytest.FixtureRequest) -> dict[str, np.ndarray]:
     return {how: np.array(v) for how, v in z.items()} | {"inside": np.array(inside), "rms": np.array(rms)}
 
 
+@pytest.mark.thorough
 def test_bounds_of_output_error_are_too_narrow_where_the_model_has_noise(repetitions: dict[str, np.ndarray]) -> None:
     squares = np.sum(repetitions["output error"][:, 0] ** 2)
     assert chi2.sf(squares, RUNS) < 1e-9
 
 
+@pytest.mark.thorough
 def test_bounds_of_the_filter_are_the_scatter_of_its_estimates(repetitions: dict[str, np.ndarray]) -> None:
     squares = np.sum(repetitions["filter"] ** 2, axis=0)
     assert np.all(chi2.sf(squares, RUNS) > RARE)
@@ -141,6 +143,7 @@ def test_estimates_of_the_filter_are_nearer_the_truth(repetitions: dict[str, np.
     assert np.min(filtered / plain) < 0.9
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("noise", "levels"), [(WHITE, (NODE,)), (WANDERING, (RATIO, CORRELATION))])
 def test_levels_of_noise_are_found_from_far_away(noise: ProcessNoise, levels: tuple[str, ...]) -> None:
     bench, rng, ratios = bench_of(CASE), np.random.default_rng(5), []
@@ -216,6 +219,7 @@ def fitted(wandered: tuple[Path, np.ndarray, np.ndarray], tmp_path_factory: pyte
     return out
 
 
+@pytest.mark.thorough
 def test_a_user_finds_the_noise_of_the_ratio(fitted: Path) -> None:
     found = read_json(fitted / "estimate.json")
     noise = found["process_noise"]

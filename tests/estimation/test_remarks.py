@@ -54,6 +54,7 @@ def test_heating_and_emittance_of_one_record_are_correlated() -> None:
     assert (remark.kind, remark.parameters) == (CORRELATION, ["ratio.scale", EMISSIVITY])
 
 
+@pytest.mark.thorough
 def test_a_conductivity_by_radiation_below_0_is_remarked() -> None:
     fitted = estimate(BOARD, [RADIATIVE], fixed={"stack.rsi.conductivity_factor": 2.0})
     assert [r.kind for r in remarks(fitted)] == [NEGATIVE_CONDUCTIVITY]
@@ -67,6 +68,7 @@ def test_a_ratio_below_0_is_remarked_with_its_duration() -> None:
     assert re.fullmatch(r"p06: the heating ratio is negative for [1-9]\d* s", remark.message)
 
 
+@pytest.mark.thorough
 def test_a_misfit_is_not_taken_for_the_noise_of_a_sensor_without_being_told() -> None:
     """p04 lacks a transition, which a fit of the magnitude leaves; p06 lacks nothing, and its noise is that found."""
     found = {}
@@ -98,6 +100,7 @@ def test_a_good_fit_has_none() -> None:
     assert remarks(estimate(PRACTICE / "p06", ["ratio.scale", "ratio.d_alpha"])) == []
 
 
+@pytest.mark.thorough
 def test_the_command_states_them_in_table_file_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     arguments = ["--parameters", EMISSIVITY, "--fix", "ratio.scale=0.3", "--out", str(out)]

@@ -62,6 +62,7 @@ def likely(hits: int, trials: int, probability: float = 0.95) -> bool:
 # Bounds --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("phi", "lost"), [(0.0, 0.0), (0.6, 0.0), (0.6, 0.2)])
 def test_95_percent_bounds_cover_the_truth_95_times_in_100_though_noise_is_coloured(phi: float, lost: float) -> None:
     rng, n, trials = np.random.default_rng(11), 300, 200
@@ -91,6 +92,7 @@ def test_the_mean_of_autoregressive_noise_has_the_bound_of_its_spectrum() -> Non
     assert found.white[0, 0] * n == approx(1.0)
 
 
+@pytest.mark.thorough
 def test_the_fit_does_not_hide_colour_that_it_took_up() -> None:
     """Mean of two successive white samples: 1 at lag 0, 1/2 at lag 1, nothing beyond; the fit takes a seventh of it."""
     rng, n, trials = np.random.default_rng(14), 200, 100

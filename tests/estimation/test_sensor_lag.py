@@ -134,6 +134,7 @@ def test_time_constant_and_skew_are_found_together_from_a_manoeuvre():
     assert found.parameters["sensors.tau_s"][1] < 0.3
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("skew_s", [0.0, 1.2, -1.2])
 def test_lag_and_skew_are_found_where_a_cold_wall_meets_full_heating_at_once(tmp_path, skew_s):
     """The thermocouple rests until the flight begins, whatever the skew: not behind a ramp of its first seconds."""

@@ -30,6 +30,7 @@ def test_lead_thins_the_coating_that_is_found_and_lag_thickens_it():
     assert none == pytest.approx(1.0, abs=1e-3)  # the truth is on a finer mesh than the fit
 
 
+@pytest.mark.thorough
 def test_lead_at_which_the_coating_is_none_grows_with_thickness_and_falls_with_temperature():
     zero = {(mil, K): curve(Tile(mil, K)).zero_s for mil, K in ((10.0, 1300.0), (20.0, 1300.0), (10.0, 1100.0))}
     assert zero[10.0, 1300.0] < 0.6 * zero[20.0, 1300.0]

@@ -47,6 +47,7 @@ def test_directions_are_those_of_a_process_of_unit_variance():
     assert np.all(variance > 0.98)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["p06", "p07"])
 @pytest.mark.parametrize("time_s", [300.0, 550.0])
 def test_estimates_from_an_estimated_profile_are_within_their_bounds(name, time_s):

@@ -57,6 +57,7 @@ def chi_square(found: Trend) -> float:
     return float(np.sum([((s.ratio - t) / s.sigma) ** 2 for s, t in zip(found.segments, true, strict=True)]))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("lost", [False, True], ids=["whole", "with-gaps"])
 def test_trend_in_reynolds_number_is_recovered_within_its_bounds(lost):
     record = remade({"ratio.d_logre": SLOPE})
@@ -102,6 +103,7 @@ def test_one_segment_that_says_nothing_does_not_flatten_the_others_on_the_page()
     assert ratio_limits(replace(found, segments=(lost,))) is None
 
 
+@pytest.mark.thorough
 def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
     """Ten nodes put the first segment off by 2.6 sigma where nothing is corrected."""
     record = remade({})
@@ -114,6 +116,7 @@ def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
     assert max(abs(coarse.ratio - fine.ratio) / fine.sigma for coarse, fine in pairs) < 1.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["record begins late", "circuit start"])
 def test_bounds_of_consecutive_segments_hold_after_lost_readings_and_at_an_explicit_start(case):
     """A small count of `python -m benchmarks segments`, with seeds that it does not use."""

@@ -258,6 +258,7 @@ def test_file_in_a_users_folder_is_an_effect(tmp_path, monkeypatch):
     assert film_of(use("constant-factor")) == pytest.approx(0.1)
 
 
+@pytest.mark.thorough
 def test_user_defined_effect_is_loaded_from_the_cache_by_the_next_process(tmp_path):
     write_user_effect(tmp_path)
     lines = (

@@ -102,6 +102,7 @@ def test_run_and_validate_accept_it_in_a_scenario():
     assert 5.0 < np.max(surface_K("with_effect") - surface_K("plain")) < 200.0
 
 
+@pytest.mark.thorough
 def test_synthesize_puts_it_into_the_truth_and_estimate_recovers_it():
     assert main(["synthesize", scenario("truth", EFFECT.format(table="truth.", growth=GROWTH)), "--out", "record"]) == 0
     assert "alpha-growth" not in Path("record/record.toml").read_text()

@@ -114,6 +114,7 @@ def test_a_prediction_is_what_the_estimator_has_when_the_future_has_come(source,
     assert planned.bondline_sigma_K[-1] == pytest.approx(later.bondline_sigma_K, rel=0.02, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_what_readings_have_said_and_a_start_that_is_not_known_are_carried_on(source, futures) -> None:
     before = read_until(source, futures, 30.0, NOW_S)
     frame = frame_of(futures.planned.at(np.array([NOW_S])))
@@ -139,6 +140,7 @@ def test_the_mean_is_the_plain_march_on_each_future(source, futures, now, horizo
         assert own.peak_surface_K == pytest.approx(np.max(plain[0]), abs=0.5)
 
 
+@pytest.mark.thorough
 def test_sigma_is_that_of_sampled_parameters(source, futures, now) -> None:
     estimates, frame = now
     own = LookAhead(source, {}, futures, 300.0).predict(estimates, frame)[POINT].futures["planned"]

@@ -109,6 +109,7 @@ def test_a_link_that_was_killed_goes_on_from_its_journal_with_the_same_bits(shor
     assert points_of(state) == points_of(followed)
 
 
+@pytest.mark.thorough
 def test_messages_out_of_order_within_the_lateness_give_the_same_bits(short: Path, followed: State):
     engine = LinkEngine(replaying(short))
     rng = np.random.default_rng(1)
@@ -169,6 +170,7 @@ def test_the_clock_of_one_thermocouple_that_goes_back_takes_it_out_and_the_page_
     assert not point.sensors[sensor.name].used
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("by_s", "use"), [(-3.0, "are not used"), (-2.0, "are used by their times")])
 def test_the_clock_of_one_thermocouple_that_goes_back_while_nothing_changes_is_told(short: Path, by_s, use):
     # words of a recorder that come again are the same ones: that they come later than before tells
@@ -209,6 +211,7 @@ def test_one_reading_far_off_is_left_out_and_told(moving: Path):
     assert not state.missing.alarm
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["p06", "p07"])
 def test_of_a_flight_without_an_effect_no_reading_is_left_out_however_steep_the_heating(name):
     engine = LinkEngine(replaying(RECORD.parent / name))

@@ -104,6 +104,7 @@ def shuffled(seed: int, by_s: float) -> list[Sample]:
     return [samples()[k] for k in np.argsort(arrive, kind="stable")]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, seed):
     late = feed(estimator(), shuffled(seed, 1.9))
@@ -113,6 +114,7 @@ def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, see
     assert in_order.steps > 100
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at_once", [1, 50, 1000])
 def test_a_flight_that_is_filtered_again_on_the_way_has_the_same_bits_in_any_order(at_once):
     straight = feed(estimator(again_s=10.0), samples())
@@ -131,6 +133,7 @@ def test_filtered_again_about_its_estimate_the_flight_gives_that_estimate():
     assert np.max(np.abs(twice[2] - once[2]) / sigma) < 0.1
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["p06", "p07"])
 def test_at_the_end_of_a_record_without_an_effect_the_estimate_is_that_of_a_fit(name):
     r = load_record(PRACTICE / name)
@@ -419,6 +422,7 @@ def test_three_readings_in_a_row_that_are_far_off_are_the_record_s():
     assert left_out(estimator(), spiked(40.0, SPIKE_S + 1.0)) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 def test_with_two_spikes_in_a_row_the_estimate_has_the_same_bits_in_any_order(seed):
     rng = np.random.default_rng(seed)
@@ -428,6 +432,7 @@ def test_with_two_spikes_in_a_row_the_estimate_has_the_same_bits_in_any_order(se
     assert_same_bits(late, feed(estimator(), given))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_with_a_spike_in_it_the_estimate_has_the_same_bits_in_any_order(seed):
     rng = np.random.default_rng(seed)

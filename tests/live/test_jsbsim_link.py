@@ -137,6 +137,7 @@ def test_sixteen_points_are_written_and_what_is_not_declared_is_one_remark(tmp_p
     assert re.search(r"does not set heating/P0/ratio and 32 more \(Unknown property\); declare", said[0])
 
 
+@pytest.mark.thorough
 def test_a_jsbsim_that_comes_late_and_goes_away_is_a_remark_each_and_holds_nothing_back(tmp_path):
     port, said = free_port(), []
 

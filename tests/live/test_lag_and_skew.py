@@ -91,6 +91,7 @@ def test_a_thermocouple_that_lags_is_followed_as_it_is_declared(lagging):
     assert abs(ignored - SCALE) > 5.0 * sigma
 
 
+@pytest.mark.thorough
 def test_what_a_thermocouple_that_lags_shows_is_predicted(lagging):
     away = []
     e = follow(record(), [s for s in samples() if s.time_s < 200.0])
@@ -105,6 +106,7 @@ def test_what_a_thermocouple_that_lags_shows_is_predicted(lagging):
         assert abs(word.value_K - told[word.sensor].predicted_K) < 4.0 * told[word.sensor].sigma_K
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(2))
 def test_with_a_lag_the_estimate_has_the_same_bits_in_any_order(lagging, seed):
     rng = np.random.default_rng(seed)
@@ -128,6 +130,7 @@ def flown_record(r: Record, given) -> Record:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("tau_s", "skew_s", "names"), [(TAU_S, 0.0, NAMES), (0.0, SKEW_S, (*NAMES, "clock.skew"))], ids=["lag", "skew"]
 )

@@ -116,6 +116,7 @@ def test_the_end_of_a_link_states_what_supports_its_estimates(replayed: Path, ca
     assert "live.json" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_telemetry_states_no_source_and_a_surface_near_its_limit_is_told(tmp_path):
     """What flies beyond a socket is not known to the link; the vehicle and its limits are."""
     link = of_vehicle(tmp_path)
@@ -144,6 +145,7 @@ def test_the_record_of_a_replayed_record_is_estimated(replayed: Path, cut: Path,
     assert of_link["parameters"] == of_sent["parameters"]
 
 
+@pytest.mark.thorough
 def test_the_record_of_a_vehicle_s_link_is_estimated(tmp_path, capsys):
     link = of_vehicle(tmp_path)
     run_json(capsys, "live", str(link), "--headless", "--out", str(tmp_path / "o"))
@@ -202,6 +204,7 @@ def test_what_a_running_estimate_cannot_have_is_refused_by_validate_and_at_the_s
         assert the_error(capsys, "live", str(path), "--headless", "--out", str(tmp_path / str(k)), *root) == told
 
 
+@pytest.mark.thorough
 def test_a_known_skew_of_the_recorder_s_clock_is_taken_out_of_estimate_and_record(cut: Path, tmp_path, capsys):
     sent = load_record(cut)
     late = replace(sent, thermocouples={**sent.thermocouples, "time_s": sent.time_s + 1.0})

@@ -15,6 +15,8 @@ from benchmarks.live_speed import BEGIN_S, FRAMES_HZ, latencies, stream, waiting
 from benchmarks.live_streams import BadLink, Flight, known_flight, practice, samples_of_record
 from sim_heating.live.types import Frame
 
+pytestmark = pytest.mark.thorough
+
 SHORT_S = 160.0
 
 

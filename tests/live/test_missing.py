@@ -50,6 +50,7 @@ def state_when(engine: LinkEngine, shown, within_s: float = 900.0) -> State:
     return state
 
 
+@pytest.mark.thorough
 def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path):
     engine = followed(cold, tmp_path)
     try:
@@ -66,6 +67,7 @@ def test_an_alarm_has_its_candidates_weighed_in_another_process(cold, tmp_path):
     assert f"probability {candidate['probability']:.2f}" in missing["text"]
 
 
+@pytest.mark.thorough
 def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path):
     engine = followed(cold, tmp_path)
     try:
@@ -84,6 +86,7 @@ def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path
     assert not engine.weighing.busy
 
 
+@pytest.mark.thorough
 def test_a_record_that_has_grown_since_the_alarm_is_weighed_again_and_the_page_tells_its_time(tmp_path):
     record = part_of_record(PRACTICE / "p09", 0.0, 240.0, tmp_path / "longer")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
@@ -109,6 +112,7 @@ def test_a_record_that_has_grown_since_the_alarm_is_weighed_again_and_the_page_t
     assert all(b - alarm_s >= 2.0 * (a - alarm_s) - 1.0 for a, b in pairwise(until[1:]))
 
 
+@pytest.mark.thorough
 def test_a_step_at_the_surface_alone_is_no_drift_of_the_thermocouple_there(tmp_path):
     record = part_of_record(PRACTICE / "p04", 800.0, 1215.0, tmp_path / "step")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}

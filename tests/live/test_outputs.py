@@ -149,6 +149,7 @@ def test_a_token_that_can_be_guessed_or_does_not_fit_an_address_is_refused(token
 # Slow readers --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_slow_reader_holds_nobody_back_and_sees_the_latest(state):
     """400 states, 8 MB, while one reader sleeps: the other has them as they come, the sleeper misses most."""
     states = [State(k, state.time_s, 0.0, state.conditions, state.points) for k in range(400)]

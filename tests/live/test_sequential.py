@@ -23,6 +23,7 @@ def first_alarm_s(scores: np.ndarray, every_s: float, rate: float) -> float:
     return math.inf
 
 
+@pytest.mark.thorough
 def test_mean_time_to_a_false_alarm_is_at_least_the_stated_one() -> None:
     # 20 alarms an hour: 180 s. Alarms within t of the start have at most the probability t / 180 s.
     rate, every_s, rng = 20.0, 1.0, np.random.default_rng(20)

@@ -115,6 +115,7 @@ def true_error_K(model: PointModel, mesh: Mesh, flight: Conditions) -> float:
     return float(16.0 / 15.0 * np.max(np.abs(runs[0] - runs[1])))
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("heating", [entry, hot_gas, lamps])
 @pytest.mark.parametrize("name", WALLS)
 def test_a_finer_mesh_confirms_the_stated_error_on_a_flight(name, heating):

@@ -87,6 +87,7 @@ def stiff_reference() -> dict[str, np.ndarray]:
     return {f"{d * 1e3:.2f} mm": T[:, grid.node(d)] for d in depths}
 
 
+@pytest.mark.thorough
 def test_default_mesh_at_steps_of_one_second_is_within_0_2_K_of_radau(stiff_reference):
     model, conditions = practice_model("p06"), practice_record("p06")[0].conditions
     out = pack([model]).march(conditions.time_s, condition_history(conditions)[np.newaxis])

@@ -299,6 +299,7 @@ def test_a_dispersed_onset_of_transition_is_that_of_the_effect(tmp_path):
     np.testing.assert_allclose(peaks.surface_K[:, 0], peaks.surface_K[0, 0], rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_flight_is_the_same_whatever_flew_before_it(tmp_path):
     entry, fresh = (entry_of(tmp_path, FLIGHT + THERMAL, tables=1.0) for _ in range(2))
     entry.fly(Batch(SOBOL, 0, BATCH, 1))
@@ -319,6 +320,7 @@ def test_flights_that_skip_out_count_as_above_every_limit(tmp_path):
 # What a study reports -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_first_order_holds_where_small_thermal_inputs_alone_are_dispersed(tmp_path):
     result = dispersion_of(entry_of(tmp_path, THERMAL, flights=256))
     for peak in result.peaks:

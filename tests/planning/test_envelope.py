@@ -217,6 +217,7 @@ def test_sensitivities_to_errors_of_a_table_are_those_of_a_table_with_errors(nam
         assert (T[0] - T[1]) / 0.04 == pytest.approx(float(peak.slope @ z), abs=0.03 * peak.sigma_K)
 
 
+@pytest.mark.thorough
 def test_tables_drawn_from_their_own_covariance_spread_the_peak_by_its_sigma() -> None:
     name, share, draws = "WING_LE", 0.1, 400
     conditions, i = at_point(Case(), name), POINTS.index(name)
@@ -302,6 +303,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+@pytest.mark.thorough
 def test_cooler_tables_open_the_envelope(planned: Path) -> None:
     result = read_json(planned / "out" / "study.json")["envelope"]
     before, after = result["before"]["alpha"]["area"], result["boundaries"]["alpha"]["area"]
@@ -312,6 +314,7 @@ def test_cooler_tables_open_the_envelope(planned: Path) -> None:
     assert -6.0 < segment["high_nominal"] < 0.0
 
 
+@pytest.mark.thorough
 def test_a_flight_at_the_edge_meets_its_limit(planned: Path) -> None:
     study = load_study(planned / "study.toml", planned / "later" / "orbiter")
     edge = read_json(planned / "out" / "study.json")["envelope"]["boundaries"]["alpha"]["segments"][0]["high_nominal"]

@@ -65,6 +65,7 @@ def limited_flight():
     return fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("case", ["free", "limited"])
 def test_betts_published_cross_range_is_found_within_a_thousandth(betts_flights, case):
     latitude_deg, time_s = betts.PUBLISHED[case]
@@ -144,6 +145,7 @@ def test_betts_controls_integrated_independently_end_at_the_same_state(betts_fli
     assert np.degrees(latitude) == pytest.approx(np.degrees(motion.goal), abs=0.003)
 
 
+@pytest.mark.thorough
 def test_the_optimal_entry_integrated_with_the_tables_themselves_ends_close_by(limited_flight):
     aero = tables.aerodynamics(limited_flight.study)
 
@@ -173,6 +175,7 @@ def test_a_limit_costs_cross_range(limited_flight):
     assert free.cross_range_deg > limited_flight.cross_range_deg + 0.5
 
 
+@pytest.mark.thorough
 def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
     entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
     inside = np.mean(peaks_with_drawn_tables(entry, 150, 7, 4.0)[0] <= 1900.0)
@@ -180,6 +183,7 @@ def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
     assert entry.nominal[0].surface_K < entry.peaks[0].surface_K - 10.0
 
 
+@pytest.mark.thorough
 def test_a_wall_that_stores_no_heat_has_the_temperature_that_a_long_march_settles_to():
     study = study_of(COLD_LIMIT)
     aero, point = tables.aerodynamics(study), study.points[0].point
@@ -198,6 +202,7 @@ def glide(**changes):
     return study_of(initial=initial, duration_s=[50.0, 600.0], intervals=10, **changes)
 
 
+@pytest.mark.thorough
 def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
     asked, entry = fly_optimal(glide(mesh_tolerance=1e-4)), fly_optimal(glide(mesh_tolerance=1e-15))
     assert asked.notes == ()
@@ -218,6 +223,7 @@ def test_a_mesh_that_stays_too_coarse_is_refused_in_one_line(monkeypatch):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.thorough
 def test_an_entry_across_180_deg_of_longitude_reaches_as_far_as_any():
     data = tomllib.loads((STUDIES / "optimal_entry.toml").read_text())["initial"]
     reached = [
@@ -227,6 +233,7 @@ def test_an_entry_across_180_deg_of_longitude_reaches_as_far_as_any():
     assert reached[1] == pytest.approx(reached[0], rel=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_limit_that_no_flight_can_keep_is_reported_in_one_line():
     cold = COLD_LIMIT.replace("1900.0", "700.0")
     with pytest.raises(

@@ -100,6 +100,7 @@ def by_a_fresh_process(tmp_path_factory):
     return study, results(home / "out")
 
 
+@pytest.mark.thorough
 @posix
 def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(
     by_a_fresh_process, tmp_path
@@ -122,6 +123,7 @@ def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_
     assert results(out) == whole
 
 
+@pytest.mark.thorough
 def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(by_a_fresh_process, tmp_path):
     """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
     (study, fresh), other, busy = by_a_fresh_process, tmp_path / "other.toml", tmp_path / "busy"
@@ -306,6 +308,7 @@ def with_optimal(study, **given):
     study.write_text(STUDY.format(more="") + optimal)
 
 
+@pytest.mark.thorough
 def test_an_optimiser_that_fails_is_one_line_and_the_dispersion_is_kept(study, tmp_path, capsys):
     """No entry ends within five minutes. Which of two reasons the optimiser gives depends on the aerodynamic tables."""
     with_optimal(study, duration_s=[200.0, 300.0])

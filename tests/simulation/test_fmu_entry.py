@@ -71,6 +71,7 @@ def test_a_popu_on_the_fmu_is_the_built_in_flight_to_the_last_bit(
     assert_same_bits(fly(entry[fmi]), built_in)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_guidance_of_the_host_through_the_inputs_flies_it_to_the_last_bit(
     fmi: int, entry: dict[int, Path], built_in: Flight

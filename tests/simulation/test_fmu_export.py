@@ -105,6 +105,7 @@ def test_fmpy_validates_the_fmu_without_a_problem(fmus, fmi):
     assert all(unit.baseUnit for unit in fmpy.read_model_description(fmus[fmi]).unitDefinitions)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("fmi", "step_s"), [(3, 0.5), (2, 1.0), (3, 0.7), (2, 3.0)])
 def test_whole_entry_with_a_popu_has_the_bits_of_the_simulator(fmus, vehicle, flown, fmi, step_s):
     given = frames(flown, step_s)
@@ -529,6 +530,7 @@ def test_effect_that_needs_python_is_refused_by_name(name, tmp_path, monkeypatch
     assert not (tmp_path / "own.fmu").exists()
 
 
+@pytest.mark.thorough
 def test_effect_may_call_the_mathematical_functions_of_c(flown, tmp_path, monkeypatch):
     functions = ("erf", "erfc", "sinh", "cosh", "asinh", "expm1", "log1p", "log2", "hypot", "atan2")
     called = [f"math.{f}(u{', 2.0' if f in ('hypot', 'atan2') else ''})" for f in functions]
@@ -775,6 +777,7 @@ def linked(vehicle, tmp_path_factory) -> tuple[Path, list[Path], int]:
     return link_model(vehicle, tmp_path_factory.mktemp("linked"), ["NOSECAP", "V09T9527"])
 
 
+@pytest.mark.thorough
 def test_random_legal_and_illegal_calls_neither_crash_nor_leak(linked):
     """A short run of the benchmark's fuzzing, with address and undefined-behaviour sanitizers."""
     folder, made, variables = linked

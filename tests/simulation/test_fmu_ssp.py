@@ -188,6 +188,7 @@ def surfaces(found: dict[str, np.ndarray]) -> np.ndarray:
     return np.stack([found[name] for name in SURFACES], axis=1)
 
 
+@pytest.mark.thorough
 @needs_ecos
 def test_ecos_flies_the_built_in_entry_and_its_temperatures_converge_to_the_plug_ins_with_the_step(
     system: Path, frames: np.ndarray, tmp_path: Path

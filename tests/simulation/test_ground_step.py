@@ -41,6 +41,7 @@ def values(found: FitResult) -> dict[str, tuple[float, float]]:
     return {n: (v, s) for n, v, s in zip(found.labels, found.fit.values, found.bounds.sigma, strict=True)}
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("flux_W_m2", [10e3, 50e3, 100e3])
 def test_a_step_gives_back_coating_conductivity_and_skew(flux_W_m2: float) -> None:
     found = values(fitted(flux_W_m2))

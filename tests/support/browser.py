@@ -16,7 +16,8 @@ from benchmarks.browser import CHROMIUM, Browser
 from sim_heating.base.report.page import CHART_SCRIPTS, SHARED_SCRIPTS, TABLE_SCRIPTS
 from tests.support.paths import ROOT
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, which is not installed")
+needs_browser = pytest.mark.browser
+"""Mark of a test that opens pages in Chromium: thorough, and skipped where that is not installed (conftest.py)."""
 
 CANARY = "document.documentElement.setAttribute(`data-ran`,`{where}`)"
 ATTACKS = (

@@ -97,6 +97,7 @@ def test_a_vehicle_is_good_only_where_it_can_be_flown(file: str, old: str, new: 
     assert "good. vehicle pod" in run("validate", f"pod/{file}").output
 
 
+@pytest.mark.thorough
 def test_an_estimate_of_a_capsule_does_not_speak_of_its_elevon_and_a_margin_that_is_not_final_says_so() -> None:
     """Lines on surfaces that the vehicle lacks, and +160 K for a bondline that the heat has not reached yet."""
     made("vehicle", *POD, "--out", "pod")
@@ -201,6 +202,7 @@ def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
         assert "was changed since" in str(edited.exception)
 
 
+@pytest.mark.thorough
 def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() -> None:
     """One point that its flight does not heat to a limit. All four points of the scenario: `python -m benchmarks
     optimal`."""

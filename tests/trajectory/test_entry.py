@@ -287,6 +287,7 @@ def test_a_flight_that_skips_out_is_an_error_and_not_a_number():
         entry3dof.fly(spec(initial=fast), VEHICLE)
 
 
+@pytest.mark.thorough
 def test_interpreted_and_compiled_flights_are_the_same_bits():
     """The kernel is its own slow reference: 40 s of flight without numba's compiler."""
     program = (

@@ -319,6 +319,7 @@ def test_each_step_reaches_the_host_before_the_next_is_taken(glide: Path) -> Non
     assert frames == approx(np.arange(81) / 4.0)
 
 
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("fmi", ["2", "3"])
 def test_an_fmu_of_many_variables_is_read_once_and_flown(

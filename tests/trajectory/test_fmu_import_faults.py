@@ -109,6 +109,7 @@ IN_A_STEP = [
 ]
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.parametrize(("fault", "expected"), IN_A_STEP)
 def test_a_fault_in_a_step_is_reported_with_its_time(
@@ -165,6 +166,7 @@ flight.fly(TrajectorySpec.model_validate(table), load_vehicle(%r), on_frame=lamb
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("sent", "temporary"), [("SIGINT", []), ("SIGKILL", ["sim_heating_fmu_"])])
 def test_a_hanging_fmu_ends_with_the_process_that_flies_it(
     sent: str, temporary: list[str], binary: Path, tmp_path: Path

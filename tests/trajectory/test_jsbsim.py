@@ -241,6 +241,7 @@ def test_the_same_flight_twice_is_the_same_to_the_last_bit() -> None:
     assert all(np.array_equal(first[name], second[name]) for name in first.names)
 
 
+@pytest.mark.thorough
 def test_60_and_120_frames_a_second_fly_the_same_entry() -> None:
     spec = entry(stop={"velocity_m_s": 5900.0}, manoeuvre=MANOEUVRES[:1])
     slow = jsbsim.fly(spec, VEHICLE).conditions

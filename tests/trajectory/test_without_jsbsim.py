@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from sim_heating.cli.simulate import with_installed_source
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.trajectory import entry3dof
@@ -14,6 +16,8 @@ from tests.support.paths import ROOT, SCENARIOS, TILE
 
 WITHOUT = """
 import sys
+
+import pytest
 sys.modules["jsbsim"] = None  # its import fails, as where it is not installed
 from sim_heating.__main__ import main
 for arguments in {commands}:
@@ -23,6 +27,7 @@ for arguments in {commands}:
 DETERMINED = "ratio.scale"
 
 
+@pytest.mark.thorough
 def test_what_does_not_fly_in_jsbsim_works_and_what_does_says_what_to_install(tmp_path):
     commands = [
         ["predict", str(TILE), "--out", "predicted"],
