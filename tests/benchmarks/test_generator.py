@@ -135,6 +135,7 @@ def test_generator_has_enough_cells(kind):
     assert np.max(np.abs(case.temperatures(refine=2.0) - case.temperatures())) < 0.04
 
 
+@pytest.mark.thorough
 def test_generator_is_of_second_order_in_depth():
     case = null_case(5, "lower")
     fine, *coarse = (case.temperatures(refine=share) for share in (2.0, 0.5, 0.25))

@@ -48,6 +48,7 @@ def test_the_sample_damages_every_format_and_sees_every_outcome(results: list[Re
     assert set(Counter(r.outcome for r in results)) == set(GOOD)
 
 
+@pytest.mark.thorough
 def test_a_mutant_is_known_by_its_seed_and_number(whole_files: Path) -> None:
     for number in range(40):
         one, other = (mutant(whole_files, SEED, number) for _ in range(2))

@@ -331,6 +331,7 @@ def test_a_flight_out_of_the_atmosphere_fails_with_status_1(workdir: Path, capsy
     assert not (workdir / "out").exists()
 
 
+@pytest.mark.sample(1)
 @posix
 @pytest.mark.parametrize("number", [signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)])
 def test_an_interrupted_run_leaves_nothing_behind(workdir: Path, number: signal.Signals) -> None:

@@ -88,6 +88,7 @@ def test_an_update_of_a_table_that_was_changed_meanwhile_is_refused(workdir: Pat
         write_update(prepare_update("second.json", "./orbiter"), None, {}) and write_update(update, None, {})
 
 
+@pytest.mark.thorough
 def test_a_vehicle_is_free_again_where_its_writer_was_killed(workdir: Path) -> None:
     code = (
         "import time; from sim_heating.base.files import exclusive\n"

@@ -101,6 +101,7 @@ def test_a_vehicle_takes_the_fitted_transition_at_this_point_and_keeps_its_own_e
             assert (new.directory / folder / file.name).read_bytes() == file.read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_turbulent_table_that_points_share_stays_and_the_factor_takes_its_change(
     flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -231,6 +231,7 @@ def test_a_user_finds_the_noise_of_the_ratio(fitted: Path) -> None:
         assert abs(parameter["value"] - true) < 4.0 * parameter["sigma"]
 
 
+@pytest.mark.thorough
 def test_a_user_finds_how_the_ratio_wandered_but_for_its_mean_which_is_a_scale(wandered, fitted: Path) -> None:
     _, time_s, added = wandered
     history = read_csv_columns(fitted / "ratio_disturbance.csv", ["time_s", "delta_ratio", "sigma"])

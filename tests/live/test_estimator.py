@@ -305,6 +305,7 @@ def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> l
     ]  # fmt: skip
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("by_s", "late_s"), [(-1.0, 0.0), (-3.0, 0.0), (-3.0, 1.5), (-2.9, 1.5), (-1.6, 0.0)])
 def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_used(by_s, late_s):
     whole, rng = samples(), np.random.default_rng(3)
@@ -338,6 +339,7 @@ def test_a_clock_that_goes_back_is_told_with_the_third_sample_of_it_and_judged_w
     assert 880.0 < told_s[then] < 880.0 + 2.5
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("late_s", [0.0, 1.5])
 def test_a_sensor_whose_own_clock_goes_back_is_left_out_from_there(late_s):
     name, rng = record().used_sensors[0].name, np.random.default_rng(4)
@@ -407,6 +409,7 @@ def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("first_K", "second_K"), [(40.0, 40.0), (-40.0, -60.0), (40.0, -40.0)])
 def test_two_readings_in_a_row_that_are_far_off_are_left_out_as_if_they_had_been_lost(first_K, second_K):
     first, both = spiked(first_K), spiked(second_K, SPIKE_S + 0.5)

@@ -79,6 +79,7 @@ def test_a_lower_angle_of_attack_cools_the_leeside_and_heats_the_leading_edge() 
     assert peak(low, "WING_LE surface") > peak(base_entry, "WING_LE surface") + 5.0
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("limit", ["WING_LE surface", "BODYFLAP surface", "V07T9975 surface"])
 def test_a_heavier_vehicle_and_a_shorter_flight_are_hotter(limit: str) -> None:
     assert peak(Case(mass_kg=84000.0), limit) < peak(Case(), limit) < peak(Case(mass_kg=104000.0), limit)
@@ -201,6 +202,7 @@ def marched(name: str, tables: list[RatioTable], conditions: Conditions) -> np.n
     return np.array([h.surface_K for h in histories_K])
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", POINTS)
 def test_sensitivities_to_errors_of_a_table_are_those_of_a_table_with_errors(name: str) -> None:
     conditions, i = at_point(Case(), name), POINTS.index(name)
@@ -322,6 +324,7 @@ def test_a_flight_at_the_edge_meets_its_limit(planned: Path) -> None:
     assert own.evaluate(Case(alpha_offset_deg=edge)).margins["V07T9975 surface"].margin == pytest.approx(0.0, abs=0.5)
 
 
+@pytest.mark.thorough
 def test_a_manoeuvre_reduces_the_sigma_of_the_pod_that_it_heats(planned: Path) -> None:
     ranked = read_json(planned / "out" / "study.json")["next_flight"]["manoeuvres"]
     now, after = ranked[0]["sigma_K"]["alpha"]

@@ -161,6 +161,7 @@ def test_the_optimal_entry_integrated_with_the_tables_themselves_ends_close_by(l
     assert altitude_m == pytest.approx(26000.0, abs=1500.0)
 
 
+@pytest.mark.thorough
 def test_an_active_limit_is_met_by_the_marched_temperature(limited_flight):
     point = limited_flight.study.points[0].point
     vehicle, flown = limited_flight.study.vehicle, limited_flight.conditions
