@@ -45,6 +45,7 @@ def test_one_process_and_two_leave_the_same_bytes(tmp_path):
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_job_that_raises_is_reported_and_the_others_continue(tmp_path, workers):
     outcome = run_batches(jobs(6), batch_jobs.square_but_three, tmp_path, workers=workers)
@@ -122,6 +123,7 @@ def _start(out, notes, count, workers):
     return subprocess.Popen(arguments, env=os.environ | {"PYTHONPATH": path}, start_new_session=True)
 
 
+@pytest.mark.thorough
 def test_the_processes_of_a_study_listen_on_this_machine_alone(tmp_path):
     """The kernel is asked for the open sockets of the study's whole process tree while its jobs run."""
     psutil = pytest.importorskip("psutil", reason="Dask brings psutil, which lists the sockets of a process")

@@ -93,7 +93,7 @@ def at_the_true_parameters(made: Made, record: Record) -> NDArray[np.float64]:
     return predict(record, model).indicated_K
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [0, 4, 6, 12])
 def test_package_at_the_true_parameters_explains_a_null_record_to_its_noise(number, tmp_path):
     made = made_of("null", number)

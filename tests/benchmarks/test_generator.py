@@ -151,7 +151,7 @@ def at_the_true_parameters(made: Made, record: Record) -> FloatArray:
     return predict(record, model).indicated_K
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", range(5))
 def test_program_with_the_true_parameters_reproduces_a_null_record(number, tmp_path):
     made = null_record(number)

@@ -99,6 +99,7 @@ def test_run_writes_tables_pictures_and_a_summary(workdir: Path, capsys: pytest.
     assert 900.0 < point["peak_surface_K"] < 1300.0
 
 
+@pytest.mark.thorough
 def test_a_second_run_replaces_the_first_and_keeps_other_files(first: Path) -> None:
     (first / "notes.txt").write_text("mine")
     assert main(["run", "short.toml", "--out", "first"]) == 0

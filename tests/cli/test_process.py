@@ -170,7 +170,7 @@ def run_in_shell(redirection: str, *arguments: str, **environment: str) -> subpr
     return subprocess.run(shell, env=ENVIRONMENT | environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("redirection", [">&-", "<&- >&- 2>&-", "2>&1 | true"])
 def test_a_command_whose_output_nobody_reads_does_its_work(workdir: Path, redirection: str) -> None:
     done = run_in_shell(f"{redirection}; echo", "run", "short.toml", "--out", "out")

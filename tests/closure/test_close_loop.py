@@ -78,6 +78,7 @@ def test_noise_above_the_declared_one_is_no_cause() -> None:
     assert noisy.none.adequacy.unstructured
 
 
+@pytest.mark.thorough
 def test_two_effects_are_both_named_with_their_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another effect resembles both together and is the best single one; the pair explains the record to its noise."""
     search_among(monkeypatch, *PAIRED)

@@ -21,6 +21,7 @@ HEIGHTS = RISE * np.maximum(np.linspace(38.0, 44.0, 7) - ONSET_DEG, 0.0)
 BENT = use("curve", {"variable": 0.0, "low": 38.0, "high": 44.0} | dict(zip(VALUES, HEIGHTS.tolist(), strict=True)))
 
 
+@pytest.mark.thorough
 def test_a_rise_above_an_angle_of_attack_is_a_curve_in_it_with_its_shape(tmp_path: Path) -> None:
     """A factor 1 + 0.03 (alpha - 41 deg) above 41 deg, by a curve of other knots; derivatives of the table are free."""
     record = simulated_record(load_record(PRACTICE / "p06"), [BENT])

@@ -53,7 +53,7 @@ def adequacy_of(record, effects=()) -> Adequacy:
     return assess(fitted.samples())
 
 
-@pytest.mark.sample(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "effect"), [("p05", "time-skew"), ("p06", "none")])
 def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None:
     """That of p08 is in test_close_loop.py."""

@@ -74,6 +74,7 @@ def test_velocity_and_air_that_were_merged_with_angles_of_another_time():
     assert best.value == pytest.approx(20.0, abs=0.5)
 
 
+@pytest.mark.thorough
 def test_a_flight_that_was_later_than_its_conditions_state():
     best = found(flight.shift_conditions(CLEAN, -12.0), ends=False)[0]
     assert best.change.name == "time-skew"

@@ -283,6 +283,7 @@ def test_the_page_is_self_contained_and_has_every_section():
     assert f"{after:.2f}" in text
 
 
+@pytest.mark.thorough
 def test_a_fault_of_the_record_comes_before_any_finding():
     page = closure_page(replace(closed(), faults=[DataFault(TRAJECTORY, "TC1 is stuck.")]))
     assert page.conclusion is not None

@@ -41,6 +41,7 @@ def everything() -> FitProblem:
     )
 
 
+@pytest.mark.thorough
 def test_without_noise_of_the_process_it_is_output_error(everything: FitProblem) -> None:
     at = np.array([0.04, 4e-4, 1.1, 0.3, 0.5, 1.002])
     filtered, plain = Innovations(everything, ProcessNoise()).evaluate(at), everything.evaluate(at)
@@ -240,6 +241,7 @@ def test_a_user_finds_how_the_ratio_wandered_but_for_its_mean_which_is_a_scale(w
     assert np.std(apart) < 0.8 * np.std(added)  # words of 5 K contain no more of it
 
 
+@pytest.mark.thorough
 def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_ones(wandered, fitted: Path) -> None:
     what = ("prior", "posterior", "smoothed")
     keys = [f"V09T9527_{w}{s}_K" for w in what for s in ("", "_sigma")]

@@ -114,6 +114,7 @@ def test_synthesize_puts_it_into_the_truth_and_estimate_recovers_it():
     assert "alpha-growth" in {c.name for c in candidates(record, conditions_of_record(record))}
 
 
+@pytest.mark.thorough
 def test_predict_applies_it_from_a_vehicle():
     assert main(["synthesize", scenario("truth", EFFECT.format(table="truth.", growth=GROWTH)), "--out", "record"]) == 0
     shutil.copytree(ROOT / "aircraft_data" / "orbiter", "orbiter")

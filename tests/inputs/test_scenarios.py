@@ -61,6 +61,7 @@ def test_a_stored_scenario_is_valid_and_states_its_purpose(name: str) -> None:
     assert len(read.declared.note.split()) > 10
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", sorted(FLOWN))
 def test_manoeuvres_are_flown_at_the_speeds_of_their_names(name: str) -> None:
     flight = fly_scenario(in_3dof(scenario(name)))

@@ -88,6 +88,7 @@ def test_the_end_of_a_link_tells_its_estimates_counts_and_records(cut: Path, tmp
     assert f"{out / 'records'}, one of each control point" in told
 
 
+@pytest.mark.thorough
 def test_the_report_of_a_link_holds_each_point_s_histories_and_ratio(replayed: Path):
     found, page = read_json(replayed / "live.json"), (replayed / "report.html").read_text()
     (point,) = found["control_points"]

@@ -80,6 +80,7 @@ def test_a_file_is_read_from_its_beginning_to_its_end(tmp_path):
     assert "is not JSON" in found[-1].damaged
 
 
+@pytest.mark.thorough
 def test_standard_input_is_a_source():
     code = (
         "from tests.live.links import link, received\n"

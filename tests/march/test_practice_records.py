@@ -96,6 +96,7 @@ def test_default_mesh_at_steps_of_one_second_is_within_0_2_K_of_radau(stiff_refe
         assert np.max(np.abs(out[:, column] - stiff_reference[f"{depth * 1e3:.2f} mm"])) < 0.2
 
 
+@pytest.mark.thorough
 def test_fine_mesh_and_short_steps_meet_radau_within_its_own_error(stiff_reference):
     model, conditions = practice_model("p06", nodes=100), practice_record("p06")[0].conditions
     history = condition_history(conditions)[np.newaxis]

@@ -215,6 +215,7 @@ def test_a_mesh_that_cannot_be_refined_further_ends_the_search_with_a_note():
     assert entry.cross_range_deg == pytest.approx(asked.cross_range_deg, rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_mesh_that_stays_too_coarse_is_refused_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "COARSEST", 1e-14)
     with pytest.raises(

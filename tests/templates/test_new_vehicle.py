@@ -219,6 +219,7 @@ def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() 
     assert found["cross_range_deg"] > 20.0
 
 
+@pytest.mark.thorough
 def test_a_limit_that_the_scenarios_own_flight_exceeds_is_raised_and_said_so() -> None:
     shown = made("study", "optimal", "--scenario", ENTRY, "--point", "V07T9975", "--out", "study").output
     own = sh.load_vehicle("orbiter").control_point("V07T9975").limits

@@ -165,6 +165,7 @@ def specific_energy(host: JSBSimHost) -> float:
 # Air and wind
 
 
+@pytest.mark.thorough
 def test_density_is_us76_from_122_km_down(quiet_flight: Flight) -> None:
     c = quiet_flight.conditions
     assert c["altitude_m"][0] == approx(122000.0)
