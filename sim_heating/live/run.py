@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.paths import os_error_reason
 from sim_heating.base.progress import SAME_REQUEST_S, Progress
 from sim_heating.live.engine import IN_A_ROW, LinkEngine
 from sim_heating.live.recording.journal import read_journal
@@ -44,6 +45,32 @@ class _Failed:
     error: BaseException
 
 
+class _Faults:
+    """Faults beside the flight as remarks: what is recorded does not depend on who looks at it.
+
+    remark : called with one line
+    """
+
+    def __init__(self, remark: Remark) -> None:
+        self._remark = remark
+
+    def of_loop(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Handler of the event loop: connections that the system refuses, tasks that failed."""
+        error = context.get("exception")
+        if isinstance(error, OSError):
+            self._remark(f"connections: {os_error_reason(error)}; recording goes on")
+        else:
+            self._remark(f"connections: {context.get('message', '')} {error!r}; recording goes on")
+
+    @contextlib.contextmanager
+    def caught(self, what: str) -> Iterator[None]:
+        """An error within the block is a remark."""
+        try:
+            yield
+        except Exception as error:
+            self._remark(f"{what}: {error!r}; recording goes on")
+
+
 _Item = Message | _Failed | None
 """A message that is kept, why a source failed, or the end of one."""
 
@@ -69,12 +96,16 @@ async def run_link(
     raises   : InputError where a source or an output cannot be opened
     """
     link, stop = engine.link, stop or asyncio.Event()
+    told = _Faults(engine.remarks.add)
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
     readers: list[asyncio.Task[None]] = []
     taken: dict[int, int] = {}
     started: list[Output] = []
+    handled = loop.get_exception_handler()
+    loop.set_exception_handler(told.of_loop)
     try:
+        await loop.run_in_executor(worker, engine.prepare)
         for output in outputs:
             await output.start()
             started.append(output)
@@ -84,7 +115,7 @@ async def run_link(
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
         readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, taken))) for s in streams]
-        publish = _publisher(engine, started, on_state)
+        publish = _publisher(engine, started, on_state, told)
         publish(False)  # a reader that comes before the first sample finds a link that waits
         if taken and engine.journal is not None:
             again = loop.run_in_executor(worker, engine.resume, engine.journal.path, sum(taken.values()))
@@ -97,16 +128,18 @@ async def run_link(
         if waiting is not None:
             await _weighed(engine, waiting, stop, publish)
         last = engine.state()
-        _publish(last, started, on_state)
+        _publish(last, started, on_state, told)
         return last
     finally:
         for task in readers:
             task.cancel()
         await asyncio.gather(*readers, return_exceptions=True)
         for output in started:
-            await output.stop()
+            with told.caught("ending a page or display"):
+                await output.stop()
         worker.shutdown()
         engine.stop()
+        loop.set_exception_handler(handled)
 
 
 async def _weighed(engine: LinkEngine, waiting: Waiting, stop: asyncio.Event, publish: Callable[[bool], None]) -> None:
@@ -238,17 +271,17 @@ def _waiting(queue: asyncio.Queue[_Item]) -> list[Message]:
 
 
 def _publisher(
-    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None
+    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults
 ) -> Callable[[bool], None]:
     """What publishes the state now; with True the last one, with the link's health now, while the engine is busy."""
 
     def publish(is_busy: bool) -> None:
-        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state)
+        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state, told)
 
     return publish
 
 
-def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None) -> None:
+def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults) -> None:
     if on_state is not None:
         on_state(state)
     if outputs:
@@ -256,7 +289,8 @@ def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State]
 
         published = Published(state)
         for output in outputs:
-            output.publish(published)
+            with told.caught("a page or display"):
+                output.publish(published)
 
 
 @contextlib.contextmanager
