@@ -38,7 +38,7 @@ MOST_REMARKS = 20
 @click.option(
     "--out",
     callback=optional_directory,
-    help="directory of journal and results; default: out/NAME OF LINK, or out/NAME-replay",
+    help="directory of journal and results; default: out/NAME, of a replay out/NAME-replay",
 )
 @FORCE
 @click.option("--replay", type=PATH, metavar="RECORD", help="send this record again in place of the link's sources")

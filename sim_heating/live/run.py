@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import os
 import signal
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -100,7 +101,7 @@ async def run_link(
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
     readers: list[asyncio.Task[None]] = []
-    taken: dict[int, int] = {}
+    taken: dict[int, Counter[bytes]] = defaultdict(Counter)
     started: list[Output] = []
     handled = loop.get_exception_handler()
     loop.set_exception_handler(told.of_loop)
@@ -110,7 +111,8 @@ async def run_link(
             await output.start()
             started.append(output)
         if resume and engine.journal is not None:
-            taken = Counter(entry.source for entry in read_journal(engine.journal.path))
+            for entry in read_journal(engine.journal.path):
+                taken[entry.source][_digest(entry.body)] += 1
         streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
@@ -118,7 +120,9 @@ async def run_link(
         publish = _publisher(engine, started, on_state, told)
         publish(False)  # a reader that comes before the first sample finds a link that waits
         if taken and engine.journal is not None:
-            again = loop.run_in_executor(worker, engine.resume, engine.journal.path, sum(taken.values()))
+            again = loop.run_in_executor(
+                worker, engine.resume, engine.journal.path, sum(c.total() for c in taken.values())
+            )
             await _meanwhile(again, publish, loop.time())
         await _take_all(engine, queue, len(readers), worker, stop, publish)
         for task in readers:
@@ -162,19 +166,23 @@ async def _weighed(engine: LinkEngine, waiting: Waiting, stop: asyncio.Event, pu
                     return
 
 
-def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:
-    """Bodies of a source that begins again with its first one, and that the journal has already."""
+def _digest(body: bytes) -> bytes:
+    return hashlib.blake2b(body, digest_size=16).digest()
+
+
+def _skipped(link: Link, number: int, taken: Mapping[int, Counter[bytes]]) -> Counter[bytes]:
+    """Digests of bodies of a source that begins again with its first one, and that the journal has already."""
     source = link.declared.source[number]
     begins_again = isinstance(source, Replay) or (isinstance(source, Network) and source.transport == "file")
-    return taken.get(number, 0) if begins_again else 0
+    return Counter(taken.get(number)) if begins_again else Counter()
 
 
-async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: int) -> None:
+async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: Counter[bytes]) -> None:
     """Everything of one source into the journal and the queue, and how it ended."""
     try:
         async for message in stream:
-            if skip > 0:
-                skip -= 1
+            if skip and skip[digest := _digest(message.body)] > 0:
+                skip[digest] -= 1
                 continue
             engine.keep(message, stream.number)
             await queue.put(message)
