@@ -1,4 +1,4 @@
-"""Links under hostile use: damaged journals, kills and resumes, another link file, hostile packets.
+"""Links under hostile use: damaged journals, kills, another link file, hostile packets, half-open connections, full disks.
 
     python -m benchmarks journals
     python -m benchmarks.journals --small
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -28,7 +27,7 @@ import numpy as np
 from benchmarks.measure import Figure, save, table
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.record import load_record
-from sim_heating.live.recording.journal import BODY, HEAD, MARK, NAME, Journal, damage_of, read_head, read_journal
+from sim_heating.live.recording.journal import BODY, HEAD, MARK, NAME, Journal, damage_of, read_journal
 
 SEED = 48
 LINK = {"format": "link/1", "vehicle": "orbiter"}
@@ -171,7 +170,7 @@ def _judge(place: Path, wanted: Sequence[bytes], is_damaged: bool, tally: dict[s
         found = [entry.body for entry in read_journal(place)]
         told = damage_of(place)
     except InputError as error:
-        found, told = [], error.problems
+        found, told = [], list(error.problems)
         tally["errors"] += len(error.problems) != 1
     except Exception:
         tally["errors"] += 1
@@ -215,30 +214,27 @@ def _missing(wanted: Sequence[bytes], found: Sequence[bytes]) -> int:
 
 
 class Running:
-    """The command `live` in another process, its page off, with a source over TCP.
+    """The command `live` in another process, with a source over TCP.
 
-    other : a line of TOML in place of that of the sensor's unit
+    link, sensor : name of its file, and the line of TOML that states the unit of its sensor
+    options      : of the command, by default no page;  limit : of the process, as `ulimit` takes it
     """
 
-    def __init__(self, folder: Path, port: int, link: str = "link.toml", sensor: str = 'unit = "K"') -> None:
+    def __init__(
+        self, folder: Path, port: int, link: str = "link.toml", sensor: str = 'unit = "K"', *,
+        options: Sequence[str] = ("--headless",), limit: str = "",
+    ) -> None:  # fmt: skip
         self.out = folder / "out"
         text = f'format = "link/1"\nvehicle = "orbiter"\ncontrol_points = ["{POINT}"]\n'
         text += f'[[source]]\nkind = "json-lines"\ntransport = "tcp-server"\nport = {port}\n'
         text += f'[[sensor]]\nsensor = "{POINT}"\nfield = "tc"\n{sensor}\n[estimate]\nparameters = ["ratio.scale"]\n'
         (folder / link).write_text(text)
         self._port = port
-        self._told = open(folder / "told.txt", "wb")
-        command = [
-            sys.executable,
-            "-m",
-            "sim_heating",
-            "live",
-            str(folder / link),
-            "--headless",
-            "--out",
-            str(self.out),
-        ]
-        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self._told)
+        self._told = (folder / "told.txt").open("wb")
+        command = [sys.executable, "-m", "sim_heating", "live", str(folder / link), "--out", str(self.out), *options]
+        if limit:
+            command = ["sh", "-c", f'ulimit {limit}; exec "$0" "$@"', *command]
+        self.process = subprocess.Popen(command, stdout=self._told, stderr=self._told)
 
     def connected(self) -> socket.socket | None:
         """A connection to its source, once it listens; None where it has ended."""
@@ -249,7 +245,7 @@ class Running:
         return None
 
     def ended(self, number: int | None = None) -> tuple[int, str]:
-        """Send a signal, if one is given, and wait; exit status and what was told on standard error."""
+        """Send a signal, if one is given, and wait; exit status and what was told."""
         if number is not None and self.process.poll() is None:
             self.process.send_signal(number)
         status = self.process.wait(300.0)
@@ -414,6 +410,60 @@ def hostile_packets(packets: int, progress: Progress, seed: int = SEED) -> dict[
         }
 
 
+# Exhausted -----------------------------------------------------------------------------------------------------------
+
+
+def half_open(connections: int, descriptors: int) -> dict[str, int]:
+    """A flight whose page is given connections that send nothing, in a process of few file descriptors.
+
+    returns : messages; those that are not in the journal; tracebacks; bytes on standard output and error; exit status
+    """
+    with TemporaryDirectory() as folder, contextlib.ExitStack() as held:
+        place, port, page = Path(folder), _free_port(), _free_port()
+        running = Running(place, port, options=["--port", str(page)], limit=f"-n {descriptors}")
+        source = running.connected()
+        assert source is not None
+        sent = list[bytes]()
+        for k in range(connections):
+            half = held.enter_context(socket.socket())
+            half.setblocking(False)
+            half.connect_ex(("127.0.0.1", page))
+            sent.append(message(k))
+            source.sendall(sent[-1] + b"\n")
+            time.sleep(0.005)
+        running.holds(len(sent))
+        status, told = running.ended(signal.SIGINT)
+        source.close()
+        lost = _missing(sent, [entry.body for entry in read_journal(running.out)])
+        tracebacks = int("Traceback" in told)
+        return {"messages": len(sent), "lost": lost, "tracebacks": tracebacks, "told": len(told), "status": status}
+
+
+def full_disk(blocks: int = 16) -> dict[str, int]:
+    """A flight whose files may have so many blocks of 512 bytes.
+
+    returns : messages; those in the journal; those that had room and are not in it; whether it is not told what ran
+              out, and how many are missing; tracebacks
+    """
+    with TemporaryDirectory() as folder:
+        place, port = Path(folder), _free_port()
+        running = Running(place, port, limit=f"-f {blocks}")
+        source = running.connected()
+        assert source is not None
+        sent = [message(k) for k in range(100)]
+        source.sendall(b"".join(line + b"\n" for line in sent))
+        time.sleep(3.0)
+        _, told = running.ended(signal.SIGINT)
+        source.close()
+        found = [entry.body for entry in read_journal(running.out)]
+        size = (running.out / NAME).stat().st_size
+        least = size + HEAD.size + BODY.size + len(sent[min(len(found), 99)])
+        says = f"File too large; the last {len(sent) - len(found)} messages are not in it" in " ".join(told.split())
+        lost = int(found != sent[: len(found)]) + int(least <= 512 * blocks)
+        tracebacks = int("Traceback" in told)
+        return {"messages": 100, "found": len(found), "lost": lost, "untold": not says, "tracebacks": tracebacks}
+
+
 # All -----------------------------------------------------------------------------------------------------------------
 
 
@@ -449,6 +499,17 @@ def _figures(sizes: Sizes, progress: Progress) -> Iterator[Figure]:
     yield Figure("hostile packets: frames of the flight that were not followed", found["not followed"], "", 0.0)
     yield Figure("hostile packets: tracebacks", found["tracebacks"], "", 0.0)
     yield Figure("hostile packets: readings of a wrong unit", found["wrong units"], "", 0.0)
+    for descriptors in (256, 1024):
+        found = half_open(400, descriptors)
+        how = f"400 half-open connections, {descriptors} descriptors"
+        note = f"{found['messages']} messages, exit status {found['status']}, {found['told']} bytes told"
+        yield Figure(f"{how}: messages that were lost", found["lost"], "", 0.0, note=note)
+        yield Figure(f"{how}: tracebacks", found["tracebacks"], "", 0.0)
+    found = full_disk()
+    note = f"{found['found']} of {found['messages']} had room"
+    yield Figure("full disk: messages that had room and were lost", found["lost"], "", 0.0, note=note)
+    yield Figure("full disk: what ran out, and what is missing, not told", found["untold"], "", 0.0)
+    yield Figure("full disk: tracebacks", found["tracebacks"], "", 0.0)
 
 
 @click.command(help=(__doc__ or "").partition("\n")[0])
