@@ -1,4 +1,4 @@
-"""Links under hostile use: damaged journals, kills, another link file, hostile packets, half-open connections, full disks.
+"""Links under hostile use: damaged journals, kills, other links, hostile packets, half-open connections, full disks.
 
     python -m benchmarks journals
     python -m benchmarks.journals --small

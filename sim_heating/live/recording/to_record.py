@@ -102,6 +102,7 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
                 found[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
                 waiting = []
         timeline.forget(timeline.newest_s - settings.lateness_s)
+    found[-1].add_all(s for s in waiting if s.time_s <= timeline.newest_s)  # late ones that no frame came behind
     return found
 
 
