@@ -28,7 +28,7 @@ from sim_heating.live.filtering.estimates import Innovation, LiveEstimate, LiveO
 from sim_heating.live.filtering.estimator import LiveEstimator
 from sim_heating.live.filtering.parameters import check_estimated
 from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
-from sim_heating.live.recording.journal import Journal, read_journal, too_long
+from sim_heating.live.recording.journal import Journal, read_journal
 from sim_heating.live.results.followed import Followed
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
@@ -45,7 +45,7 @@ from sim_heating.live.state import (
     SensorState,
     State,
 )
-from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.live.types import Frame, Message, Reading, Sample, too_long
 from sim_heating.live.watch.checks import Failure, SensorChecks
 from sim_heating.live.watch.missing import Weighing
 from sim_heating.live.watch.sequential import SequentialTest, score_of_word

@@ -19,13 +19,13 @@ from sim_heating.base.errors import InputError
 from sim_heating.live.recording.journal import (
     BODY,
     HEAD,
-    LONGEST_BODY,
     NAME,
     Journal,
     damage_of,
     read_head,
     read_journal,
 )
+from sim_heating.live.types import LONGEST_BODY
 
 LINK = {"format": "link/1", "vehicle": "orbiter"}
 PLACE = Path("scenarios/live/test.toml")
@@ -144,7 +144,7 @@ def test_messages_are_read_though_no_header_is_but_no_link_goes_on_from_them(tmp
 
 
 def test_a_body_that_could_not_be_read_back_is_refused(tmp_path):
-    own, longest = journal(tmp_path), bytes(LONGEST_BODY - BODY.size)
+    own, longest = journal(tmp_path), bytes(LONGEST_BODY)
     own.append(longest)
     with pytest.raises(InputError, match=r"a message of 16\.0 MiB; one of more than 16 MiB is refused"):
         own.append(longest + b"x")

@@ -39,6 +39,7 @@ from sim_heating.base.files import display_path
 from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import make_durable, os_error_reason
 from sim_heating.live.recording.same_link import differences
+from sim_heating.live.types import too_long
 
 FORMAT = "live-journal/1"
 NAME = "journal.bin"
@@ -49,8 +50,6 @@ MARK = 0xFFFF
 END, HEADER = b"end", b"head"
 HEADER_EVERY = 1 << 20
 """Bytes of entries after which the header is repeated."""
-LONGEST_BODY = 1 << 24
-"""Bytes of a body; a longer one is refused when it comes."""
 LONGEST_READ = 1 << 29
 """Bytes of an entry in a row of sound ones: earlier versions wrote longer bodies."""
 MOST_SOURCES = 256
@@ -532,13 +531,6 @@ class Journal:
         if self._is_new and not is_end and self._size == len(self._header):
             self.path.unlink(missing_ok=True)  # the link was not begun
         self._held.release()
-
-
-def too_long(body: bytes) -> str | None:
-    """Why a body is refused when it comes; None where it is kept."""
-    if len(body) <= LONGEST_BODY - BODY.size:
-        return None
-    return f"a message of {len(body) / 2**20:.1f} MiB; one of more than {LONGEST_BODY >> 20} MiB is refused"
 
 
 def open_again(path: Path) -> None:

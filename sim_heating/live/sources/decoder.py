@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from sim_heating.base.errors import InputError
-from sim_heating.live.recording.journal import too_long
-from sim_heating.live.types import Message
+from sim_heating.live.types import Message, too_long
 
 MOST_FIELDS = 10_000
 """Fields of one message; a message with more is damaged."""
