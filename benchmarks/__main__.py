@@ -16,7 +16,7 @@ NAMES = (
     "switched_off",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "campaign",
-    "live", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
+    "live", "journals", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
     "live_hour",
     "live_picture", "waiting", "scaling",
 )  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
 
-NAMES = ("mutants", "kills", "concurrency")
+NAMES = ("mutants", "kills", "concurrency", "journals")
 """Benchmarks that have tables here."""
 GOOD = ("accepted", "refused", "failed")
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.cli.console import (
     CONSOLE,
     ERRORS,
@@ -34,7 +35,11 @@ MOST_REMARKS = 20
 
 @click.command()
 @click.argument("link", type=PATH, required=False)
-@click.option("--out", callback=optional_directory, help="directory of journal and results; default: out/NAME OF LINK")
+@click.option(
+    "--out",
+    callback=optional_directory,
+    help="directory of journal and results; default: out/NAME, of a replay out/NAME-replay",
+)
 @FORCE
 @click.option("--replay", type=PATH, metavar="RECORD", help="send this record again in place of the link's sources")
 @click.option("--speed", type=click.FloatRange(0.0), help="flight seconds a second of --replay and --demo; 0: no limit")
@@ -72,8 +77,20 @@ def live(
     loaded, stream = _link_of(link, replay, demo, speed, root)
     options = {k: v for k, v in {"host": host, "port": port, "token": token}.items() if v is not None}
     server = _server(loaded, headless, metrics, options)
-    directory = out if out is not None else Path("out") / ("live-demo" if demo else loaded.path.stem)
-    _follow(loaded, directory, server, demo, stream, is_repeatable=demo or replay is not None)
+    directory = out if out is not None else Path("out") / _default_name(loaded, replay, demo)
+    _follow(loaded, directory, server, demo, stream, _sent_again(replay, demo))
+
+
+def _default_name(link: Link, replay: Path | None, demo: bool) -> str:
+    """Folder of the results where none is named: a replay is not put where the flight itself was recorded."""
+    return "live-demo" if demo else f"{link.path.stem}-replay" if replay is not None else link.path.stem
+
+
+def _sent_again(replay: Path | None, demo: bool) -> str:
+    """What a link sends again, whose journal the same may replace; "" for a flight that comes once."""
+    from sim_heating.live.recording.journal import record_again
+
+    return "demonstration" if demo else "" if replay is None else record_again(replay)
 
 
 def _check_options(link: Path | None, replay: Path | None, demo: bool, speed: float | None) -> None:
@@ -123,19 +140,23 @@ def _follow(
     server: PageServer | None,
     demo: bool,
     open_sources: Any,
-    *,
-    is_repeatable: bool,
+    sent_again: str,
 ) -> None:
-    from sim_heating.live.engine import LinkEngine
-    from sim_heating.live.recording.journal import NAME, Journal, remove_ended
+    from sim_heating.base.files import require_writable
+    from sim_heating.live.engine import LinkEngine, check_estimate
+    from sim_heating.live.recording.journal import NAME, Journal
+    from sim_heating.live.recording.same_link import meaning
     from sim_heating.live.recording.to_record import RECORDS
-    from sim_heating.live.results.files import RESULT, write_results
+    from sim_heating.live.results.files import COMMAND, RESULT, expected_files, inputs_of
     from sim_heating.live.run import run
 
-    if is_repeatable:
-        remove_ended(directory / NAME)
+    check_estimate(link)
+    require_writable(directory, COMMAND, expected=expected_files(link), inputs=inputs_of(link))
     contents = link.declared.model_dump(mode="json", exclude_unset=True)
-    journal = Journal(directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s)
+    journal = Journal(
+        directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s, means=meaning(link),
+        sent_again=sent_again,
+    )  # fmt: skip
     ended = False
     try:
         engine = LinkEngine(link, journal)
@@ -150,12 +171,28 @@ def _follow(
     if journal.problem:
         print_warning(journal.problem)
     _print_summary(engine, state)  # first: it is told though the disk is full
-    names, notes = write_results(engine, state, directory)
+    names, notes = _written(engine, state, directory)
     for line in notes:
         print_warning(line)
     print_outputs(directory, [NAME, *names], RESULT)
     if RECORDS in names:
         CONSOLE.print(f"Records for `sim-heating estimate`: {directory / RECORDS}, one of each control point")
+
+
+def _written(engine: LinkEngine, state: State, directory: Path) -> tuple[list[str], list[str]]:
+    """Write the results; where that fails the flight is not closed, so that the same command can go on with it."""
+    from sim_heating.live.recording.journal import NAME, open_again
+    from sim_heating.live.results.files import write_results
+
+    try:
+        return write_results(engine, state, directory)
+    except (InputError, RunError, OSError):
+        open_again(directory / NAME)
+        print_warning(
+            f"{directory / NAME} holds the flight and is not closed: the same command, once what follows is mended, "
+            "goes on from it and writes the results"
+        )
+        raise
 
 
 def _print_summary(engine: LinkEngine, state: State) -> None:

@@ -13,6 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -44,7 +45,7 @@ from sim_heating.live.state import (
     SensorState,
     State,
 )
-from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.live.types import Frame, Message, Reading, Sample, too_long
 from sim_heating.live.watch.checks import Failure, SensorChecks
 from sim_heating.live.watch.missing import Weighing
 from sim_heating.live.watch.sequential import SequentialTest, score_of_word
@@ -54,6 +55,10 @@ RATE_OVER_S = 5.0
 """Time over which rates are counted [s]."""
 IN_A_ROW = 256
 """Messages that are taken before the estimator steps on and others may run."""
+PREPARED_S = 6
+"""Flight that is taken beforehand, a second beyond the wait for late samples and first readings [s]."""
+HOT_K = 400.0
+"""Reading of it: warmer than a wall declares, so that a start from readings is computed, too [K]."""
 REMARKS = 12
 """Remarks that a state shows; all of them are in the summary."""
 KEPT_REMARKS = 10_000
@@ -173,6 +178,8 @@ class LinkEngine:
         self.estimator = make_estimator(link) if estimator is None else estimator
         self.mapping = FieldMapping(link)
         self.remarks = Remarks()
+        for line in [] if journal is None else journal.told:
+            self.remarks.add(line)
         self.counts: Counter[str] = Counter()
         self._started_s = time.monotonic()
         self._last_message_s: float | None = None
@@ -194,6 +201,24 @@ class LinkEngine:
         self._journal_problem = ""
         self._phase: LinkPhase = "waiting"
 
+    def prepare(self) -> None:
+        """Compile, or read from the cache, all that the first samples run; they and the page's port come after it.
+
+        A flight of a few seconds is taken by another estimator of the same points, and forgotten.
+        """
+        probe = LiveEstimator(self.estimator.source, parameters_of(self.link))
+        first = _still_frame(self.link)
+        for time_s in range(PREPARED_S):
+            probe.add(Frame(float(time_s), first))
+            readings = [(p.name, s.name, HOT_K) for p in self.link.points for s in p.sensors]
+            probe.add(*(Reading(float(time_s), *reading) for reading in readings))
+            try:
+                probe.advance()
+            except (InputError, RunError):  # conditions that are none of this flight
+                return
+        if self.link.vehicle is not None:
+            free_stream_kernel(70e3, 6800.0, 8e-5, self.link.vehicle.reference_length_m)
+
     # Messages --------------------------------------------------------------------------------------------------------
 
     @property
@@ -210,9 +235,12 @@ class LinkEngine:
         self.give(message)
 
     def keep(self, message: Message, source: int = 0) -> None:
-        """Keep a message in the journal, at once when it comes: the estimator may be at work on those before it."""
+        """Keep a message in the journal, at once when it comes: the estimator may be at work on those before it.
+
+        One that is too long to be read back is not kept; `give` counts it as damaged.
+        """
         self._last_message_s = message.arrived_s
-        if self.journal is not None:
+        if self.journal is not None and too_long(message.body) is None:
             self.journal.append(message.body, source)
             self._tell_journal()
 
@@ -303,11 +331,11 @@ class LinkEngine:
         if self.ahead.due(self.estimator.time_s):
             self._look_ahead()
 
-    def _estimate(self, work: Callable[[], None]) -> None:
+    def _estimate(self, work: Callable[[], object]) -> None:
         """Let the estimator work; an error is a remark, and the link goes on."""
         try:
             work()
-        except (InputError, RunError) as error:
+        except (InputError, RunError, OSError) as error:
             self.remarks.add(f"estimate: {str(error).splitlines()[0]}")
 
     def _look_ahead(self) -> None:
@@ -361,7 +389,8 @@ class LinkEngine:
             # whether a sensor drifts or the model lacks something, close-loop weighs itself
             left_out = [f.sensor for f in self.checks.failures if f.point == alarm.point and not f.drifts]
             self.weighing.weighed_from(since_s)
-            self.weighing.start(self.journal.path, alarm.point, left_out, root=self.link.root)
+            start = partial(self.weighing.start, self.journal.path, alarm.point, left_out, root=self.link.root)
+            self._estimate(start)
         return self.weighing.busy
 
     def _filter_again(self) -> None:
@@ -528,6 +557,15 @@ class LinkEngine:
             candidates=() if found is None else found.candidates,
             text=text,
         )
+
+
+def _still_frame(link: Link) -> dict[str, float]:
+    """Conditions to prepare with: those in the middle of a record, or of an entry."""
+    if link.vehicle is None:
+        flown = next(iter(link.records.values())).conditions
+        return {name: float(flown[name][len(flown[name]) // 2]) for name in link.columns if name in flown}
+    entry = {"altitude_m": 70e3, "velocity_m_s": 6500.0, "alpha_deg": 40.0, "rho_kg_m3": 8e-5}
+    return {name: entry.get(name, 0.0) for name in link.columns}
 
 
 def _limits(link: Link, point: str) -> dict[str, float]:

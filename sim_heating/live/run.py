@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import os
 import signal
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files.paths import os_error_reason
 from sim_heating.base.progress import SAME_REQUEST_S, Progress
 from sim_heating.live.engine import IN_A_ROW, LinkEngine
 from sim_heating.live.recording.journal import read_journal
@@ -44,6 +46,32 @@ class _Failed:
     error: BaseException
 
 
+class _Faults:
+    """Faults beside the flight as remarks: what is recorded does not depend on who looks at it.
+
+    remark : called with one line
+    """
+
+    def __init__(self, remark: Remark) -> None:
+        self._remark = remark
+
+    def of_loop(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Handler of the event loop: connections that the system refuses, tasks that failed."""
+        error = context.get("exception")
+        if isinstance(error, OSError):
+            self._remark(f"connections: {os_error_reason(error)}; recording goes on")
+        else:
+            self._remark(f"connections: {context.get('message', '')} {error!r}; recording goes on")
+
+    @contextlib.contextmanager
+    def caught(self, what: str) -> Iterator[None]:
+        """An error within the block is a remark."""
+        try:
+            yield
+        except Exception as error:
+            self._remark(f"{what}: {error!r}; recording goes on")
+
+
 _Item = Message | _Failed | None
 """A message that is kept, why a source failed, or the end of one."""
 
@@ -69,25 +97,32 @@ async def run_link(
     raises   : InputError where a source or an output cannot be opened
     """
     link, stop = engine.link, stop or asyncio.Event()
+    told = _Faults(engine.remarks.add)
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
     readers: list[asyncio.Task[None]] = []
-    taken: dict[int, int] = {}
+    taken: dict[int, Counter[bytes]] = defaultdict(Counter)
     started: list[Output] = []
+    handled = loop.get_exception_handler()
+    loop.set_exception_handler(told.of_loop)
     try:
+        await loop.run_in_executor(worker, engine.prepare)
         for output in outputs:
             await output.start()
             started.append(output)
         if resume and engine.journal is not None:
-            taken = Counter(entry.source for entry in read_journal(engine.journal.path))
+            for entry in read_journal(engine.journal.path):
+                taken[entry.source][_digest(entry.body)] += 1
         streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
         readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, taken))) for s in streams]
-        publish = _publisher(engine, started, on_state)
+        publish = _publisher(engine, started, on_state, told)
         publish(False)  # a reader that comes before the first sample finds a link that waits
         if taken and engine.journal is not None:
-            again = loop.run_in_executor(worker, engine.resume, engine.journal.path, sum(taken.values()))
+            again = loop.run_in_executor(
+                worker, engine.resume, engine.journal.path, sum(c.total() for c in taken.values())
+            )
             await _meanwhile(again, publish, loop.time())
         await _take_all(engine, queue, len(readers), worker, stop, publish)
         for task in readers:
@@ -97,16 +132,18 @@ async def run_link(
         if waiting is not None:
             await _weighed(engine, waiting, stop, publish)
         last = engine.state()
-        _publish(last, started, on_state)
+        _publish(last, started, on_state, told)
         return last
     finally:
         for task in readers:
             task.cancel()
         await asyncio.gather(*readers, return_exceptions=True)
         for output in started:
-            await output.stop()
+            with told.caught("ending a page or display"):
+                await output.stop()
         worker.shutdown()
         engine.stop()
+        loop.set_exception_handler(handled)
 
 
 async def _weighed(engine: LinkEngine, waiting: Waiting, stop: asyncio.Event, publish: Callable[[bool], None]) -> None:
@@ -129,19 +166,23 @@ async def _weighed(engine: LinkEngine, waiting: Waiting, stop: asyncio.Event, pu
                     return
 
 
-def _skipped(link: Link, number: int, taken: dict[int, int]) -> int:
-    """Bodies of a source that begins again with its first one, and that the journal has already."""
+def _digest(body: bytes) -> bytes:
+    return hashlib.blake2b(body, digest_size=16).digest()
+
+
+def _skipped(link: Link, number: int, taken: Mapping[int, Counter[bytes]]) -> Counter[bytes]:
+    """Digests of bodies of a source that begins again with its first one, and that the journal has already."""
     source = link.declared.source[number]
     begins_again = isinstance(source, Replay) or (isinstance(source, Network) and source.transport == "file")
-    return taken.get(number, 0) if begins_again else 0
+    return Counter(taken.get(number)) if begins_again else Counter()
 
 
-async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: int) -> None:
+async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: Counter[bytes]) -> None:
     """Everything of one source into the journal and the queue, and how it ended."""
     try:
         async for message in stream:
-            if skip > 0:
-                skip -= 1
+            if skip and skip[digest := _digest(message.body)] > 0:
+                skip[digest] -= 1
                 continue
             engine.keep(message, stream.number)
             await queue.put(message)
@@ -238,17 +279,17 @@ def _waiting(queue: asyncio.Queue[_Item]) -> list[Message]:
 
 
 def _publisher(
-    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None
+    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults
 ) -> Callable[[bool], None]:
     """What publishes the state now; with True the last one, with the link's health now, while the engine is busy."""
 
     def publish(is_busy: bool) -> None:
-        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state)
+        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state, told)
 
     return publish
 
 
-def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None) -> None:
+def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults) -> None:
     if on_state is not None:
         on_state(state)
     if outputs:
@@ -256,7 +297,8 @@ def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State]
 
         published = Published(state)
         for output in outputs:
-            output.publish(published)
+            with told.caught("a page or display"):
+                output.publish(published)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,16 @@ from dataclasses import dataclass
 TIME = "time_s"
 """Field of a message that holds its flight time [s], unless the link file names another."""
 
+LONGEST_BODY = (1 << 24) - 16
+"""Bytes of a message: with what an entry of the journal adds, 16 MiB. A longer one is refused when it comes."""
+
+
+def too_long(body: bytes) -> str | None:
+    """Why a body is refused when it comes; None where it is kept."""
+    if len(body) <= LONGEST_BODY:
+        return None
+    return f"a message of {len(body) / 2**20:.1f} MiB; one of more than {LONGEST_BODY / 2**20:.0f} MiB is refused"
+
 
 @dataclass(frozen=True, slots=True)
 class Message:

@@ -17,6 +17,7 @@ import sim_heating as sh
 from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record, write_record
+from sim_heating.live.recording.journal import open_again
 from tests.live.links import FRAME, free_port, json_lines, part_of_record
 from tests.support.json_output import run_json
 from tests.support.paths import PRACTICE
@@ -252,7 +253,8 @@ def test_on_a_full_disk_the_estimates_are_told_and_the_command_fails_in_one_line
     import resource
 
     link = of_vehicle(tmp_path)
-    assert main(["live", str(link), "--headless"]) == 0  # kernels are compiled: their files are larger
+    # kernels are compiled: their files are larger
+    assert main(["live", str(link), "--headless", "--out", str(tmp_path / "first")]) == 0
     capsys.readouterr()
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -265,8 +267,138 @@ def test_on_a_full_disk_the_estimates_are_told_and_the_command_fails_in_one_line
     told = capsys.readouterr()
     assert status == 1
     assert len(told.err.strip().splitlines()) == 1
-    assert "messages wait in memory" in " ".join(told.out.split())
+    assert "File too large; the last" in (said := " ".join(told.out.split()))
+    assert "messages are not in it" in said
     assert "Came: 30 messages, 30 frames" in told.out
+
+
+def recorded(folder: Path) -> Path:
+    """The directory of a flight that came once and has ended."""
+    link, out = of_vehicle(folder), folder / "flight"
+    assert main(["live", str(link), "--headless", "--out", str(out), "--quiet"]) == 0
+    return out
+
+
+def test_a_replay_leaves_the_journal_of_a_flight_alone(cut: Path, tmp_path, capsys):
+    flight = recorded(tmp_path)
+    before = {p.name: p.read_bytes() for p in flight.iterdir() if p.is_file()}
+    told = the_error(capsys, "live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(flight))
+    assert "journal.bin: holds a flight that has ended" in told
+    assert "name another directory" in told
+    told = the_error(capsys, "live", "--replay", str(cut), "--headless", "--out", str(flight), "--force")
+    assert "journal.bin: holds a flight that has ended" in told
+    assert {p.name: p.read_bytes() for p in flight.iterdir() if p.is_file()} == before
+
+
+def test_a_replay_goes_by_default_into_a_folder_that_is_not_the_flight_s(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["live", str(of_vehicle(tmp_path)), "--headless", "--quiet"]) == 0
+    before = (Path("out") / "link" / "journal.bin").read_bytes()
+    record = Path("out") / "link" / "records" / POINT
+    assert main(["live", "link.toml", "--replay", str(record), "--speed", "0", "--headless", "--quiet"]) == 0
+    assert (Path("out") / "link-replay" / "live.json").is_file()
+    assert main(["live", "--replay", str(record), "--speed", "0", "--headless", "--quiet"]) == 0
+    assert (Path("out") / f"{POINT}-replay" / "live.json").is_file()
+    assert (Path("out") / "link" / "journal.bin").read_bytes() == before
+
+
+def test_a_replay_is_repeated_in_its_own_folder_and_in_that_of_no_other_record(replayed: Path, cut: Path, capsys):
+    before = (replayed / "journal.bin").read_bytes()
+    other = part_of_record(PRACTICE / "p06", 600.0, 620.0, cut.parent / "other")
+    out = ["--speed", "0", "--headless", "--out", str(replayed)]
+    assert "holds a flight that has ended" in the_error(capsys, "live", "--replay", str(other), *out)
+    assert (replayed / "journal.bin").read_bytes() == before
+    assert main(["live", "--replay", str(cut), *out, "--quiet"]) == 0
+    assert (replayed / "journal.bin").read_bytes() != before
+
+
+def test_a_record_is_never_among_the_results_of_its_replay(cut: Path, tmp_path, capsys):
+    record = part_of_record(cut, 600.0, 620.0, tmp_path / "d" / "record")
+    before = sorted(p.name for p in record.rglob("*"))
+    for out, relation in ((record, "is the input"), (record.parent, "contains the input"), (record / "o", "lies in")):
+        told = the_error(capsys, "live", "--replay", str(record), "--headless", "--out", str(out), "--force")
+        assert relation in told
+    assert sorted(p.name for p in record.rglob("*")) == before
+    assert sorted(p.name for p in record.parent.iterdir()) == ["record"]
+
+
+@pytest.mark.parametrize("name", ["live.json", "report.html", f"records/{POINT}/record.toml"])
+def test_a_result_that_is_not_the_link_s_is_refused_before_anything_is_taken(tmp_path, capsys, name):
+    link, out = of_vehicle(tmp_path), tmp_path / "o"
+    (out / name).parent.mkdir(parents=True)
+    (out / name).write_text("mine")
+    told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
+    assert f"{name} already exists and was not written by sim-heating" in told
+    assert not (out / "journal.bin").exists()
+    assert (out / name).read_text() == "mine"
+
+
+@pytest.mark.filterwarnings("default:.*replaced live.json")
+def test_results_that_cannot_be_written_at_the_end_leave_a_flight_that_is_gone_on_with(tmp_path, capsys, monkeypatch):
+    """Someone writes a file of a result's name while the flight is flown."""
+    import sim_heating.live.run as live_run
+
+    link, out, run = of_vehicle(tmp_path), tmp_path / "o", live_run.run
+
+    def disturbed(*args, **options):
+        state = run(*args, **options)
+        (out / "live.json").write_text("mine")
+        return state
+
+    with monkeypatch.context() as within:
+        within.setattr(live_run, "run", disturbed)
+        assert main(["live", str(link), "--headless", "--out", str(out)]) == 2
+    told = capsys.readouterr()
+    assert "holds the flight and is not closed" in " ".join((told.out + told.err).split())
+    assert main(["live", str(link), "--headless", "--out", str(out), "--force", "--quiet"]) == 0
+    assert read_json(out / "live.json")["counts"]["frames"] == 30
+
+
+def test_another_link_file_does_not_go_on_with_a_flight(tmp_path, capsys):
+    """Degrees Fahrenheit would be read as kelvins."""
+    sensor = f'\n[[sensor]]\nsensor = "{POINT}"\nfield = "{POINT}_K"\nunit = "{{}}"\n'
+    (tmp_path / "a").mkdir()
+    link, out = of_vehicle(tmp_path / "a", LINK + sensor.format("degF")), tmp_path / "o"
+    assert main(["live", str(link), "--headless", "--out", str(out), "--quiet"]) == 0
+    open_again(out / "journal.bin")
+    before = (out / "journal.bin").read_bytes()
+    link.write_text(LINK + sensor.format("K"))
+    told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
+    assert 'was begun with another link: `sensor 1.unit` was "degF", now "K"' in told
+    link.write_text(LINK.replace("[[source]]", '[[source]]\nkind = "jsbsim"\nport = 5501\n[[source]]'))
+    told = the_error(capsys, "live", str(link), "--headless", "--out", str(out))
+    assert "[[source]]: there were 1, now 2" in told
+    told = the_error(capsys, "live", str(link), "--to-record", str(out), "--out", str(tmp_path / "r"))
+    assert "its sources (jsbsim, json-lines) are not those of" in told
+    assert (out / "journal.bin").read_bytes() == before
+
+
+def test_damage_of_a_journal_is_told_with_the_record_that_is_made_of_it(tmp_path, capsys):
+    flight = recorded(tmp_path)
+    data = bytearray((flight / "journal.bin").read_bytes())
+    data[data.index(b'"time_s": 7.0')] ^= 1
+    (flight / "journal.bin").write_bytes(data)
+    assert main(["live", "--to-record", str(flight), "--out", str(tmp_path / "r")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "1 message of" in told
+    assert "behind message 7, are damaged and skipped" in told
+    assert len(load_record(tmp_path / "r").time_s) == 29
+
+
+def test_a_file_that_is_followed_again_brings_back_what_was_damaged(tmp_path):
+    """The file has the message still that the journal has lost; it comes behind the others, and is in the record."""
+    link, out = of_vehicle(tmp_path), tmp_path / "o"
+    assert main(["live", str(link), "--headless", "--out", str(out), "--quiet"]) == 0
+    open_again(out / "journal.bin")
+    data = bytearray((out / "journal.bin").read_bytes())
+    data[data.index(b'"time_s": 7.0')] ^= 1
+    (out / "journal.bin").write_bytes(data)
+    assert main(["live", str(link), "--headless", "--out", str(out), "--quiet"]) == 0
+    assert (out / "journal.damaged-1.bin").read_bytes() == bytes(data)
+    remarks = read_json(out / "live.json")["remarks"]
+    assert any("behind message 7, are damaged and skipped" in line for line in remarks)
+    assert any("the damaged journal is kept as" in line for line in remarks)
+    assert len(load_record(out / "records" / POINT).time_s) == 30
 
 
 def test_options_that_contradict_are_usage_errors(tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import shutil
 import socket
@@ -144,6 +145,33 @@ def test_a_token_that_is_given_is_the_one_that_readers_need(state):
 def test_a_token_that_can_be_guessed_or_does_not_fit_an_address_is_refused(token):
     with pytest.raises(InputError, match=r"^page: a token has at least 16 letters of English.*; give a longer"):
         PageServer(NOTHING, token=token)
+
+
+# Connections that ask for nothing ------------------------------------------------------------------------------------
+
+
+def test_connections_that_ask_for_nothing_are_few_and_closed_and_readers_come_after_them(state, monkeypatch):
+    monkeypatch.setattr("sim_heating.live.outputs.server.most_connections", lambda: 8)
+    monkeypatch.setattr("sim_heating.live.outputs.server.HEADERS_S", 0.5)
+    with served(NOTHING) as (server, page), contextlib.ExitStack() as held:
+        page.publish(state)
+        half = [held.enter_context(socket.create_connection(("127.0.0.1", server.port))) for _ in range(40)]
+        half[0].sendall(b"GET / HT")
+        time.sleep(0.3)
+        assert 1 <= sum(not _is_closed(one) for one in half) <= 8
+        time.sleep(0.5)
+        assert all(_is_closed(one) for one in half)
+        assert ask(f"http://127.0.0.1:{server.port}/state.json")[0] == 200
+
+
+def _is_closed(connection: socket.socket) -> bool:
+    connection.setblocking(False)
+    try:
+        return connection.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
 
 
 # Slow readers --------------------------------------------------------------------------------------------------------

@@ -54,6 +54,14 @@ PORT = 8465
 """Where the page is, unless told otherwise."""
 MOST_READERS = 64
 """Readers at one time; more are turned away."""
+MOST_CONNECTIONS = 128
+"""Connections at one time, with a page of six each for twenty browsers; more are closed at once."""
+DESCRIPTORS_KEPT = 128
+"""File descriptors that connections leave to the link, its sources and its journal."""
+BACKLOG = 16
+"""Connections that are accepted at a time: each takes a descriptor before it can be closed."""
+HEADERS_S = 5.0
+"""Time within which a connection has to send the headers of a request [s]."""
 ON_ITS_WAY = 1 << 17
 """Bytes that may be on their way to a reader: what waits in a longer line is old when it arrives."""
 LONGEST_WORD = 1024
@@ -109,6 +117,16 @@ def listening_socket(host: str, port: int) -> socket.socket:
         raise InputError(f"page: {problem}; give another --host or --port") from None
 
 
+def most_connections() -> int:
+    """Connections that the page takes: fewer where a process may have few file descriptors."""
+    try:
+        from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit
+    except ImportError:  # Windows
+        return MOST_CONNECTIONS
+    soft, _ = getrlimit(RLIMIT_NOFILE)
+    return MOST_CONNECTIONS if soft == RLIM_INFINITY else max(min(MOST_CONNECTIONS, soft - DESCRIPTORS_KEPT), 8)
+
+
 class PageServer:
     """Serves the page of a link.
 
@@ -155,11 +173,14 @@ class PageServer:
         """Listen; raises InputError where the port cannot be used."""
         import uvicorn
 
+        from sim_heating.live.outputs.connections import limited_protocol
+
         listener = listening_socket(self.host, self.port)
         self.port = listener.getsockname()[1]
         config = uvicorn.Config(
             self._guarded(self._application()), log_config=None, log_level="critical", access_log=False, lifespan="off",
             server_header=False, ws_max_size=LONGEST_WORD, ws_per_message_deflate=False, timeout_graceful_shutdown=1,
+            http=limited_protocol(most_connections(), HEADERS_S), backlog=BACKLOG,
         )  # fmt: skip
 
         class Server(uvicorn.Server):

@@ -22,7 +22,7 @@ from sim_heating.inputs.points import conditions_at_point
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
 from sim_heating.live.filtering.estimator import BRIDGED_S
 from sim_heating.live.filtering.timeline import Placed, Timeline
-from sim_heating.live.recording.journal import journal_file, read_head, read_journal
+from sim_heating.live.recording.journal import damage_of, journal_file, read_head, read_journal
 from sim_heating.live.sources import decoder_of
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.sources.mapping import FieldMapping
@@ -59,6 +59,11 @@ def samples_of(journal: str | os.PathLike[str], link: Link) -> Iterable[Sample]:
     decoders = [decoder_of(link, source) for source in link.declared.source]
     mapping = FieldMapping(link)
     for entry in read_journal(journal):
+        if entry.source >= len(decoders):
+            raise InputError(
+                f"{display_path(journal_file(journal))}: holds messages of {entry.source + 1} sources, "
+                f"{display_path(link.path)} declares {len(decoders)}; name the link that wrote it, or none"
+            )
         message = message_of(decoders[entry.source], entry.body, entry.arrived_ns * 1e-9)
         if message is None:
             continue
@@ -97,6 +102,7 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
                 found[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
                 waiting = []
         timeline.forget(timeline.newest_s - settings.lateness_s)
+    found[-1].add_all(s for s in waiting if s.time_s <= timeline.newest_s)  # late ones that no frame came behind
     return found
 
 
@@ -201,8 +207,12 @@ def to_record(
     returns : records by control point, and one line for each thing that was left out
     raises  : InputError where the journal holds no record
     """
-    link = link_of(journal, root=root) if link is None else link
+    if link is None:
+        link = link_of(journal, root=root)
+    else:
+        _check_sources(journal, link)
     longest, notes = longest_stretch(samples_of(journal, link), link)
+    notes = [*damage_of(journal), *notes]
     records = records_of(link, longest)
     for point in link.points:
         read = records[point.name].sensors if point.name in records else []
@@ -212,6 +222,22 @@ def to_record(
             notes.append(f"{point.name}: no reading of {', '.join(absent)} came; left out")
     write_records(records, out, "live", [journal_file(journal), link.path])
     return records, notes
+
+
+def _check_sources(journal: str | os.PathLike[str], link: Link) -> None:
+    """Refuse a link whose sources are not those that a journal is of; one whose header is damaged does not tell."""
+    try:
+        declared = read_head(journal).link.get("source") or []
+    except InputError:
+        return
+    kinds = [["json-lines" if k == "replay" else k for k in own] for own in (
+        [source.get("kind") for source in declared], [source.kind for source in link.declared.source],
+    )]  # fmt: skip
+    if kinds[0] != kinds[1]:
+        raise InputError(
+            f"{display_path(link.path)}: its sources ({', '.join(kinds[1])}) are not those of "
+            f"{display_path(journal_file(journal))} ({', '.join(kinds[0])}); name the link that wrote it, or none"
+        )
 
 
 def write_records(

@@ -10,14 +10,35 @@ from typing import Any
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, write_json
 from sim_heating.base.files.package import package_version
-from sim_heating.inputs.record import Record, write_record
+from sim_heating.inputs.record import DECLARATION, Record, write_record
 from sim_heating.live.engine import LinkEngine
-from sim_heating.live.recording.journal import NAME
+from sim_heating.live.recording.journal import NAME, damage_of
 from sim_heating.live.recording.to_record import RECORDS, longest_stretch, records_of, samples_of
+from sim_heating.live.spec import Link
 from sim_heating.live.state import State, plain
 
-FORMAT = "live/1"
+FORMAT, COMMAND = "live/1", "live"
 RESULT, PAGE = "live.json", "report.html"
+
+
+def inputs_of(link: Link) -> list[Path]:
+    """Files and directories that a link reads."""
+    found = [link.path, *(Path(record.directory) for record in link.records.values())]
+    if link.vehicle is not None:
+        found.append(Path(link.vehicle.directory))
+    if link.scenario is not None:
+        found += [Path(file) for file in link.scenario.files]
+    for source in link.declared.source:
+        for key in ("file", "xtce", "record"):
+            if (name := getattr(source, key, None)) is not None:
+                found.append(link.file(name, f"[[source]]: `{key}`"))
+    return found
+
+
+def expected_files(link: Link) -> list[str]:
+    """Names of the results of a link, its records among them."""
+    names = [DECLARATION, "conditions.csv", "thermocouples.csv", "ratio_table.csv"]
+    return [RESULT, PAGE, *(f"{RECORDS}/{point}/{name}" for point in link.names for name in names)]
 
 
 def summary(engine: LinkEngine, state: State, credibility: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -46,10 +67,10 @@ def write_results(engine: LinkEngine, state: State, out: str | os.PathLike[str])
     notes: list[str] = []
     records: dict[str, Record] = {}
     journal = Path(out) / NAME
-    with output_directory(out, "live", inputs=[engine.link.path]) as folder:
+    with output_directory(out, COMMAND, inputs=inputs_of(engine.link)) as folder:
         try:
             stretch, left_out = longest_stretch(samples_of(journal, engine.link), engine.link)
-            notes += left_out
+            notes += [*damage_of(journal), *left_out]
             records = records_of(engine.link, stretch)
         except InputError as error:
             notes += [f"no record: {line}" for line in error.problems]

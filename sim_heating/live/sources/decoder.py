@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from sim_heating.base.errors import InputError
-from sim_heating.live.types import Message
+from sim_heating.live.types import Message, too_long
 
 MOST_FIELDS = 10_000
 """Fields of one message; a message with more is damaged."""
@@ -24,7 +24,9 @@ class Decoder(Protocol):
 
 
 def message_of(decoder: Decoder, body: bytes, arrived_s: float) -> Message | None:
-    """The message of a body, damaged where it cannot be read; None for a body without values."""
+    """The message of a body, damaged where it cannot be read or kept; None for a body without values."""
+    if (problem := too_long(body)) is not None:
+        return Message(arrived_s, body, {}, problem)
     try:
         values = decoder.decode(body)
     except InputError as error:

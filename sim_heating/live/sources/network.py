@@ -30,6 +30,10 @@ RECEIVE_BUFFER = 1 << 22
 """Bytes of datagrams that the system keeps while the link is busy."""
 WAITING = 100_000
 """Bodies that wait for the link; later ones are dropped, and counted."""
+BACKLOG = 16
+"""Connections that are accepted at a time: each takes a file descriptor before it can be turned away."""
+MOST_CONNECTIONS = 64
+"""Connections to a source at one time; more are closed."""
 RETRY_S = 1.0
 """Time between attempts to connect [s]."""
 
@@ -162,6 +166,10 @@ async def _tcp_server(
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
+        if len(tasks) >= MOST_CONNECTIONS:
+            remark(f"{MOST_CONNECTIONS} have connected already; one more is turned away")
+            writer.transport.abort()
+            return
         tasks.add(task)
         peer = ":".join(map(str, (writer.get_extra_info("peername") or ("?",))[:2]))
         remark(f"{peer} has connected")
@@ -174,7 +182,7 @@ async def _tcp_server(
             tasks.discard(task)
             writer.close()
 
-    server = await asyncio.start_server(serve, sock=_bound(settings, socket.SOCK_STREAM))
+    server = await asyncio.start_server(serve, sock=_bound(settings, socket.SOCK_STREAM), backlog=BACKLOG)
     try:
         yield
     finally:

@@ -1,0 +1,112 @@
+"""Whether two links read the same messages in the same way: what a journal may be gone on with, or not.
+
+What is estimated, shown and predicted may differ: all of it is made again from the messages. What a field is, and what
+is followed, may not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.paths import bytes_digest, file_digest
+from sim_heating.base.files.text import abbreviated
+from sim_heating.live.spec import Link, LinkFile, Packets, Replay
+
+DECODED = ("source", "time", "conditions", "sensor")
+"""Tables of a link file that say what a message means."""
+FOLLOWED = ("vehicle", "records", "control_points")
+"""Its keys that say what is followed; the names that they lead to are compared besides."""
+NOT_OF_MESSAGES = ("host", "port", "user", "speed")
+"""Keys of a source that say where its messages come from, and not what they are."""
+
+
+def meaning(link: Link) -> dict[str, Any]:
+    """What the messages of a link mean beyond its file: sensors by control point, columns, digests of what it names."""
+    sensors = {
+        point.name: {
+            s.name: {"column": s.column, "bits": s.bits, "range_K": None if s.range_K is None else list(s.range_K)}
+            for s in point.sensors
+        }
+        for point in link.points
+    }
+    return {"columns": list(link.columns), "sensors": sensors, "files": dict(_named_files(link))}
+
+
+def _named_files(link: Link) -> Iterator[tuple[str, str]]:
+    """Digest of each file that says what the messages are: an XTCE document, a record that is sent again."""
+    for number, source in enumerate(link.declared.source, start=1):
+        place = f"[[source]] {number}"
+        if isinstance(source, Packets):
+            yield f"{place}: `xtce`", file_digest(link.file(source.xtce, f"{place}: `xtce`"))
+        if isinstance(source, Replay):
+            folders = [r.directory for r in link.records.values()]
+            if source.record is not None:
+                folders = [link.file(source.record, f"{place}: `record`")]
+            yield f"{place}: `record`", bytes_digest(b"".join(_contents(Path(folder)) for folder in folders))
+
+
+def _contents(folder: Path) -> bytes:
+    """Declaration and tables of a record."""
+    files = sorted(p for p in folder.glob("*") if p.suffix in (".csv", ".toml"))
+    return b"\0".join(f.name.encode() + b"\0" + f.read_bytes() for f in files)
+
+
+Read = tuple[Mapping[str, Any], Mapping[str, Any] | None]
+"""Contents of a link file as plain data, and its `meaning`; None of one that does not state it."""
+
+
+def differences(before: Read, now: Read) -> list[str]:
+    """What differs between what two links read, a line each; empty where they read the same."""
+    lines = list(_apart(_compared(before[0]), _compared(now[0]), ""))
+    if before[1] is not None and now[1] is not None:
+        lines += _apart(before[1], now[1], "")
+    return lines
+
+
+def _compared(contents: Mapping[str, Any]) -> dict[str, Any]:
+    """What is compared of a link file, with the defaults of what it does not state."""
+    try:
+        contents = LinkFile.model_validate(contents).model_dump(mode="json")
+    except (ValidationError, InputError, ValueError):  # of a version that had other keys: as it is written
+        contents = dict(contents)
+    found = {key: contents.get(key) for key in (*DECODED, *FOLLOWED)}
+    found["source"] = [
+        {k: v for k, v in source.items() if k not in NOT_OF_MESSAGES} for source in contents.get("source") or []
+    ]
+    named = {k: {"field": v} if isinstance(v, str) else v for k, v in (found["conditions"] or {}).items()}
+    found["conditions"] = {k: {n: x for n, x in v.items() if x is not None} for k, v in named.items()}
+    return found
+
+
+def _apart(own: Any, other: Any, place: str) -> Iterator[str]:
+    """Lines on where two plain values differ, by their keys."""
+    if isinstance(own, Mapping) and isinstance(other, Mapping):
+        for key in dict.fromkeys([*own, *other]):
+            yield from _apart(own.get(key), other.get(key), f"{place}.{key}" if place else str(key))
+    elif _is_list(own) and _is_list(other) and _has_tables(own, other):
+        if len(own) != len(other):
+            yield f"[[{place}]]: there were {len(own)}, now {len(other)}"
+        for k, (a, b) in enumerate(zip(own, other, strict=False), start=1):
+            yield from _apart(a, b, f"{place} {k}")
+    elif own != other:
+        if place.startswith("files."):
+            yield f"{place.removeprefix('files.')} names a file that was changed"
+        else:
+            yield f"`{place}` was {_shown(own)}, now {_shown(other)}"
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _has_tables(own: Sequence[Any], other: Sequence[Any]) -> bool:
+    return all(isinstance(v, Mapping) for v in (*own, *other))
+
+
+def _shown(value: Any) -> str:
+    return "absent" if value is None else abbreviated(value)
