@@ -27,6 +27,7 @@ from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
+from sim_heating.closure.search.error_prior import SmoothFlightError
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
@@ -40,12 +41,13 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_effects,
     fitted_values,
 )
-from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.table_prior.findings import table_error, table_findings
 from sim_heating.closure.table_prior.prior import table_prior
-from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.closure.told_error import told_error
+from sim_heating.estimation.fit import FitResult, estimate, fit_problem
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
-from sim_heating.estimation.problem import FitProblem
+from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.estimate_file import NAME
 from sim_heating.estimation.report.remarks import remarks
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
@@ -68,6 +70,8 @@ SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
 EXPLAINED_BY_CURVE = 0.5
 """Part of the excess chi-square that a curve may leave to be reported."""
+MOST_BARRED = 5
+"""Models that may not be named, which are listed at most."""
 REPORTED_EXCESS = 0.2
 """Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
@@ -134,15 +138,40 @@ def close_loop(
     record, of_noise = with_noise(record)
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
-    tasks: list[Callable[[], Any]] = [partial(_refitted, result), partial(_residual_after, result.before)]
-    (fitted, after), before = in_processes(tasks)
-    return ClosedLoop(result, fitted, _closure(result, fitted, (before, after), of_noise))
+    tasks: list[Callable[[], Any]] = [
+        partial(_refitted, result), partial(_residual_after, result.before), partial(_declared, result),
+    ]  # fmt: skip
+    (fitted, after), residual, before = in_processes(tasks)
+    return ClosedLoop(result, fitted, _closure(result, before, fitted, (residual, after), of_noise))
 
 
 def _refitted(result: SearchResult) -> tuple[FitResult, ResidualHeating | None]:
     """The last fit, and where a cause was found what is missing after it."""
     fitted = refit(result)
     return fitted, _residual_after(fitted) if result.explained else None
+
+
+def _declared(result: SearchResult) -> FitResult:
+    """The declared model as the last fit is compared with it: of a model with an error, with the same error free."""
+    none = result.none.last
+    return result.before if _is_exact(none) else _with_error(result.record, none)
+
+
+def _is_exact(trial: TrialFit) -> bool:
+    return trial.problem.record_fits[0].model_error is None
+
+
+def _with_error(record: Record, trial: TrialFit) -> FitResult:
+    """The whole record fitted with the model of a trial, and with the error that this has."""
+    part, options = trial.problem.record_fits[0], trial.problem.options
+    options = FitOptions(fitted_effects(trial), priors=trial.problem.priors, prior_scale=options.prior_scale)
+    error = part.model_error
+    assert error is not None  # the caller's trials have one
+    problem = FitProblem([record], part.names, trial.problem.reference, options)
+    problem.record_fits[0].sigma_K.update(part.sigma_K)
+    if isinstance(error.flight, SmoothFlightError):
+        error = replace(error, flight=replace(error.flight, flown=record))
+    return fit_problem(problem.with_model_error(error), trial.fit.values, settings=REFIT)
 
 
 def _residual_after(fitted: FitResult) -> ResidualHeating:
@@ -152,18 +181,21 @@ def _residual_after(fitted: FitResult) -> ResidualHeating:
 
 
 def refit(result: SearchResult) -> FitResult:
-    """The record fitted to convergence with what was found, with bounds; the declared model's fit where nothing was.
+    """The record fitted to convergence with the best model that may be named, whether it is the cause or not, with
+    bounds; the declared model's fit where there is none.
 
     Priors of the effects are as wide as in the search. A cause that is no effect changes the record itself: its flight,
     wall or sensors are then those found.
     """
-    best = result.conclusion.best
-    if not result.explained:
-        return result.before
+    best = result.compared
+    if best is result.none:
+        return _declared(result)
     record = result.record if best.change is None else best.change.change.apply(result.record, best.change.value)
     if best.change is not None and not best.added:
         return declared_fit(record, [*result.before.labels, *best.change.change.free] or None)
     last = best.last
+    if not _is_exact(last):
+        return _with_error(record, last)
     part = last.problem.record_fits[0]
     in_model = [] if best.change is None or not best.change.change.in_model else best.change.estimates
     return estimate(
@@ -192,16 +224,19 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
 
 def _closure(
     result: SearchResult,
+    declared: FitResult,
     fitted: FitResult,
     residuals: tuple[ResidualHeating, ResidualHeating | None],
     notes: Sequence[str] = (),
 ) -> Closure:
     """The results of a search and its refit, for the report.
 
+    declared  : the declared model, as it is compared with the last fit
     residuals : as heating, of the declared model and, where a cause was found, after the last fit
     notes     : on the record; they come first of its warnings
     """
-    before, after, (residual, residual_after) = result.before, fitted.after[0], residuals
+    before, (residual, residual_after) = result.before, residuals
+    after = declared.after[0] if result.compared is result.none else fitted.after[0]
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
@@ -212,7 +247,7 @@ def _closure(
     return Closure(
         record=result.record,
         predicted=before.before[0],
-        before=before.after[0],
+        before=declared.after[0],
         after=after,
         noise_floor_K=noise_floor_K(fitted) or float("nan"),
         reference=before.problem.reference,
@@ -225,7 +260,7 @@ def _closure(
         statement=_statement(result, fitted, [*_left_out(result), *not_effects]),
         curve=or_left_out(lambda: _curve(result), None, "curve that the residual follows"),
         faults=[] if not_effects else faults,
-        false_alarm=false_alarm_statement(),
+        false_alarm=false_alarm_statement() if _is_exact(result.none.last) else "",
         warnings=[
             *notes,
             *fitted.warnings,
@@ -261,13 +296,35 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         ),
         alternative_values=_alternative_values(result),
         experiment="flight" if result.record.has_flow else "test",
+        resembles=_resembles(result),
+        model_error=told_error(result.compared.last),
+        barred=_barred(result),
     )
 
 
+def _resembles(result: SearchResult) -> list[str]:
+    """Names of the best model that may be named, where what it is of is not stated as the cause."""
+    if result.conclusion.finding not in (PARTLY, UNKNOWN):
+        return []
+    return [_in_words(result, name) for name in result.compared.names]
+
+
+def _barred(result: SearchResult) -> list[Barred]:
+    """Models that fit better than the best that may be named, with the reason for which they may not be."""
+    best, seen = result.compared, dict[tuple[str, ...], Barred]()
+    for h in sorted(result.hypotheses, key=lambda h: h.score):
+        gain = 0.5 * (best.score - h.score)
+        if not h.admissible and np.isfinite(h.score) and gain > 0.0:
+            seen.setdefault(h.names, Barred(h.names, "; ".join(h.objections), gain))
+    return list(seen.values())[:MOST_BARRED]
+
+
 def probability_of(result: SearchResult) -> float | None:
-    """Calibrated probability that the finding of a search is right; None where it states nothing."""
-    found = result.conclusion
-    return probability(stated_of(found))
+    """Calibrated probability that the finding of a search is right; None where it states nothing.
+
+    Nor is there one for a record whose model has an error: no findings on such records have been counted yet.
+    """
+    return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) else None
 
 
 def stated_of(found: Conclusion) -> Stated:

@@ -18,6 +18,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import or_left_out
 from sim_heating.base.files import write_json
@@ -42,6 +44,7 @@ from sim_heating.closure.record_checks import DataFault
 from sim_heating.closure.statement import (
     FOUND,
     LEAST_ODDS,
+    NONE,
     ONE_OF,
     PARTLY,
     UNKNOWN,
@@ -160,12 +163,28 @@ class Closure:
     @property
     def fitted_with(self) -> str:
         """What the model after has and the one before has not: of a set, its first alone."""
-        return " + ".join(names[0] for names in self.statement.alternatives) if self.added else ""
+        named = [names[0] for names in self.statement.alternatives] if self.added else self.statement.resembles
+        return " + ".join(named)
 
     @property
     def added(self) -> bool:
         """Whether a cause was found that the model after has, and the one before has not."""
         return self.statement.finding in (FOUND, ONE_OF)
+
+    @property
+    def compared(self) -> bool:
+        """Whether errors after are of another model than those before, named as the cause or not."""
+        return self.after is not self.before
+
+    @property
+    def samples(self) -> dict[str, Any]:
+        """Readings that were fitted, held out, and left out with the reason."""
+        record, used = self.record, [i for i, s in enumerate(self.record.sensors) if s.used]
+        read, within = np.isfinite(record.temperatures_K()[used]), np.isfinite(self.before.residual_K[used])
+        masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
+        counts = {n: int(np.count_nonzero(read & within & m)) for n, m in masks.items()}
+        lost = int(np.count_nonzero(read & (masks["fit"] | masks["holdout"]))) - sum(counts.values())
+        return {**counts, "left_out": {"outside the conditions": lost} if lost else {}}
 
     @cached_property
     def credibility(self) -> Credibility:
@@ -189,7 +208,7 @@ class Closure:
 def closure_json(found: Closure) -> dict[str, Any]:
     """The contents of closure.json."""
     effects = [e.as_json() for e in found.effects]
-    several = {"effects": effects} if len(effects) > 1 else {}
+    named = [e for e in effects if e["name"] not in (NONE, UNKNOWN)]
     return {
         "format": "closure-report/2",
         "records": [str(found.record.directory)],
@@ -200,7 +219,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "noise_floor_K": finite(found.noise_floor_K),
         "reference_condition": dict(zip(RATIO_VARIABLES, map(float, found.reference), strict=True)),
         "effect": effects[0],
-        **several,
+        "effects": named,
         **found.statement.as_json(),
         "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": HEATING_NAME,
@@ -211,6 +230,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "evidence": {**found.evidence.as_json(), "proposal": found.evidence.proposal()},
         "data_faults": [{"kind": f.kind, "message": f.message} for f in found.faults],
         "false_alarm": found.false_alarm,
+        "samples": found.samples,
         "warnings": list(found.warnings),
         "remarks": [remark.model_dump() for remark in found.remarks],
         "program": f"sim-heating {package_version()}",
@@ -287,7 +307,7 @@ def closures_table(rows: Sequence[Mapping[str, Any]], pages: Sequence[str | None
 
 def _error_cell(row: Mapping[str, Any], key: str) -> float | None:
     """An error of a row; none after where nothing was added to the model."""
-    return None if key.startswith("after_") and row["finding"] not in (FOUND, ONE_OF) else row[key]
+    return None if key.startswith("after_") and row["finding"] == NONE else row[key]
 
 
 def _finding_text(row: Mapping[str, Any]) -> str:
@@ -351,7 +371,7 @@ def _adequacy_section(found: Closure) -> list[Section]:
     rows += [[f"sensor {n}", v] for n, v in adequacy.by_sensor.items()]
     rows += [[n, v] for n, v in adequacy.by_phase.items()]
     resembled = found.statement.finding == PARTLY
-    whose = f"With {found.statement.named}, which is not added to the model. " if resembled else ""
+    whose = f"With {found.statement.named}, which is not stated as the cause. " if resembled else ""
     text = (
         f"{whose}Residuals over what noise and rounding give. For the true model the reduced chi-square is 1 in every "
         f"row. The autocorrelation of neighbouring residuals is {adequacy.lag1:.2f}. The p-value, "
@@ -369,7 +389,7 @@ def _adequacy_section(found: Closure) -> list[Section]:
 
 def _errors_section(found: Closure) -> Section:
     stages = [("Declared model, nothing fitted", found.predicted), ("Declared model fitted (before)", found.before)]
-    if found.added:
+    if found.compared:
         stages.append((f"With {found.fitted_with} (after)", found.after))
     rows = []
     for label, prediction in stages:

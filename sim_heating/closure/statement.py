@@ -10,6 +10,7 @@ from typing import Any
 from sim_heating.base.parameters import AT
 from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy
 from sim_heating.closure.search.tell_apart import Experiment
+from sim_heating.closure.told_error import ToldError
 
 FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
 """The findings of a closure report."""
@@ -88,6 +89,23 @@ class NotEffect:
 
 
 @dataclass(frozen=True)
+class Barred:
+    """A model that fits better than the one that is named, and may not be named.
+
+    names  : of its causes;  reason : in words
+    delta_evidence : log evidence above that of the named one [-]
+    """
+
+    names: Sequence[str]
+    reason: str
+    delta_evidence: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        return {"names": list(self.names), "reason": self.reason, "delta_evidence": self.delta_evidence}
+
+
+@dataclass(frozen=True)
 class Statement:
     """What a closed loop states.
 
@@ -103,6 +121,9 @@ class Statement:
     alternative_values : estimates of each member of a set, or of what the residual resembles, each fitted without the
                    others: by its name in `alternatives` and theirs
     experiment   : what may be repeated: "flight", or "test" of a record without flow
+    resembles    : for "partly" and "unknown", the names in the best model that may be named: errors after are of it
+    model_error  : of the model that errors after are of; None for a record whose model is exact
+    barred       : models that fit better and may not be named
     """
 
     finding: str
@@ -115,6 +136,9 @@ class Statement:
     would_tell_apart: Sequence[Experiment] = ()
     alternative_values: Mapping[str, Mapping[str, ParameterEstimate]] = field(default_factory=dict)
     experiment: str = "flight"
+    resembles: Sequence[str] = ()
+    model_error: ToldError | None = None
+    barred: Sequence[Barred] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Its keys in closure.json."""
@@ -130,6 +154,9 @@ class Statement:
             "not_effects": [n.as_json() for n in self.not_effects],
             "converged": self.converged,
             "would_tell_apart": [e.as_json() for e in self.would_tell_apart],
+            "resembles": list(self.resembles),
+            "model_error": None if self.model_error is None else self.model_error.as_json(),
+            "barred": [b.as_json() for b in self.barred],
         }
 
     @property
@@ -191,8 +218,12 @@ class Statement:
         if self.finding == PARTLY:
             lines.append(
                 f"It explains {100.0 * min(self.explained, 1.0):.0f} % of what the declared model leaves above noise, "
-                "and is not added to the model: the error after is that before."
+                "and is not stated as the cause; the errors after are those with it."
             )
+        if self.model_error is not None:
+            lines.append(self.model_error.in_words())
+            if self.finding in (FOUND, ONE_OF, NONE):
+                lines.append("No probability is given: findings on models with an own error are not calibrated yet.")
         return " ".join(lines)
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:

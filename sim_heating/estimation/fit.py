@@ -81,6 +81,7 @@ FEWEST_SAMPLES = 3
 NOISE_ROUNDS = 4
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
+NO_ERROR = np.zeros(0)
 MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
 """Ratios tried as the start of a fit that has no table to start from."""
 
@@ -190,7 +191,9 @@ class FitResult:
 
         Source: docs/theory/estimation_statistics.md, equation 1, or 32 for a fit with process noise.
         """
-        return (self.innovations or self.problem).samples(self.fit.values)
+        if self.innovations is not None:
+            return self.innovations.samples(self.fit.values)
+        return self.problem.innovations(self.fit.values)
 
 
 def estimate(
@@ -530,10 +533,11 @@ def _fit_result(
 ) -> FitResult:
     if fit.status is Status.NO_START:
         raise RunError(f"estimate: {fit.describe()[0]}")
-    samples = (innovations or problem).samples(fit.values)
+    samples = problem.innovations(fit.values) if innovations is None else innovations.samples(fit.values)
     # errors before and after are those of the plain march, also with process noise: a filter follows the readings it is
     # compared with
-    after = tuple(predict_fit(record_fit, fit.values) for record_fit in problem.record_fits)
+    flown = zip(problem.record_fits, problem.errors(fit.values), strict=True)
+    after = tuple(predict_fit(record_fit, fit.values, u) for record_fit, u in flown)
     before = tuple(predict_record(record_fit.record) for record_fit in problem.record_fits)
     undeclared = (undeclared_effects(r.record) for r in problem.record_fits)
     notes = (
@@ -542,13 +546,19 @@ def _fit_result(
         *table_warnings(problem.record_fits),
         *fit_warnings(problem, fit, samples),
     )
-    return FitResult(problem, fit, fit_bounds(samples, fit), omitted, before, after, notes, innovations)
+    # an error of the model is in the information already, and what it leaves is white
+    inexact = any(record_fit.model_error is not None for record_fit in problem.record_fits)
+    count = sum(len(s.mean_K) for s in samples) - len(fit.values)
+    white = CramerRaoBounds(fit.covariance, fit.covariance, float(count), {})
+    bounds = white if inexact else fit_bounds(samples, fit)
+    return FitResult(problem, fit, bounds, omitted, before, after, notes, innovations)
 
 
-def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
+def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = NO_ERROR) -> Prediction:
     """The plain march of a record at a parameter vector, no measurement assimilated.
 
     record_fit : record with its start and mesh;  values : (parameter,)
+    error      : (unknown,) error of its model: that of the flight is marched, and that of the heating is left out
     returns : predicted indications [K] of all sensors at the record's times; NaN before the start of the fit and after
               the last sample that is fitted or held out
 
@@ -561,9 +571,11 @@ def predict_fit(record_fit: RecordFit, values: FloatArray) -> Prediction:
     begin = record_fit.begin_s
     # a shifted sample is read later than it was recorded
     end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
-    initial_K = record_fit.initial_K(values)
+    initial_K, known = record_fit.initial_K(values), record_fit.model_error
     profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K])
-    marched, model = marched_from(record, record_fit.model_at(values), begin, end, profile)
+    inexact = known is not None and known.flight is not None and len(error) > 0
+    flown = known.flight.record(known.along_flight(error)) if inexact else record
+    marched, model = marched_from(flown, record_fit.model_at(values), begin, end, profile)
     found = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
     return replace(found, record=record)
 

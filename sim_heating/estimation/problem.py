@@ -23,7 +23,7 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.estimation.inference.likelihood import scores
+from sim_heating.estimation.inference.model_error import ModelError, innovations, scored_readings
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
@@ -189,6 +189,16 @@ class FitProblem:
         """
         other = copy(self)
         other.record_fits = [replace(self.record_fits[0], correction_K=correction_K)]
+        other._group()
+        return other
+
+    def with_model_error(self, error: ModelError) -> FitProblem:
+        """The problem of one record with another error of its model.
+
+        error : with responses at the samples of this problem, and maybe at others
+        """
+        other = copy(self)
+        other.record_fits = [replace(self.record_fits[0], model_error=error)]
         other._group()
         return other
 
@@ -412,11 +422,12 @@ class FitProblem:
         def one(k: int) -> Evaluation:
             total = sum(record_fit.known_log_likelihood for record_fit in self.groups[k])
             gradient, information = np.zeros(m), np.zeros((m, m))
-            for s in self._samples_of_group(k, vector):
-                of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
-                total += of_channel
-                s.record_fit.add(gradient, score @ s.sensitivity)
-                s.record_fit.add(information, (s.sensitivity * weight[:, np.newaxis]).T @ s.sensitivity)
+            for record_fit, samples in self._samples_of_group(k, vector):
+                scored = scored_readings(record_fit, [s.mean_K for s in samples])
+                sensitivity = np.concatenate([s.sensitivity for s in samples])
+                total += scored.log_likelihood
+                record_fit.add(gradient, scored.score @ sensitivity)
+                record_fit.add(information, scored.information(sensitivity))
             return Evaluation(total, gradient, information)
 
         try:
@@ -449,14 +460,40 @@ class FitProblem:
         """
 
         found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
-        return [s for group in found for s in group]
+        return [s for group in found for _, samples in group for s in samples]
 
-    def _samples_of_group(self, k: int, vector: FloatArray) -> list[PredictedSamples]:
-        """All channels of a group of records."""
+    def innovations(self, vector: FloatArray) -> list[PredictedSamples]:
+        """All channels at a parameter vector, each reading predicted from those before it where the model has an error.
+
+        vector : (parameter,);  returns predicted indications [K] with their standard deviation; without an error of
+                 the model those of `samples`
+        raises : RunError where a march failed
+
+        Source: docs/theory/model_error.md, equation 6.
+        """
+        found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
+        return [s for group in found for record_fit, samples in group for s in innovations(record_fit, samples)[0]]
+
+    def errors(self, vector: FloatArray) -> list[FloatArray]:
+        """The most probable error of each record's model at a parameter vector, in standard deviations [-].
+
+        vector  : (parameter,);  returns by record, (unknown,) u, empty without an error
+        raises  : RunError where a march failed
+
+        Source: docs/theory/model_error.md, equation 3.
+        """
+        if all(record_fit.model_error is None for record_fit in self.record_fits):
+            return [np.zeros(0)] * len(self.record_fits)
+        by_record: dict[int, list[PredictedSamples]] = {}
+        for s in self.samples(vector):
+            by_record.setdefault(id(s.record_fit), []).append(s)
+        return [scored_readings(r, [s.mean_K for s in by_record[id(r)]]).error for r in self.record_fits]
+
+    def _samples_of_group(self, k: int, vector: FloatArray) -> list[tuple[RecordFit, list[PredictedSamples]]]:
+        """All channels of each record of a group."""
         return [
-            samples
+            (record_fit, self._samples_of_record(record_fit, record_fit.corrected(found, vector), vector))
             for record_fit, found in zip(self.groups[k], self._march_group(k, vector), strict=True)
-            for samples in self._samples_of_record(record_fit, record_fit.corrected(found, vector), vector)
         ]
 
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
@@ -549,11 +586,8 @@ class FitProblem:
         if marched is None:
             return np.nan
         found, values = record_fit.corrected(marched, vector), record_fit.values(vector)
-        total = record_fit.known_log_likelihood
-        for c in record_fit.channels:
-            mean, _ = indications(c, found, (), values, 0)
-            total += scores(c.intervals, mean, record_fit.sigma_K[c.number])[0]
-        return total
+        means_K = [indications(c, found, (), values, 0)[0] for c in record_fit.channels]
+        return record_fit.known_log_likelihood + scored_readings(record_fit, means_K).log_likelihood
 
     # Mesh ------------------------------------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ are evaluated again on every mesh: what a coarse one cannot resolve of a profile
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,6 +40,7 @@ from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, SENSOR, SENSOR_PREFIX, Parameter
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, reading_intervals
+from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
 from sim_heating.march.ensemble import condition_history
@@ -88,6 +90,7 @@ class RecordFit:
     known_log_likelihood : of readings that are explained without the march and are no samples, such as those of a stuck
                    thermocouple; added to that of the samples
     fixed        : values of parameters of clock and sensors that are not estimated, by dotted name
+    model_error  : error of the model that is integrated out of the likelihood; None for none
     """
 
     record: Record
@@ -106,6 +109,7 @@ class RecordFit:
     mesh_warning: str = ""
     known_log_likelihood: float = 0.0
     fixed: Mapping[str, float] = field(default_factory=dict)
+    model_error: ModelError | None = None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -140,6 +144,40 @@ class RecordFit:
     def has_ties(self) -> bool:
         """Whether two unknowns of the record are one parameter."""
         return len(set(self.index.tolist())) < len(self.index)
+
+    @cached_property
+    def error_root_K(self) -> FloatArray | None:
+        """(reading, unknown) root of the covariance that the error of the model gives the readings of all channels [K].
+
+        G of docs/theory/model_error.md, equation 1; None without an error.
+        """
+        error = self.model_error
+        if error is None:
+            return None
+        responses = [error.at(c.number, self.sample_s[c.samples]) for c in self.channels]
+        S, F = (np.concatenate([r[k] for r in responses]) for k in (0, 1))
+        return np.column_stack([error.sigma * S @ error.correlation_root, F])
+
+    @cached_property
+    def error_factor(self) -> tuple[FloatArray, float]:
+        """(unknown, unknown) lower root of 1 + G' R^-1 G [-], and minus half the logarithm of its determinant [-].
+
+        R is the noise of the readings, whatever the prediction, so that both are the same for all models of a record.
+        Source: docs/theory/model_error.md, equation 3.
+        """
+        assert self.error_root_K is not None  # asked for with an error only
+        scaled = self.error_root_K / self.reading_noise_K[:, np.newaxis]
+        root = np.linalg.cholesky(np.eye(scaled.shape[1]) + scaled.T @ scaled)
+        return root, -float(np.sum(np.log(np.diag(root))))
+
+    @cached_property
+    def reading_noise_K(self) -> FloatArray:
+        """(reading,) standard deviation of the readings of all channels, rounding included [K].
+
+        Square root of R of docs/theory/model_error.md, equation 1.
+        """
+        sizes = [math.hypot(self.sigma_K[c.number], c.sensor.lsb_K / math.sqrt(12.0)) for c in self.channels]
+        return np.repeat(sizes, [len(c.samples) for c in self.channels])
 
     @property
     def skew_span_s(self) -> float:

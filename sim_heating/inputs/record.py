@@ -92,6 +92,24 @@ class Thermocouples(FileReference):
     sensor: list[Sensor] = Field(min_length=1, description="[[thermocouples.sensor]], at least one")
 
 
+class FlightUncertainty(Declared):
+    """How far the flight may be from its conditions: one standard deviation of each error, 0 where it is not stated."""
+
+    time_shift_s: float = Field(default=0.0, ge=0.0, description="of the clock of the conditions")
+    time_stretch: float = Field(default=0.0, ge=0.0, lt=1.0, description="of the duration of the flight, relative")
+    density_relative: float = Field(default=0.0, ge=0.0, le=1.0, description="of the density, smooth in altitude")
+    density_scale_m: float = Field(default=8000.0, gt=0.0, description="distance over which that error changes")
+    velocity_relative: float = Field(default=0.0, ge=0.0, le=0.5, description="of the velocity")
+    alpha_deg: float = Field(default=0.0, ge=0.0, le=20.0, description="of the angle of attack")
+
+
+class HeatingUncertainty(Declared):
+    """A smooth relative error of the heating, which no model is without: its size and how long it lasts."""
+
+    relative: float = Field(ge=0.0, le=1.0, description="scale of its standard deviation over the heating; 0 for none")
+    correlation_s: float | None = Field(default=None, gt=0.0, description="its correlation time; 60 to 600 s without")
+
+
 class ConditionsFile(FileReference):
     """The flight conditions: a file of columns, and constants in place of columns, by their names."""
 
@@ -100,6 +118,9 @@ class ConditionsFile(FileReference):
     )
     source: str = Field(default="", description="where the flight conditions come from")
     confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
+    uncertainty: FlightUncertainty | None = Field(
+        default=None, description="[conditions.uncertainty]; by `confidence` for a measured record that has none"
+    )
     altitude_m: float | None = None
     velocity_m_s: float | None = None
     mach: float | None = None
@@ -122,7 +143,7 @@ class ConditionsFile(FileReference):
     @property
     def constants(self) -> dict[str, float]:
         """Values that hold at all times, by column, each in the unit that its name ends in."""
-        named = self.model_dump(exclude={"file", "source", "confidence"}, exclude_none=True)
+        named = self.model_dump(exclude={"file", "source", "confidence", "uncertainty"}, exclude_none=True)
         return {name: float(value) for name, value in named.items()}
 
 
@@ -212,6 +233,9 @@ class Heating(Declared):
     local_angle_deg: LocalAngle = None
     transition: RecordTransition | None = None
     catalysis: Catalysis | None = None
+    uncertainty: HeatingUncertainty | None = Field(
+        default=None, description="[heating.uncertainty]; 0.05 for a measured record that has none"
+    )
     elevon_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the elevon that turns the surface")
     bodyflap_factor: float = Field(default=0.0, ge=-1.0, le=1.0, description="part of the flap that turns the surface")
 
@@ -729,7 +753,7 @@ def _check_record(
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.
-    stated = declared.conditions.model_dump(include={"file", "source", "confidence"}, exclude_unset=True)
+    stated = declared.conditions.model_dump(include={"file", "source", "confidence", "uncertainty"}, exclude_unset=True)
     declared = declared.model_copy(
         update={"conditions": ConditionsFile(**{"file": declared.conditions.file, **stated})}
     )

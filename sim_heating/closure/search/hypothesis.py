@@ -30,6 +30,8 @@ GAIN_OVER_ADEQUATE = 30.0
 as a table whose error is not linear, give some of this gain to any effect."""
 SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
+LARGEST_ERROR = 0.15
+"""Relative error of the heating beyond which a model is no explanation of a record."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 
@@ -93,10 +95,8 @@ class Hypothesis:
     def adequacy(self) -> Adequacy:
         """Whether it explains the record to its noise."""
         trial = self.last
-        held_out = (
-            [] if trial.held_out is None or trial.held_out_chi2 == 0.0 else trial.held_out.samples(trial.fit.values)
-        )
-        return assess(trial.problem.samples(trial.fit.values), held_out)
+        held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
+        return assess(trial.fitted_samples, held_out)
 
     @property
     def adequate(self) -> bool:
@@ -242,12 +242,17 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     rival = float(min(outside) - best.score)
     barred = min((h.score for h in rated if not h.admissible and np.isfinite(h.score)), default=best.score)
     beaten = max(float(best.score - barred), 0.0)
-    if best.adequate:
+    if best.adequate and _small_error(best):
         several = any(len(slot) > 1 for slot in alternatives)
         return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
     if share >= MIN_SHARE:
         return Conclusion("partly", best, alternatives, rival, share, beaten)
     return Conclusion("unknown", best, (), rival, share, beaten)
+
+
+def _small_error(h: Hypothesis) -> bool:
+    """Whether the error of a hypothesis' model is small enough for it to be named."""
+    return h.last.size is None or h.last.size.mean <= LARGEST_ERROR
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

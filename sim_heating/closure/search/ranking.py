@@ -99,7 +99,7 @@ def model_bic(trial: TrialFit, best: TrialFit) -> float:
     held_out = trial.held_out_log_likelihood / max(1.0, best.held_out_chi2)
     # Those with the prior of the table are common to all models; a model that frees one of them has one more.
     parameters = np.count_nonzero([not is_of_table(u.parameter) for u in trial.problem.unknowns])
-    log_posterior = trial.fit.log_likelihood / c + held_out + table_log_prior(trial.fit)
+    log_posterior = trial.log_evidence / c + held_out + table_log_prior(trial.fit)
     return -2.0 * log_posterior + parameters * float(np.log(sample_count(trial.problem)))
 
 

@@ -146,7 +146,7 @@ def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
 
 def _is_adequate(trial: TrialFit) -> bool:
     """Whether a trial explains the fitted samples to their noise."""
-    return assess(trial.problem.samples(trial.fit.values)).p_value >= ADEQUATE
+    return assess(trial.fitted_samples).p_value >= ADEQUATE
 
 
 def _forms(

@@ -18,9 +18,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from sim_heating.base.parallel.processes import in_processes
 from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
@@ -63,6 +65,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     sample_count,
     start_values,
+    with_own_error,
 )
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.newton import Fit
@@ -86,6 +89,8 @@ FREED, RECORRECTED, LIBRARY_SHARE, LIKELY = 6, 4, 0.9, 0.05
 """Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
 excess that they have to explain without: with less, a curve is free to follow anything. p-value from which on a model
 with a curve ends the search."""
+JUDGED = 8
+"""Hypotheses that may be named, and others, that are judged with an error of their own."""
 CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
 """Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
 and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
@@ -102,6 +107,7 @@ class SearchResult:
     conclusion : what follows from them
     discrepancies : parts of the flight whose conditions contradict each other
     curve      : the best smooth curve against one variable, where nothing adequate was found
+    base       : the declared model as the search began with it; `none` has the error that the record says it has
     """
 
     record: Record
@@ -110,13 +116,24 @@ class SearchResult:
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     conclusion: Conclusion
-    discrepancies: Sequence[Discrepancy] = ()
-    curve: TrialFit | None = None
+    discrepancies: Sequence[Discrepancy]
+    curve: TrialFit | None
+    base: TrialFit
 
     @property
     def explained(self) -> bool:
         """Whether a cause was found, an effect or another."""
         return self.conclusion.finding in ("found", "one of")
+
+    @property
+    def compared(self) -> Hypothesis:
+        """The best model that may be named and is better than the declared one, which is that where there is none.
+
+        Errors after are of this model, whether it is named as the cause or not.
+        """
+        if self.explained or self.conclusion.finding == "none":
+            return self.conclusion.best
+        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
 
     @property
     def added(self) -> tuple[TrialFit, ...]:
@@ -173,11 +190,27 @@ def search_effects(
         if _more_is_missing(none, rated):
             found += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
             rated = _accepted(none, found)
+    none, rated = _judged(none, rated)
     conclusion, curve = conclude(none, rated), None
     if conclusion.finding in ("partly", "unknown"):
         progress(0.95, "a curve against the variable that the residual follows")
         curve = next(iter(curve_trials(base)), None)
-    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve)
+    return SearchResult(record, before, tuple(rounds), none, tuple(rated), conclusion, discrepancies, curve, base)
+
+
+def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, list[Hypothesis]]:
+    """The declared model and the leading hypotheses, each with the error of the model that the record says it has.
+
+    Until here all have one error, of middling size, and with the response about the declared model.
+    """
+    if none.last.problem.record_fits[0].model_error is None:
+        return none, list(rated)
+    leading = [h for h in rated if h.admissible][:JUDGED] + [h for h in rated if not h.admissible][:JUDGED]
+    trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
+    none, *judged = (
+        replace(h, trials=(*h.trials[:-1], trial)) for h, trial in zip((none, *leading), trials, strict=True)
+    )
+    return none, scored(none, judged)
 
 
 def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:

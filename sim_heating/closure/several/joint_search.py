@@ -85,7 +85,7 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     alone  : the search of each record by itself, two at least
     raises : RunError where a model that was fitted cannot be marched
     """
-    bases = [result.none.last for result in alone]
+    bases = [result.base for result in alone]
     declared = [(base, 0.0) for base in bases]
     none = JointHypothesis((bases[0],), by_record=tuple(bases), alone=(0.0,) * len(bases))
     progress(0.05, "causes in all records together")

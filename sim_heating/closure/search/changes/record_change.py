@@ -43,7 +43,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
 )
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.inference.likelihood import scores
+from sim_heating.estimation.inference.model_error import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit
@@ -268,17 +268,16 @@ class _ChangedModel:
         stepped, moved = self._stepped(value), samples
         if self.change.parameter is not None:
             moved = self._moved.samples(values[len(samples[0].record_fit.march_names) :])
-        total = self.problem(value).record_fits[0].known_log_likelihood
-        gradient, information = np.zeros(m), np.zeros((m, m))
+        part, by_channel = self.problem(value).record_fits[0], []
         for s, t in zip(samples, moved, strict=True):
             own = np.zeros((len(s.mean_K), m))
             own[:, s.record_fit.index] = s.sensitivity
             if self.change.parameter is not None:
                 own[:, -1] = _moved_K(s.mean_K, s.channel, t.mean_K, t.channel) / (stepped - value)
-            of_channel, score, weight = scores(s.channel.intervals, s.mean_K, s.sigma_K)
-            total, gradient = total + of_channel, gradient + score @ own
-            information += (own * weight[:, np.newaxis]).T @ own
-        return Evaluation(total, gradient, information)
+            by_channel.append(own)
+        sensitivity, scored = np.concatenate(by_channel), scored_readings(part, [s.mean_K for s in samples])
+        total = part.known_log_likelihood + scored.log_likelihood
+        return Evaluation(total, scored.score @ sensitivity, scored.information(sensitivity))
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
         """(candidate,) log likelihoods of several vectors; NaN where a march fails."""

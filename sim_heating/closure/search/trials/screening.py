@@ -25,7 +25,8 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
 )
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
-from sim_heating.estimation.inference.likelihood import likelihood, scores
+from sim_heating.estimation.inference.likelihood import likelihood
+from sim_heating.estimation.inference.model_error import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
@@ -160,14 +161,14 @@ class _KnownPart(NamedTuple):
     to_mean: FloatArray
 
 
-class _ScoreCache(dict[tuple[int, bytes], tuple[float, FloatArray, FloatArray]]):
-    """Scores of channels, each prediction scored once: at their starts, many candidates predict the same."""
+class _ScoreCache(dict[bytes, ScoredReadings]):
+    """Scores of predictions, each scored once: at their starts, many candidates predict the same."""
 
-    def score(self, s: PredictedSamples) -> tuple[float, FloatArray, FloatArray]:
-        """Log likelihood, score and weight of one channel."""
-        key = s.channel.number, s.mean_K.tobytes()
+    def score(self, channels: Sequence[PredictedSamples]) -> ScoredReadings:
+        """The likelihood of the channels of a record."""
+        key = b"".join(s.mean_K.tobytes() for s in channels)
         if key not in self:
-            self[key] = scores(s.channel.intervals, s.mean_K, s.sigma_K)
+            self[key] = scored_readings(channels[0].record_fit, [s.mean_K for s in channels])
         return self[key]
 
 
@@ -176,21 +177,19 @@ def _predicted_likelihoods(
 ) -> tuple[float, float]:
     """Log likelihood at the start, and after a Gauss-Newton step with what the base gains of its prior density."""
     channels = problem.samples(first)
-    channel_scores = [scored.score(s) for s in channels]
-    score, weight = np.concatenate([f[1] for f in channel_scores]), np.concatenate([f[2] for f in channel_scores])
+    found = scored.score(channels)
     own = np.concatenate([s.sensitivity for s in channels])
-    gradient, information = score @ own, weight @ own**2
+    gradient, information = found.score @ own, found.weight @ own**2
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
     # A parameter that starts on its bound and is pushed beyond it cannot contribute to the gain.
     on_bound = ((first <= lower) & (gradient <= 0.0)) | ((first >= upper) & (gradient >= 0.0))
     J = np.column_stack([known.sensitivity, own[:, ~on_bound & (information > 0.0)]])
-    M, g = J.T @ (J * weight[:, np.newaxis]), J.T @ score
+    M, g = found.information(J), J.T @ found.score
     count = len(known.prior_information)
     M[range(count), range(count)] += known.prior_information
     g[:count] += known.prior_information * known.to_mean
-    begin = sum(f[0] for f in channel_scores)
-    return begin, begin + predicted_gain(g, covariance(M))
+    return found.log_likelihood, found.log_likelihood + predicted_gain(g, covariance(M))
 
 
 def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n: int) -> list[int]:

@@ -20,6 +20,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
+from sim_heating.closure.search.error_prior import flight_error, heating_error_prior
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.table_prior.prior import table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import (
@@ -30,10 +31,20 @@ from sim_heating.estimation.fit import (
     predict_fit,
     rms_normalised_residual,
 )
+from sim_heating.estimation.inference.likelihood import log_likelihood
+from sim_heating.estimation.inference.model_error import (
+    ErrorSize,
+    ErrorState,
+    HeatingErrorPrior,
+    ModelError,
+    error_size,
+    innovations,
+    model_error,
+)
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
-from sim_heating.estimation.record_fit import RecordFit
+from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
@@ -61,6 +72,8 @@ QUICK = NewtonSettings(
     trust_radius=0.4,
     unlimited=OF_TABLE,
 )
+SETTLING = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=40)
+"""Settings of the fit with an error of its own."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +85,8 @@ class TrialFit:
     delta_bic : its BIC minus that of the model without it, residuals taken as noise (c = 1)
     score     : the BIC difference with c of the best model, held-out segments, forms and priors included
     posterior : its probability among all candidates of its round
+    size      : what the readings say of the size of its model's error, responses taken about its own values; None as
+                long as the error is that of the base
     """
 
     name: str
@@ -82,6 +97,15 @@ class TrialFit:
     delta_bic: float = 0.0
     score: float = 0.0
     posterior: float = 0.0
+    size: ErrorSize | None = None
+
+    @property
+    def log_evidence(self) -> float:
+        """Log likelihood of the fitted samples, the size of the model's error integrated out where it is known [-]."""
+        error = self.problem.record_fits[0].model_error
+        if self.size is None or error is None:
+            return self.fit.log_likelihood
+        return self.fit.log_likelihood + self.size.evidence - self.size.at(error)
 
     @property
     def prediction(self) -> Prediction:
@@ -89,21 +113,57 @@ class TrialFit:
         return predict_fit(self.problem.record_fits[0], self.fit.values)
 
     @cached_property
+    def _predicted(self) -> tuple[list[PredictedSamples], ErrorState | None]:
+        """The fitted samples, each predicted from those before it, and what is then known of the heating's error."""
+        part = self.problem.record_fits[0]
+        return innovations(part, self.problem.samples(self.fit.values))
+
+    @property
+    def fitted_samples(self) -> list[PredictedSamples]:
+        """The fitted samples, each predicted from those before it where the heating has an error."""
+        return self._predicted[0]
+
+    @property
+    def known_error(self) -> ErrorState | None:
+        """What the fitted samples say of the error of the model; None without one."""
+        return self._predicted[1]
+
+    @cached_property
+    def held_out_samples(self) -> list[PredictedSamples]:
+        """The samples held out, predicted from the fitted ones; none where there are none.
+
+        raises : RunError where they cannot be marched
+        """
+        if self.held_out is None:
+            return []
+        part = self.held_out.record_fits[0]
+        return innovations(part, self.held_out.samples(self.fit.values), self._predicted[1])[0]
+
+    @cached_property
     def excess_chi2(self) -> float:
         """Reduced chi-square of the fitted samples less one, noise alone giving 0."""
-        return rms_normalised_residual(self.problem.samples(self.fit.values)) ** 2 - 1.0
+        return rms_normalised_residual(self.fitted_samples) ** 2 - 1.0
 
     @cached_property
     def lag1_autocorrelation(self) -> float:
         """Mean product of neighbouring normalised residuals."""
-        return lag1_autocorrelation(self.problem.samples(self.fit.values))
+        return lag1_autocorrelation(self.fitted_samples)
 
     @cached_property
     def held_out_log_likelihood(self) -> float:
         """Log likelihood of the samples held out, at the estimates; minus infinity where they cannot be marched."""
         if self.held_out is None:
             return 0.0
-        found = self.held_out.evaluate(self.fit.values).log_likelihood
+        if self.held_out.record_fits[0].model_error is None:
+            found = self.held_out.evaluate(self.fit.values).log_likelihood
+        else:
+            try:
+                samples = self.held_out_samples
+            except RunError:
+                return -np.inf
+            known = self.held_out.record_fits[0].known_log_likelihood
+            each = (log_likelihood(s.channel.intervals, s.mean_K, s.spread_K) for s in samples)
+            found = known + sum(float(np.sum(x)) for x in each)
         return found if np.isfinite(found) else -np.inf
 
     @cached_property
@@ -111,7 +171,7 @@ class TrialFit:
         """Reduced chi-square of the samples held out; 0 where there are none, or they cannot be marched."""
         if self.held_out is None or self.held_out_log_likelihood == -np.inf:
             return 0.0
-        return rms_normalised_residual(self.held_out.samples(self.fit.values)) ** 2
+        return rms_normalised_residual(self.held_out_samples) ** 2
 
     def __repr__(self) -> str:
         return f"<TrialFit of {self.name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
@@ -167,8 +227,10 @@ def base_trial(before: FitResult) -> TrialFit:
         problem = _declared_problem(before, thin, weighed, chosen, **THINNED_STEPS)
         part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
+        part.model_error = error
         return problem
 
+    error = _model_error(thinned, start)
     problem = problem_over(fitted)
     try:
         held_out_problem = problem_over(held_out) if np.any(held_out) else None
@@ -176,7 +238,7 @@ def base_trial(before: FitResult) -> TrialFit:
         held_out_problem = None
     fit, c = maximise_together([problem], [start_values(problem, start)], QUICK)[0], 1.0
     for _ in range(CHI2_ROUNDS if priors else 0):
-        before_c, c = c, max(1.0, rms_normalised_residual(problem.samples(fit.values)) ** 2)
+        before_c, c = c, max(1.0, rms_normalised_residual(problem.innovations(fit.values)) ** 2)
         if c < CHI2_CHANGE * before_c:
             break
         weighed = problem_over(fitted, c)
@@ -186,6 +248,73 @@ def base_trial(before: FitResult) -> TrialFit:
     fit = replace(fit, prior_information=own, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
     return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
+
+
+def _model_error(problem: FitProblem, start: Mapping[str, float]) -> ModelError | None:
+    """The error of the model of a record that states one or was measured; None for any other.
+
+    problem : the declared model over all samples;  start : its values by dotted name
+    """
+    part = problem.record_fits[0]
+    prior = heating_error_prior(part.record)
+    if prior is None:
+        return None
+    try:
+        values = start_values(problem, start)
+        return model_error(part, values, prior.relative, prior.middle_s, flight_error(part.record))
+    except RunError:  # a model so wrong that it cannot be marched everywhere
+        return None
+
+
+def with_own_error(trial: TrialFit) -> TrialFit:
+    """A trial with the error of its model as large as the readings say, and with the response about its own values.
+
+    The trial as it is where its model has no error, or cannot be marched there. It is fitted on from its values; the
+    size is that of the largest probability, then and after the fit.
+    """
+    part, prior = trial.problem.record_fits[0], heating_error_prior(trial.problem.record_fits[0].record)
+    if part.model_error is None or prior is None:
+        return trial
+    record = part.record
+    either = [record.fit_mask() | record.holdout_mask()]
+    nothing = Candidate("none", (), (), {}, (), ())
+    whole = candidate_problem(trial, part, nothing, part.names, prior_scale=WIDENED, sample_masks=either)
+    try:
+        error = model_error(
+            whole.record_fits[0], trial.fit.values, part.model_error.sigma, part.model_error.correlation_s,
+            part.model_error.flight,
+        )  # fmt: skip
+    except RunError:
+        return trial
+    found = _of_error(trial, error)
+    size = _size_of_error(found, prior)
+    found = _of_error(found, error.of_size(*size.likeliest))
+    fit = maximise_together([found.problem], [trial.fit.values], SETTLING)[0]
+    if not np.isfinite(fit.log_likelihood):
+        return trial
+    gained = fit.log_likelihood - trial.fit.log_likelihood
+    found = replace(found, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
+    return replace(found, size=_size_of_error(found, prior))
+
+
+def _of_error(trial: TrialFit, error: ModelError) -> TrialFit:
+    """A trial with another error of its model."""
+    return replace(
+        trial,
+        problem=trial.problem.with_model_error(error),
+        held_out=trial.held_out and trial.held_out.with_model_error(error),
+    )
+
+
+def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
+    """What the readings say of the size of the error of a trial's model."""
+    parameters = trial.problem.parameters
+    information = np.array([p.sigma**-2.0 for p in parameters])
+    distance = np.array([p.value for p in parameters]) - trial.fit.values
+    samples = trial.problem.samples(trial.fit.values)
+    return error_size(
+        trial.problem.record_fits[0], samples, (information, distance), ~trial.fit.on_bound, prior
+    )
 
 
 def _declared_problem(
@@ -292,6 +421,7 @@ def candidate_problem(
     # a record without the readings of a broken sensor may have fewer times
     correction = np.broadcast_to(part.correction_K, (len(part.record.sensors), len(part.sample_s)))
     own.correction_K = correction[:, np.isin(part.sample_s, own.sample_s)]
+    own.model_error = part.model_error
     return problem
 
 

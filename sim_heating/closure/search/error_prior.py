@@ -1,0 +1,145 @@
+"""What the model of a record may be off before any reading: the priors of its heating's error and of its flight's.
+
+A record states both ([heating.uncertainty], [conditions.uncertainty]). A measured record that does not has defaults;
+the model of a record that was generated and states none is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.closure.search.changes.changed_flight import (
+    shift_conditions,
+    with_alpha,
+    with_density,
+    with_velocity,
+)
+from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import FlightUncertainty, Record
+
+RELATIVE = 0.05
+"""Scale of the half-normal prior of the error of the heating, for a measured record that states none [-]."""
+SHORTEST_S, LONGEST_S = 60.0, 600.0
+"""Limits of the log-uniform prior of its correlation time [s]."""
+BY_CONFIDENCE = {
+    "A": FlightUncertainty(
+        time_shift_s=0.5, time_stretch=5e-4, density_relative=0.05, velocity_relative=0.002, alpha_deg=0.25
+    ),
+    "B": FlightUncertainty(
+        time_shift_s=3.0, time_stretch=3e-3, density_relative=0.1, velocity_relative=0.005, alpha_deg=0.5
+    ),
+    "C": FlightUncertainty(
+        time_shift_s=20.0, time_stretch=0.02, density_relative=0.15, velocity_relative=0.01, alpha_deg=2.0
+    ),
+}
+"""Of a measured flight that states none, by the confidence of its conditions: A recorded on the flight (clocks set by
+hand, density by a sounding of the day), B reconstructed from the literature, and where none is stated; C a
+representative flight in place of the one flown, whose phases begin some tens of seconds earlier or later. Judged."""
+DENSITY = "density_relative"
+FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
+"""Columns that the error of a flight acts through.
+
+Angles, Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a
+derivative along the flight's error could not say it.
+"""
+
+
+def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
+    """The prior of the error of a record's heating; None where its model is exact."""
+    stated = record.declared.heating.uncertainty
+    if stated is None:
+        return HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S) if record.declared.measured else None
+    if stated.relative == 0.0:
+        return None
+    limits = (SHORTEST_S, LONGEST_S) if stated.correlation_s is None else (stated.correlation_s, stated.correlation_s)
+    return HeatingErrorPrior(stated.relative, *limits)
+
+
+def flight_error(record: Record) -> SmoothFlightError | None:
+    """The error of a record's flight; None for a test without flow, and where the flight is exact."""
+    stated = record.declared.conditions.uncertainty
+    if stated is None and record.declared.measured:
+        stated = BY_CONFIDENCE.get(record.declared.conditions.confidence[:1], BY_CONFIDENCE["B"])
+    if stated is None or not record.has_flow:
+        return None
+    z, scale = record.conditions["altitude_m"], stated.density_scale_m
+    error = SmoothFlightError(record, stated, np.arange(z.min(), z.max() + scale, scale))
+    return error if error.directions else None
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothFlightError:
+    """Error of a flight in time, velocity, angle of attack, and density along the altitude.
+
+    flown       : the record as stated
+    uncertainty : one standard deviation of each; the logarithm of the density is a first-order Gauss-Markov process
+                  along the altitude
+    altitudes_m : (knot,) that it is linear between [m]
+    """
+
+    flown: Record
+    uncertainty: FlightUncertainty
+    altitudes_m: FloatArray
+
+    @cached_property
+    def directions(self) -> Sequence[tuple[str, float]]:
+        """(direction,) what differs, as in a closure report, and its standard deviation in its unit."""
+        u = self.uncertainty
+        single = [
+            ("time_shift_s", u.time_shift_s), ("time_stretch", u.time_stretch),
+            ("velocity_relative", u.velocity_relative), ("alpha_bias_deg", u.alpha_deg),
+        ]  # fmt: skip
+        density = [(DENSITY, u.density_relative)] * len(self.altitudes_m)
+        return [(name, sigma) for name, sigma in (*single, *density) if sigma > 0.0]
+
+    @cached_property
+    def _density_root(self) -> FloatArray:
+        """(knot, knot) lower root of the correlation of the density's error [-]."""
+        apart = np.abs(self.altitudes_m[:, np.newaxis] - self.altitudes_m)
+        return np.asarray(np.linalg.cholesky(np.exp(-apart / self.uncertainty.density_scale_m)))
+
+    @cached_property
+    def rows(self) -> dict[str, tuple[FloatArray, float]]:
+        """By name, the (value, direction) matrix from standard deviations to values, and the prior's own.
+
+        One value of each but the density, whose relative error has one at each knot.
+        """
+        names, count = [name for name, _ in self.directions], len(self.directions)
+        found = {n: (s * np.eye(count)[[i]], s) for i, (n, s) in enumerate(self.directions)}
+        of_density = [i for i, n in enumerate(names) if n == DENSITY]
+        if of_density:
+            rows = np.zeros((len(of_density), count))
+            rows[:, of_density] = self.uncertainty.density_relative * self._density_root
+            found[DENSITY] = rows, self.uncertainty.density_relative
+        return found
+
+    def record(self, f: FloatArray) -> Record:
+        """The record with the reference heating and the surface pressure of the flight that differs.
+
+        f : (direction,) by how many standard deviations [-]
+        """
+        flown, by = self.flown, {n: row @ f for n, (row, _) in self.rows.items()}
+        t, z = flown.conditions.time_s, flown.conditions["altitude_m"]
+        other = flown
+        if DENSITY in by:
+            other = with_density(other, np.exp(np.interp(z, self.altitudes_m, by[DENSITY])))
+        if "velocity_relative" in by:
+            other = with_velocity(other, 1.0 + float(by["velocity_relative"][0]))
+        if "alpha_bias_deg" in by:
+            other = with_alpha(other, float(by["alpha_bias_deg"][0]))
+        later_s = sum(float(by[n][0]) * x for n, x in (("time_shift_s", 1.0), ("time_stretch", t - t[0])) if n in by)
+        other = shift_conditions(other, later_s)
+        heated = conditions_of_record(other)
+        columns = {n: heated[n] for n in FROM_FLIGHT if n in heated}
+        stated = flown.declared.heating
+        # the recovery of the point may follow from its reference heating
+        recovery = stated.recovery if stated.reference == "columns" else stated.recovery_of_point.kind
+        heating = stated.model_copy(update={"reference": "columns", "recovery": recovery})
+        declared = flown.declared.model_copy(update={"heating": heating})
+        return replace(flown, declared=declared, conditions=flown.conditions.with_columns(**columns))

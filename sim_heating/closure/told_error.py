@@ -1,0 +1,95 @@
+"""What a closed loop tells of the error of its model, and of the samples that it used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.closure.search.error_prior import SmoothFlightError
+from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.estimation.inference.model_error import ModelError
+
+PHASES = 8
+"""Consecutive parts of a record whose error is compared."""
+TOLD_APART = 0.5
+"""Part of its prior's standard deviation below which an error of the flight is told by itself."""
+
+
+@dataclass(frozen=True)
+class ToldError:
+    """The error of the model of a record, as the readings show it with one model.
+
+    relative, limit_95 : size of the smooth error of the heating, its mean and the limit that it is below with 95 % [-]
+    correlation_s : its likeliest correlation time [s]
+    rms_K         : what it does to the fitted readings [K]
+    largest_phase : part of the record where it does most
+    flight        : by name, value and standard deviation of an error of the flight, in its unit; None where the record
+                    does not tell it apart
+    """
+
+    relative: float
+    limit_95: float
+    correlation_s: float
+    rms_K: float
+    largest_phase: str
+    flight: Mapping[str, tuple[float, float] | None]
+
+    def as_json(self) -> dict[str, Any]:
+        """Its entry in closure.json."""
+        parts = {n: None if p is None else {"value": p[0], "sigma": p[1]} for n, p in self.flight.items()}
+        return {
+            "relative_heating": {"value": self.relative, "limit_95": self.limit_95},
+            "correlation_s": self.correlation_s,
+            "rms_K": self.rms_K,
+            "largest_phase": self.largest_phase,
+            "flight": parts,
+        }
+
+    def in_words(self) -> str:
+        """The size of the error, and what is known of the flight's, in a sentence or two."""
+        mean, limit = (f"{100.0 * x:.2g} %" for x in (self.relative, self.limit_95))
+        words = (
+            f"The model's own error is {mean} of the heating (below {limit} with a probability of 95 %), over some "
+            f"{self.correlation_s:.0f} s: {self.rms_K:.1f} K, most from {self.largest_phase}."
+        )
+        known = [f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in self.flight.items() if p is not None]
+        return f"{words} Of the flight: {', '.join(known)}." if known else words
+
+
+def told_error(trial: TrialFit) -> ToldError | None:
+    """The error of a trial's model; None for a model without one."""
+    part, size = trial.problem.record_fits[0], trial.size
+    error, G = part.model_error, part.error_root_K
+    if error is None or size is None or G is None:
+        return None
+    u = trial.problem.errors(trial.fit.values)[0]
+    moved_K = G[:, : len(error.time_s)] @ u[: len(error.time_s)]
+    at_s = np.concatenate([part.sample_s[c.samples] for c in part.channels])
+    order = np.argsort(at_s, kind="stable")
+    phases = [index for index in np.array_split(order, PHASES) if len(index)]
+    largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
+    return ToldError(
+        size.mean, size.limit(), size.likeliest[1], float(np.sqrt(np.mean(moved_K**2))),
+        f"{at_s[largest[0]]:.0f} to {at_s[largest[-1]]:.0f} s", _flight(trial, error, u),
+    )  # fmt: skip
+
+
+def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tuple[float, float] | None]:
+    """Value and standard deviation of each error of the flight; None where the record does not tell it apart."""
+    flight, state = error.flight, trial.known_error
+    if not isinstance(flight, SmoothFlightError) or state is None:
+        return {}
+    first = len(error.time_s)
+    covariance = state.covariance[first:, first:]
+    found: dict[str, tuple[float, float] | None] = {}
+    for name, (row, prior) in flight.rows.items():
+        sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
+        value = row @ u[first:]
+        told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
+        found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
+    return found
+
