@@ -30,9 +30,9 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.closure.prior.table import undeclared_derivatives
 from sim_heating.closure.revise.errors import errors_before_and_after, held_fits
 from sim_heating.closure.revise.update import TableUpdate, prepare_update
-from sim_heating.closure.table_prior.prior import undeclared_derivatives
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.record_fit import StartMaker
 from sim_heating.estimation.report.estimate_file import NAME, write_estimate

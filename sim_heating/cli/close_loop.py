@@ -157,7 +157,8 @@ def _print_details(report: Closure) -> None:
         print_warning(remark.in_words)
     for line in further_warnings(report.warnings, report.remarks):
         print_warning(line)
-    CONSOLE.print(f"Calibration: {report.false_alarm}")
+    if report.false_alarm:
+        CONSOLE.print(f"Calibration: {report.false_alarm}")
 
 
 def _bound(name: str, parameter: ParameterEstimate) -> str:

@@ -22,17 +22,20 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
 from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
 from sim_heating.closure.curves import curve_of
+from sim_heating.closure.prior.findings import table_error, table_findings
+from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.prior.table import table_prior
 from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault, with_noise
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
-from sim_heating.closure.search.error_prior import SmoothFlightError
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.tell_apart import tell_apart
+from sim_heating.closure.search.trials.told_error import told_error
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -42,9 +45,6 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
 )
 from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
-from sim_heating.closure.table_prior.findings import table_error, table_findings
-from sim_heating.closure.table_prior.prior import table_prior
-from sim_heating.closure.told_error import told_error
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.problem import FitOptions, FitProblem

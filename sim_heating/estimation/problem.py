@@ -23,7 +23,8 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.parallel.threads import in_threads
 from sim_heating.base.parameters import AT, CLOCK_SKEW, EFFECT_PREFIX, Parameter
-from sim_heating.estimation.inference.model_error import ModelError, innovations, scored_readings
+from sim_heating.estimation.inference.error_likelihood import innovations, scored_readings
+from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
@@ -195,7 +196,9 @@ class FitProblem:
     def with_model_error(self, error: ModelError) -> FitProblem:
         """The problem of one record with another error of its model.
 
-        error : with responses at the samples of this problem, and maybe at others
+        error : with responses [K] at the samples of this problem, and maybe at others
+
+        Source: docs/theory/model_error.md, equation 1.
         """
         other = copy(self)
         other.record_fits = [replace(self.record_fits[0], model_error=error)]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.search.admissibility import far_from_declared, objections
-from sim_heating.closure.search.changes.flight_changes import shift_conditions, time_shift
+from sim_heating.closure.search.changes.flight_changes import time_shift
 from sim_heating.closure.search.changes.record_change import fit_changes
 from sim_heating.closure.search.hypothesis import change_hypothesis, conclude, hypothesis, scored
 from sim_heating.closure.search.ranking import MAX_SCATTER, scatter_price

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.closure.prior.findings import table_error, table_findings
+from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
+from sim_heating.closure.prior.table import DEFAULT_SIGMA, _of_default_sigma, table_prior, undeclared_derivatives
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.search import search_effects
 from sim_heating.closure.search.trials.trial_fit import (
@@ -17,9 +20,6 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
     table_log_prior,
 )
-from sim_heating.closure.table_prior.findings import table_error, table_findings
-from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
-from sim_heating.closure.table_prior.prior import DEFAULT_SIGMA, _of_default_sigma, table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import estimate
 from sim_heating.estimation.problem import joint_reference
 from sim_heating.estimation.report.remarks import remarks

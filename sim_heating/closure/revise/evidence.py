@@ -7,7 +7,7 @@ multiplied by the same relative change; where the transition of the fit is by a 
 laminar table by the laminar part 1 - G of the heating and the turbulent one by the turbulent part G.
 
 The parameters of the linear model by a table with nodes n are P (W n - r_declared), the projection of
-closure/table_prior/flown_path.py: so an estimate and a table are compared parameter by parameter.
+closure/prior/flown_path.py: so an estimate and a table are compared parameter by parameter.
 
 A parameter that the table cannot represent (the derivative against a variable with one node) and one that is not of the
 ratio are marginalised: their rows and columns of C are left out.
@@ -25,15 +25,15 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO, SECOND_ORDER
-from sim_heating.closure.revise.flown_ratio import FlownRatio, shape_sigma
-from sim_heating.closure.revise.table_effects import added_ratio, derivatives, is_of_table, label
-from sim_heating.closure.table_prior.flown_path import (
+from sim_heating.closure.prior.flown_path import (
     FlownPath,
     marched_path,
     projection,
     record_path,
     turbulent_over_laminar,
 )
+from sim_heating.closure.revise.flown_ratio import FlownRatio, shape_sigma
+from sim_heating.closure.revise.table_effects import added_ratio, derivatives, is_of_table, label
 from sim_heating.estimation.report.estimate_file import Estimate
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.transition import TRANSITION

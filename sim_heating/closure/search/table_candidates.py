@@ -8,9 +8,9 @@ not taken for an effect, and what an effect explains better is not taken for a w
 from __future__ import annotations
 
 from sim_heating.base.parameters import MODEL
+from sim_heating.closure.prior.table import undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, is_of_table
-from sim_heating.closure.table_prior.prior import undeclared_derivatives
 from sim_heating.estimation.inference.observability import constant_variables, default_names
 
 TABLE = "table"

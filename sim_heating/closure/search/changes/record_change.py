@@ -43,7 +43,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
 )
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.inference.model_error import scored_readings
+from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import FittedChannel, RecordFit

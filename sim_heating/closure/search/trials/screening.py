@@ -24,9 +24,9 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
+from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.model_error import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples

@@ -20,9 +20,9 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
-from sim_heating.closure.search.error_prior import flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
+from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.table_prior.prior import table_prior, undeclared_derivatives
 from sim_heating.estimation.fit import (
     FitResult,
     declared_model,
@@ -31,16 +31,9 @@ from sim_heating.estimation.fit import (
     predict_fit,
     rms_normalised_residual,
 )
+from sim_heating.estimation.inference.error_likelihood import ErrorState, error_size, innovations, model_error
 from sim_heating.estimation.inference.likelihood import log_likelihood
-from sim_heating.estimation.inference.model_error import (
-    ErrorSize,
-    ErrorState,
-    HeatingErrorPrior,
-    ModelError,
-    error_size,
-    innovations,
-    model_error,
-)
+from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem

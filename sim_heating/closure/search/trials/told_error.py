@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.error_prior import SmoothFlightError
+from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.estimation.inference.model_error import ModelError
 

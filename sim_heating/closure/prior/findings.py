@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import MODEL
-from sim_heating.closure.table_prior.prior import TablePrior
+from sim_heating.closure.prior.table import TablePrior
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.observability import variables_of
 

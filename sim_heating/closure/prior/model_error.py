@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.changes.changed_flight import (
+from sim_heating.closure.prior.changed_flight import (
     shift_conditions,
     with_alpha,
     with_density,

@@ -21,7 +21,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import MODEL, Parameter
-from sim_heating.closure.table_prior.flown_path import FlownPath, projection, record_path
+from sim_heating.closure.prior.flown_path import FlownPath, projection, record_path
 from sim_heating.estimation.inference.observability import variables_of
 from sim_heating.heating.ratio.table import SMALLEST_SIGMA, RatioTable
 from sim_heating.heating.ratio.uncertainty import correlation, node_weights, prior_covariance

@@ -1,1 +1,0 @@
-"""What a declared heating-ratio table says of the parameters of the linear model along a flown path."""

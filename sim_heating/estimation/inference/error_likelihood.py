@@ -1,0 +1,257 @@
+"""Likelihood, innovations and size of the error of a record's model: the algebra of inference/model_error.py."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+from sim_heating.base.kernels.block import LANES
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
+from sim_heating.estimation.inference.model_error import ErrorSize, FlightError, HeatingErrorPrior, ModelError
+from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.linearised import LinearMarch
+
+SPACING_S, MOST_KNOTS = 20.0, 100
+"""Least distance of knots [s], a third of the shortest correlation time, and their largest number."""
+STEP = 0.02
+"""Relative change of the heating for the derivative of the readings [-]."""
+SETTLED, MOST_STEPS = 0.01, 12
+"""Change of u at which the inner iteration has converged [-], and its most steps."""
+TOGETHER = 64
+"""Readings that the filter takes at a time."""
+
+
+def model_error(
+    record_fit: RecordFit, values: FloatArray, sigma: float, correlation_s: float, flight: FlightError | None = None
+) -> ModelError:
+    """The error of a record's model with the response of its readings, about the values of a fit.
+
+    record_fit : a record of a fit, with all samples that are ever asked for
+    values     : (parameter,) of the model
+    sigma, correlation_s : of the heating's error, s [-] and tau [s]
+    flight     : the error of the flight
+    raises     : RunError where the model cannot be marched
+
+    Responses are differences of marches: with the heating, by the flow and by lamps, scaled about one knot after the
+    other, and along the flights that differ. Source: docs/theory/model_error.md, equation 2.
+    """
+    time_s = record_fit.time_s
+    flown = record_fit.conditions.at(time_s)
+    first, last = record_fit.begin_s, float(record_fit.sample_s[-1])
+    count = min(max(math.ceil((last - first) / SPACING_S) + 1, 2), MOST_KNOTS)
+    knots = np.linspace(first, last, count)
+    heating = {n: flown[n] for n in ("h_ref_kg_m2_s", "q_add_W_m2") if n in flown}
+    scales = (1.0 + STEP * np.interp(time_s, knots, hat) for hat in np.eye(count))
+    others = [] if flight is None else [flight.record(f) for f in np.eye(len(flight.directions))]
+    histories = [
+        flown,
+        *(flown.with_columns(**{n: scale * q for n, q in heating.items()}) for scale in scales),
+        *(conditions_of_record(other).at(time_s) for other in others),
+    ]
+    T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
+    moved = np.moveaxis(T[1:] - T[0], 0, -1)
+    return ModelError(
+        knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s
+    )
+
+
+def _marched_K(record_fit: RecordFit, values: FloatArray, histories: Sequence[FloatArray]) -> FloatArray:
+    """(history, sensor, sample) temperatures of the thermocouples along several histories [K]."""
+    track, shift, found = record_fit.track(values, sensitive=False), record_fit.shift_s(values), []
+    for begin in range(0, len(histories), LANES):
+        lanes = histories[begin : begin + LANES]
+        tracks = [replace(track, flight=k) for k in range(len(lanes))]
+        marched = LinearMarch(tracks, record_fit.time_s, np.stack(lanes)).march([shift] * len(lanes))
+        found += [record_fit.sensed(m, values).temperature_K for m in marched]
+    return np.array(found)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredReadings:
+    """The likelihood of the readings of one record at some predictions, the error of the model integrated out.
+
+    log_likelihood : [-];  score : (reading,) [1/K];  weight : (reading,) information W of the readings [1/K2]
+    root           : (reading, unknown) G of the error [K], and the (unknown, unknown) lower root of 1 + G' R^-1 G; None
+                     without an error
+    error          : (unknown,) the most probable u [-]; empty without an error
+    """
+
+    log_likelihood: float
+    score: FloatArray
+    weight: FloatArray
+    root: tuple[FloatArray, FloatArray] | None = None
+    error: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def information(self, sensitivity: FloatArray) -> FloatArray:
+        """(parameter, parameter) information by the (reading, parameter) sensitivities [K over the unit].
+
+        Source: docs/theory/model_error.md, equation 4.
+        """
+        weighed = sensitivity * self.weight[:, np.newaxis]
+        whole = weighed.T @ sensitivity
+        if self.root is None:
+            return whole
+        G, lower = self.root
+        lost = solve_triangular(lower, G.T @ weighed, lower=True)
+        return np.asarray(whole - lost.T @ lost)
+
+
+def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> ScoredReadings:
+    """Log likelihood of the readings of a record, its score and information.
+
+    means_K : by channel of the record, (reading,) predictions without an error [K]
+
+    One step finds the most probable error of readings that are not rounded; the others take some more. Source:
+    docs/theory/model_error.md, equations 3 and 4; without an error docs/theory/estimation_statistics.md, equations 3 to
+    6.
+    """
+    G = record_fit.error_root_K
+    if G is None:
+        return ScoredReadings(*_scored(record_fit, means_K))
+    ends = np.cumsum([len(m) for m in means_K])[:-1]
+
+    def at(u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        total, score, weight = _scored(
+            record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)]
+        )
+        return total - 0.5 * float(u @ u), score, weight
+
+    lower, volume = record_fit.error_factor
+    u = np.zeros(G.shape[1])
+    total, score, weight = at(u)
+    for _ in range(MOST_STEPS if np.isfinite(total) else 0):
+        step = cho_solve((lower, True), G.T @ score - u)
+        there = at(u + step)
+        # the sum is concave in u: a shorter step raises it
+        while there[0] < total - SETTLED and np.max(np.abs(step)) > SETTLED:
+            step = 0.5 * step
+            there = at(u + step)
+        u, (total, score, weight) = u + step, there
+        if np.max(np.abs(step)) < SETTLED:
+            break
+    return ScoredReadings(total + volume, score, weight, (G, lower), u)
+
+
+def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
+    """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels."""
+    pairs = zip(record_fit.channels, means_K, strict=True)
+    found = [scores(c.intervals, m, record_fit.sigma_K[c.number]) for c, m in pairs]
+    return sum(s[0] for s in found), *(np.concatenate([s[k] for s in found]) for k in (1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorState:
+    """What is known of u after some readings: mean (unknown,) and covariance (unknown, unknown) [-]."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def innovations(
+    record_fit: RecordFit, samples: Sequence[PredictedSamples], state: ErrorState | None = None
+) -> tuple[list[PredictedSamples], ErrorState | None]:
+    """Predictions of the readings of one record, each from those before it, and what is then known of its error.
+
+    record_fit : the record with its error;  samples : its channels, predicted without an error
+    state      : from readings before; None for the prior
+    returns    : channels with the mean and the standard deviation that the readings before give [K]; as they are
+                 without an error
+
+    A rounded reading counts as one with the noise of its rounding. Source: docs/theory/model_error.md, equation 6.
+    """
+    G, noise = record_fit.error_root_K, record_fit.reading_noise_K
+    if G is None:
+        return list(samples), None
+    mean_K = np.concatenate([s.mean_K for s in samples])
+    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
+    n = G.shape[1]
+    u, P = (np.zeros(n), np.eye(n)) if state is None else (state.mean, state.covariance)
+    predicted, variance = np.empty(len(read)), np.empty(len(read))
+    order = np.argsort(time_s, kind="stable")
+    for group in np.array_split(order, max(len(order) // TOGETHER, 1)):
+        known = group[np.isfinite(read[group])]
+        lost = group[~np.isfinite(read[group])]  # a reading at the end of a word's span says little
+        predicted[lost] = mean_K[lost] + G[lost] @ u
+        variance[lost] = np.einsum("ij,jk,ik->i", G[lost], P, G[lost])
+        if len(known) == 0:
+            continue
+        # the root of the readings' covariance, in the order of time, has what those before leave of each
+        across = P @ G[known].T
+        lower = np.linalg.cholesky(G[known] @ across + np.diag(noise[known] ** 2))
+        white = solve_triangular(lower, read[known] - mean_K[known] - G[known] @ u, lower=True)
+        left = np.diag(lower)
+        predicted[known], variance[known] = read[known] - white * left, left**2 - noise[known] ** 2
+        gain = solve_triangular(lower, across.T, lower=True)
+        u, P = u + gain.T @ white, P - gain.T @ gain
+    sigma = np.sqrt(np.maximum(variance, 0.0))
+    ends = np.cumsum([len(s.mean_K) for s in samples])[:-1]
+    channels = [
+        replace(s, mean_K=m, predicted_sigma_K=d)
+        for s, m, d in zip(samples, np.split(predicted, ends), np.split(sigma, ends), strict=True)
+    ]
+    return channels, ErrorState(u, P)
+
+
+def _middle_K(intervals: ReadingIntervals) -> FloatArray:
+    """(reading,) middles of the intervals [K]; not finite where a reading is lost or at an end of a word's span."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(0.5 * (intervals.lower_K + intervals.upper_K))
+
+
+def error_size(
+    record_fit: RecordFit,
+    samples: Sequence[PredictedSamples],
+    towards_prior: tuple[FloatArray, FloatArray],
+    free: BoolArray,
+    prior: HeatingErrorPrior,
+) -> ErrorSize:
+    """What the readings say of the size of the heating's error, about a fitted model.
+
+    record_fit    : the record with its error;  samples : its channels at the values of the fit, with sensitivities
+    towards_prior : (parameter,) prior information of the parameters, and the distance of the means of their priors
+    free          : (parameter,) whether a parameter may move from its value
+    prior         : of the size
+
+    The model is linear in its parameters here, and a rounded reading counts as one with the noise of its rounding. With
+    s_k, U_k the singular values and left vectors of R^-1/2 S L / s, the covariance that the heating's error gives is
+    1 + s^2 U diag(s_k^2) U'; that of the flight is integrated out with the parameters. Source:
+    docs/theory/model_error.md, equation 5.
+    """
+    error = record_fit.model_error
+    assert error is not None  # the caller's records have one
+    noise = record_fit.reading_noise_K
+    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    mean_K = np.concatenate([s.mean_K for s in samples])
+    responses = [error.at(c.number, record_fit.sample_s[c.samples]) for c in record_fit.channels]
+    S, F = (np.concatenate([r[k] for r in responses]) for k in (0, 1))
+    sensitivity = np.concatenate([s.sensitivity for s in samples])[:, free]
+    known = np.isfinite(read)
+    scale = noise[known, np.newaxis]
+    r, S = (read - mean_K)[known] / noise[known], S[known] / scale
+    J = np.column_stack([F[known], sensitivity[known]]) / scale
+    flight = F.shape[1]
+    information = np.append(np.ones(flight), towards_prior[0][free])
+    distance = np.append(np.zeros(flight), towards_prior[1][free])
+    sizes, times_s, weights = prior.grid()
+    found = np.empty(weights.shape)
+    for i, tau in enumerate(times_s):
+        U, singular, _ = np.linalg.svd(S @ error.of_size(1.0, tau).correlation_root, full_matrices=False)
+        Ur, UJ = U.T @ r, U.T @ J
+        for k, size in enumerate(sizes):
+            variance = (size * singular) ** 2
+            taken = variance / (1.0 + variance)
+            M = J.T @ J - (UJ * taken[:, np.newaxis]).T @ UJ + np.diag(information)
+            g = J.T @ r - UJ.T @ (taken * Ur) + information * distance
+            square = float(r @ r - Ur @ (taken * Ur)) + float(information @ distance**2)
+            step = np.linalg.lstsq(M, g, rcond=None)[0]
+            volume = float(np.sum(np.log1p(variance))) + float(np.linalg.slogdet(M[:flight, :flight])[1])
+            found[i, k] = -0.5 * (square - float(g @ step) + volume)
+    return ErrorSize(sizes, times_s, found, weights)

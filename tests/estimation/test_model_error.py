@@ -1,0 +1,130 @@
+"""Error of the model, integrated out of the likelihood: against dense algebra, and on readings made with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from sim_heating.estimation.inference.error_likelihood import error_size, innovations, model_error
+from sim_heating.estimation.inference.likelihood import log_likelihood
+from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.inputs.record import load_record
+from tests.support.paths import ROOT
+
+SIGMA, CORRELATION_S = 0.05, 150.0
+REFERENCE = (40.0, 0.0, 6.3, 0.0, 0.0)
+
+
+def unrounded(record):
+    """The record with sensors that state no recorder word, so that Laplace's approximation is exact."""
+    sensors = [s.model_copy(update={"bits": None, "range_K": None}) for s in record.declared.thermocouples.sensor]
+    thermocouples = record.declared.thermocouples.model_copy(update={"sensor": sensors})
+    return replace(record, declared=record.declared.model_copy(update={"thermocouples": thermocouples}))
+
+
+@pytest.fixture(scope="module")
+def problem():
+    record = unrounded(load_record(ROOT / "scenarios" / "records" / "practice" / "p06"))
+    plain = FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE)
+    error = model_error(plain.record_fits[0], np.zeros(2), SIGMA, CORRELATION_S)
+    return plain.with_model_error(error)
+
+
+AT = np.array([0.03, 1e-4])
+
+
+def dense(problem, vector):
+    """Residuals [K] in the order of the channels, and their covariance [K2]."""
+    part, samples = problem.record_fits[0], problem.samples(vector)
+    read = np.concatenate([0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) for s in samples])
+    G = part.error_root_K
+    return read - np.concatenate([s.mean_K for s in samples]), G @ G.T + np.diag(part.reading_noise_K**2)
+
+
+def test_the_likelihood_is_that_of_the_dense_covariance(problem):
+    residual, covariance = dense(problem, AT)
+    expected = multivariate_normal(np.zeros(len(residual)), covariance).logpdf(residual)
+    assert problem.evaluate(AT).log_likelihood == pytest.approx(expected, rel=1e-9)
+    assert problem.log_likelihoods(AT[np.newaxis])[0] == pytest.approx(expected, abs=1e-3)
+
+
+def test_gradient_and_information_are_those_of_the_dense_covariance(problem):
+    residual, covariance = dense(problem, AT)
+    J = np.concatenate([s.sensitivity for s in problem.samples(AT)])
+    found = problem.evaluate(AT)
+    np.testing.assert_allclose(found.gradient, J.T @ np.linalg.solve(covariance, residual), rtol=1e-6)
+    np.testing.assert_allclose(found.information, J.T @ np.linalg.solve(covariance, J), rtol=1e-6)
+
+
+def test_innovations_have_the_same_likelihood_together(problem):
+    samples = problem.innovations(AT)
+    each = [np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K)) for s in samples]
+    assert sum(each) == pytest.approx(problem.evaluate(AT).log_likelihood, rel=1e-9)
+
+
+def test_readings_held_out_are_predicted_as_by_the_conditional_normal(problem):
+    record = problem.record_fits[0].record
+    early = record.fit_mask() & (record.time_s < np.median(record.time_s[record.fit_mask()]))
+    parts = []
+    for mask in (early, record.fit_mask() & ~early):
+        half = FitProblem(
+            [record], ["ratio.scale", "ratio.d_alpha"], REFERENCE, replace(problem.options, sample_masks=[mask])
+        )
+        parts.append(half.with_model_error(problem.record_fits[0].model_error))
+    first, second = parts
+    _, state = innovations(first.record_fits[0], first.samples(AT))
+    predicted = innovations(second.record_fits[0], second.samples(AT), state)[0]
+    each = sum(float(np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K))) for s in predicted)
+    joint = problem.evaluate(AT).log_likelihood - first.evaluate(AT).log_likelihood
+    assert each == pytest.approx(joint, abs=0.02)  # marches of two halves divide their steps each by themselves
+
+
+def test_without_an_error_the_likelihood_is_as_it_was():
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    plain = FitProblem([record], ["ratio.scale"], REFERENCE)
+    tiny = plain.with_model_error(model_error(plain.record_fits[0], np.zeros(1), 1e-9, CORRELATION_S))
+    at = np.array([0.05])
+    expected, found = plain.evaluate(at), tiny.evaluate(at)
+    assert found.log_likelihood == pytest.approx(expected.log_likelihood, abs=1e-6)
+    np.testing.assert_allclose(found.information, expected.information, rtol=1e-6)
+
+
+def test_the_response_is_that_of_a_march_with_other_heating(problem):
+    part = problem.record_fits[0]
+    error, flown = part.model_error, part.conditions
+    e = 0.03 * np.sin(error.time_s / 200.0)
+    scaled = flown["h_ref_kg_m2_s"] * (1.0 + np.interp(flown.time_s, error.time_s, e))
+    other = FitProblem([part.record], ["ratio.scale", "ratio.d_alpha"], REFERENCE)
+    other.record_fits[0].conditions = flown.with_columns(h_ref_kg_m2_s=scaled)
+    moved = np.concatenate([s.mean_K for s in other.samples(AT)]) - np.concatenate(
+        [s.mean_K for s in problem.samples(AT)]
+    )
+    linear = np.concatenate([error.at(c.number, part.sample_s[c.samples])[0] @ e for c in part.channels])
+    assert np.max(np.abs(moved - linear)) < 0.03 * np.max(np.abs(moved))
+
+
+def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem):
+    part, rng = problem.record_fits[0], np.random.default_rng(5)
+    samples, prior = problem.samples(AT), HeatingErrorPrior(0.05, 60.0, 600.0)
+    towards = (np.full(2, 1e4), -AT)
+    sizes = {}
+    for true in (0.0, 0.02, 0.08):
+        error = part.model_error.of_size(true, CORRELATION_S)
+        e = true * error.correlation_root @ rng.standard_normal(len(error.time_s))
+        made = []
+        for s in samples:
+            c = s.channel
+            read = (
+                s.mean_K
+                + error.at(c.number, part.sample_s[c.samples])[0] @ e
+                + s.sigma_K * rng.standard_normal(len(s.mean_K))
+            )
+            made.append(replace(s, channel=replace(c, intervals=replace(c.intervals, lower_K=read, upper_K=read))))
+        sizes[true] = error_size(part, made, towards, np.array([True, True]), prior)
+    assert sizes[0.0].limit() < 0.012
+    assert 0.01 < sizes[0.02].mean < 0.04
+    assert 0.045 < sizes[0.08].mean < 0.14
