@@ -60,7 +60,7 @@ class HeatingErrorPrior:
         return math.sqrt(self.shortest_s * self.longest_s)
 
     def grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(size,) standard deviations [-], (time,) correlation times [s], (time, size) logarithms of their weights.
+        """(size,) standard deviations [-], (time,) correlation times [s], (time, size) logarithms of weights.
 
         Source: docs/theory/model_error.md, equation 5.
         """
@@ -77,7 +77,7 @@ class FlightError(Protocol):
 
     @property
     def directions(self) -> Sequence[tuple[str, float]]:
-        """(direction,) what differs, as in a closure report, and its standard deviation in its unit ([s], [-] or [deg]).
+        """(direction,) what differs, as in a closure report, and its standard deviation in [s], [-] or [deg].
 
         f of docs/theory/model_error.md, equation 1.
         """
@@ -142,7 +142,7 @@ class ModelError:
         return u[len(self.time_s) :]
 
     def at(self, sensor: int, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(reading, knot) and (reading, direction) responses of a sensor, by its number, at some of the samples [K].
+        """(reading, knot) and (reading, direction) responses of a sensor, by its number, at some samples [K].
 
         S and F of docs/theory/model_error.md, equation 1.
         """
@@ -187,7 +187,7 @@ class ErrorSize:
 
     @property
     def likeliest(self) -> tuple[float, float]:
-        """Standard deviation [-] and correlation time [s] of the most probable pair: docs/theory/model_error.md, equation 5."""
+        """Most probable standard deviation [-] and correlation time [s]: docs/theory/model_error.md, equation 5."""
         at = np.unravel_index(int(np.argmax(self.posterior)), self.posterior.shape)
         return float(self.sizes[at[1]]), float(self.times_s[at[0]])
 
@@ -197,5 +197,5 @@ class ErrorSize:
         return float(self.posterior.sum(axis=0) @ self.sizes)
 
     def limit(self, probability: float = 0.95) -> float:
-        """Standard deviation below which it lies with a probability [-]: docs/theory/model_error.md, equation 5."""
+        """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""
         return float(np.interp(probability, np.cumsum(self.posterior.sum(axis=0)), self.sizes))
