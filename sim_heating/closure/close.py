@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError, or_left_out
 from sim_heating.base.files import files_written, output_directory
@@ -522,26 +521,34 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
         CandidateScore(
             name=name,
             delta_bic=delta_bic,
-            fit_rmse_K=rmse_K(trial.problem, trial.fit.values),
-            holdout_rmse_K=None if trial.held_out is None else rmse_K(trial.held_out, trial.fit.values),
+            fit_rmse_K=rmse_K(trial, trial.problem),
+            holdout_rmse_K=None if trial.held_out is None else rmse_K(trial, trial.held_out),
             posterior=shares.get(name, 0.0),
         )
         for name, delta_bic, trial in rows
     ]
 
 
-def rmse_K(problem: FitProblem, values: FloatArray) -> float:
-    """RMSE of the samples of a problem [K], a recorder's word taken at its middle.
+def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
+    """RMSE of the fitted samples of a trial, or of those held out [K], a recorder's word taken at its middle.
 
-    values : (parameter,) at which they are predicted;  returns NaN where they cannot be marched
+    problem : over these samples;  returns NaN where they cannot be marched
+
+    They are predicted by the plain march, along the flight with its most probable error.
     """
     try:
-        samples = problem.samples(values)
+        samples = problem.samples(trial.fit.values)
+        # what the fitted samples say of the flight: those held out inform nothing
+        u = trial.problem.errors(trial.fit.values)[0]
     except RunError:
         return float("nan")
     residuals = np.concatenate([
         0.5 * (s.channel.intervals.lower_K + s.channel.intervals.upper_K) - s.mean_K for s in samples
     ])  # fmt: skip
+    part = problem.record_fits[0]
+    if part.model_error is not None and part.error_root_K is not None:
+        flight = slice(len(part.model_error.time_s), None)
+        residuals -= part.error_root_K[:, flight] @ u[flight]
     known = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 

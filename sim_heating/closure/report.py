@@ -436,7 +436,9 @@ def _parameters_section(found: Closure) -> list[Section]:
     if not rows:
         return []
     about = derivatives_about(derivatives, found.reference)
-    caption = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
+    exact = found.statement.model_error is None
+    bounds = "corrected for coloured residuals" if exact else "with the error of the model"
+    caption = f"One standard deviation, {bounds}. {about}".rstrip()
     columns: list[Column | str] = ["", Column("value", format=".5g"), Column("sigma", format=".2g")]
     columns.append(Column("unit", is_text=True))
     table = Table(caption, columns, rows, strong=list(range(of_effects)))

@@ -228,11 +228,12 @@ FORMATS: tuple[FileFormat, ...] = (
             "sensors": "names of the sensors that were fitted",
             "predicted": "errors with the declared tables, nothing fitted: `fit`, `holdout`",
             "before": "errors with the declared model, its derivatives fitted",
-            "after": "errors with the effect added and everything fitted again",
+            "after": "errors with the best model that may be named and everything fitted again, whether it is stated "
+            "as the cause or not; those before where there is none",
             "noise_floor_K": "root mean square of noise and rounding over the fitted samples in K",
             "reference_condition": "conditions that the derivatives are about",
             "effect": "the effect named first: `name`, `posterior`, `parameters`; `none` or `unknown` where nothing is",
-            "effects": "all effects in the order in which they were added, where there is more than one",
+            "effects": "all effects in the order in which they were added; empty where none is stated",
             "finding": "`found`, `one of`, `partly`, `unknown` or `none`",
             "alternatives": "for each thing found, the names that this record cannot tell apart, the likeliest first",
             "alternative_values": "estimates of each member of a set, or of what the residual resembles, each fitted "
@@ -243,6 +244,11 @@ FORMATS: tuple[FileFormat, ...] = (
             "not_effects": "causes that no name of an effect covers, as a wrong material or a clock that jumps",
             "converged": "whether the last fit converged",
             "would_tell_apart": "what to measure or fly so that the alternatives differ",
+            "resembles": "for `partly` and `unknown`, the names in the model that `after` is of",
+            "model_error": "error of that model: `relative_heating` with its 95 % limit, `correlation_s`, `rms_K`, "
+            "`largest_phase`, and `flight`, whose parts are null where the record does not tell them apart; null where "
+            "the model is exact",
+            "barred": "models that fit better and may not be named: `names`, `reason`, `delta_evidence`",
             "candidates": "of the first round: `name`, `delta_bic`, `fit_rmse_K`, `holdout_rmse_K`",
             "residual_heating": "name of the CSV with the residual as a heating ratio: `time_s, delta_ratio, sigma`",
             "curve": "file and variable of the curve that an unexplained residual follows, else null",
@@ -252,6 +258,7 @@ FORMATS: tuple[FileFormat, ...] = (
             "evidence": "what the residual correlates with, and the effect that this proposes",
             "data_faults": "errors of the record itself: `kind`, `message`",
             "false_alarm": "chance of naming an effect where nothing is missing",
+            "samples": "number of readings that were fitted, held out, and left out with the reason",
             "warnings": "on the fit and its residual",
             "remarks": "estimates that nature does not have, or that mean less than their sigma or errors say: `kind`, "
             "`parameters`, `message`, `meaning`",

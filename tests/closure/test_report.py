@@ -104,7 +104,7 @@ def test_closure_json_has_every_field_of_its_format():
     assert [set(c) for c in data["candidates"]] == [{"name", "delta_bic", "fit_rmse_K", "holdout_rmse_K"}] * 2
     assert data["candidates"][0]["delta_bic"] < data["candidates"][1]["delta_bic"] == 0.0
     assert data["residual_heating"] == "residual_heating.csv"
-    assert "effects" not in data
+    assert [e["name"] for e in data["effects"]] == [data["effect"]["name"]]
 
 
 def test_a_section_that_cannot_be_made_costs_neither_page_nor_numbers(tmp_path: Path) -> None:
@@ -198,16 +198,26 @@ def test_a_probability_says_whether_records_of_its_kind_are_in_its_calibration()
     assert test == "Probability that this finding is right: 98 % (calibrated on flights, not on tests)."
 
 
-def test_what_a_record_partly_resembles_adds_no_error_after_but_what_it_would_explain():
-    partly = replace(FOUND_ONSET, finding="partly", explained=0.87)
-    found = replace(closed(), statement=partly, after=closed().before, effects=[Finding("unknown", 0.9, {})])
-    assert "explains 87 % of what the declared model leaves above noise, and is not added" in partly.certainty()
+def test_errors_after_are_told_of_what_a_record_partly_resembles():
+    partly = replace(FOUND_ONSET, finding="partly", explained=0.87, resembles=["impingement-onset"])
+    found = replace(closed(), statement=partly, effects=[Finding("unknown", 0.9, {})])
+    assert "explains 87 % of what the declared model leaves above noise, and is not stated" in partly.certainty()
     errors = next(s for s in closure_page(found).sections if s.title == "Errors").tables[0]
-    assert [row[0] for row in errors.rows] == ["Declared model, nothing fitted", "Declared model fitted (before)"]
+    assert errors.rows[-1][0] == "With impingement-onset (after)"
+    contents = closure_json(found)
+    assert contents["effects"] == []
+    assert contents["resembles"] == ["impingement-onset"]
     table = closures_table([summary_row(found)])
     row = dict(zip([c.head for c in table.layout], table.rows[0], strict=True))
-    assert row["before, fit"] > 0.0
+    assert 0.0 < row["after, fit"] < row["before, fit"]
+
+
+def test_where_nothing_is_missing_there_is_no_error_after():
+    none = replace(closed(), statement=Statement("none"), after=closed().before, effects=[Finding("none", 0.9, {})])
+    table = closures_table([summary_row(none)])
+    row = dict(zip([c.head for c in table.layout], table.rows[0], strict=True))
     assert row["after, fit"] is None
+    assert closure_json(none)["effects"] == []
 
 
 def test_a_change_of_the_wall_is_among_the_estimates_and_no_table_is_empty():

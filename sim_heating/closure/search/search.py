@@ -107,7 +107,7 @@ class SearchResult:
     conclusion : what follows from them
     discrepancies : parts of the flight whose conditions contradict each other
     curve      : the best smooth curve against one variable, where nothing adequate was found
-    base       : the declared model as the search began with it; `none` has the error that the record says it has
+    begun_with : the declared model as the search began with it, where `none` has the error that the record says it has
     """
 
     record: Record
@@ -116,9 +116,14 @@ class SearchResult:
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     conclusion: Conclusion
-    discrepancies: Sequence[Discrepancy]
-    curve: TrialFit | None
-    base: TrialFit
+    discrepancies: Sequence[Discrepancy] = ()
+    curve: TrialFit | None = None
+    begun_with: TrialFit | None = None
+
+    @property
+    def base(self) -> TrialFit:
+        """The declared model as the search began with it."""
+        return self.begun_with or self.none.last
 
     @property
     def explained(self) -> bool:

@@ -273,8 +273,8 @@ def _candidates(search: JointSearch, shares: dict[str, float]) -> list[Candidate
     """All causes that were fitted jointly, and none."""
 
     def score(name: str, h: JointHypothesis, delta_bic: float) -> CandidateScore:
-        fitted = [(rmse_K(t.problem, t.fit.values), sample_count(t.problem)) for t in h.by_record]
-        held_out = [(rmse_K(t.held_out, t.fit.values), sample_count(t.held_out)) for t in h.by_record if t.held_out]
+        fitted = [(rmse_K(t, t.problem), sample_count(t.problem)) for t in h.by_record]
+        held_out = [(rmse_K(t, t.held_out), sample_count(t.held_out)) for t in h.by_record if t.held_out]
         return CandidateScore(name, delta_bic, _pooled(fitted), _pooled(held_out) if held_out else None,
                               shares.get(name, 0.0))  # fmt: skip
 

@@ -1,0 +1,119 @@
+"""Records whose model is not exact: a measured tile of STS-96, and readings made with a smooth error of the heating."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_heating.closure.close import close_loop
+from sim_heating.closure.prior.model_error import BY_CONFIDENCE, flight_error, heating_error_prior
+from sim_heating.closure.report import closure_json
+from sim_heating.closure.search.search import search_effects
+from sim_heating.estimation.inference.error_likelihood import model_error
+from sim_heating.estimation.problem import FitProblem
+from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import FlightUncertainty, HeatingUncertainty, load_record
+from tests.support.paths import ROOT
+
+RECORDS = ROOT / "scenarios" / "records"
+REFERENCE = (40.0, 0.0, 6.3, 0.0, 0.0)
+
+
+def as_measured(record):
+    return replace(record, declared=record.declared.model_copy(update={"measured": True}))
+
+
+def with_heating_error(record, sigma, correlation_s, seed):
+    """The record with the readings of its declared model whose heating has a smooth relative error, noise added."""
+    problem, rng = FitProblem([record], [], REFERENCE), np.random.default_rng(seed)
+    part = problem.record_fits[0]
+    error = model_error(part, np.zeros(0), sigma, correlation_s)
+    e = sigma * error.correlation_root @ rng.standard_normal(len(error.time_s))
+    columns = dict(record.thermocouples)
+    for s in problem.samples(np.zeros(0)):
+        moved = error.at(s.channel.number, s.time_s)[0] @ e
+        read = np.full(len(record.time_s), np.nan)
+        read[np.isin(record.time_s, s.time_s)] = s.mean_K + moved + s.sigma_K * rng.standard_normal(len(s.mean_K))
+        columns[s.channel.sensor.column] = read
+    return replace(record, thermocouples=columns)
+
+
+@pytest.mark.thorough
+def test_transition_is_found_on_a_measured_tile():
+    closed = close_loop(RECORDS / "sts96_597")
+    contents = closure_json(closed.report)
+    assert contents["finding"] == "found"
+    assert [e["name"] for e in contents["effects"]] == ["transition"]
+    assert contents["after"]["fit"]["rmse_K"] < 0.45 * contents["before"]["fit"]["rmse_K"]
+    assert contents["after"]["holdout"]["rmse_K"] < 0.6 * contents["before"]["holdout"]["rmse_K"]
+    error = contents["model_error"]
+    assert 0.02 < error["relative_heating"]["value"] < error["relative_heating"]["limit_95"] < 0.15
+    # nothing was counted on such records yet, so that no probability is stated
+    assert contents["probability"] is None
+    assert contents["samples"] == {"fit": 166, "holdout": 24, "left_out": {}}
+
+
+@pytest.mark.thorough
+def test_a_smooth_error_of_the_heating_is_no_cause():
+    record = with_heating_error(load_record(RECORDS / "practice" / "p06"), 0.04, 200.0, 11)
+    found = search_effects(as_measured(record))
+    assert found.conclusion.finding == "none", found.conclusion
+    size = found.none.last.size
+    assert size is not None
+    assert 0.015 < size.mean < 0.08
+
+
+def test_a_generated_record_that_states_no_error_has_none():
+    record = load_record(RECORDS / "practice" / "p06")
+    assert heating_error_prior(record) is None
+    assert flight_error(record) is None
+
+
+def test_a_stated_uncertainty_is_used_whether_measured_or_not():
+    record = load_record(RECORDS / "practice" / "p06")
+    heating = record.declared.heating.model_copy(
+        update={"uncertainty": HeatingUncertainty(relative=0.02, correlation_s=90.0)}
+    )
+    conditions = record.declared.conditions.model_copy(
+        update={"uncertainty": FlightUncertainty(velocity_relative=0.003)}
+    )
+    declared = record.declared.model_copy(update={"heating": heating, "conditions": conditions})
+    stated = replace(record, declared=declared)
+    prior, flight = heating_error_prior(stated), flight_error(stated)
+    assert (prior.relative, prior.shortest_s, prior.longest_s) == (0.02, 90.0, 90.0)
+    assert list(flight.directions) == [("velocity_relative", 0.003)]
+    none = record.declared.heating.model_copy(update={"uncertainty": HeatingUncertainty(relative=0.0)})
+    assert (
+        heating_error_prior(as_measured(replace(record, declared=record.declared.model_copy(update={"heating": none}))))
+        is None
+    )
+
+
+def test_the_error_of_a_flight_follows_from_the_confidence_of_its_conditions():
+    tile = load_record(RECORDS / "sts96_597")
+    assert flight_error(tile).uncertainty == BY_CONFIDENCE["C"]
+    board = load_record(RECORDS / "kaowool_board")
+    assert flight_error(board) is None  # no air flows past it
+    assert heating_error_prior(board) is not None
+
+
+def test_a_faster_flight_heats_more_and_keeps_its_angles_and_onsets():
+    tile = load_record(RECORDS / "sts96_597")
+    error = flight_error(tile)
+    f = np.array([float(n == "velocity_relative") for n, _ in error.directions])
+    before, after = (conditions_of_record(r) for r in (tile, error.record(f)))
+    at = int(np.argmax(before["h_ref_kg_m2_s"]))
+    assert after["h_ref_kg_m2_s"][at] == pytest.approx(1.01 * before["h_ref_kg_m2_s"][at], rel=2e-3)
+    assert after["H_r_J_kg"][at] == pytest.approx(1.01**2 * before["H_r_J_kg"][at], rel=5e-3)
+    for name in ("alpha_deg", "log10_re", "mach", "velocity_m_s"):
+        np.testing.assert_array_equal(after[name], before[name])
+
+
+def test_a_flight_without_an_error_is_the_stated_one():
+    tile = load_record(RECORDS / "sts96_597")
+    error = flight_error(tile)
+    before, after = (conditions_of_record(r) for r in (tile, error.record(np.zeros(len(error.directions)))))
+    for name in ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa"):
+        np.testing.assert_allclose(after[name], before[name], rtol=1e-12)
