@@ -35,12 +35,11 @@ from sim_heating.heating.ratio.lookup import pack_table, table_ratio
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, reference_enthalpy, windward_edge
 from sim_heating.heating.reference.gas import (
-    air_density_of_enthalpy_kernel,
     air_dissociation_kernel,
-    density_in_cell,
     dissociation_in_cell,
     enthalpy_in_cell,
     pressure_cell,
+    sound_in_cell,
     state_in_cell,
 )
 from sim_heating.heating.reference.recovery import Recovery
@@ -62,8 +61,6 @@ MOMENTUM_C = 0.664
 """Of Blasius: Re_theta = 0.664 sqrt(Re_x)."""
 WALL_K = 1100.0
 """Wall temperature of the laminar boundary layer [K], that of the lower-surface estimate."""
-STEP = 1e-3
-"""Relative step of the differences for the speed of sound."""
 
 
 @dataclass(frozen=True)
@@ -163,18 +160,16 @@ def surface_edge(p_e: float, h_e: float, u_e: float, angle_deg: float, complete:
     p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  angle_deg : of the surface against the flow [deg]
     complete      : whether the laminar boundary layer is asked for, with a wall at WALL_K
 
-    Speed of sound of equilibrium air a^-2 = (d rho/d h)_p / rho + (d rho/d p)_h, by differences. One cell of the
-    pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and 34.
+    One cell of the pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and
+    34.
     """
     i, w = pressure_cell(p_e)
-    rho_e, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
+    _, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
     dissociation = dissociation_in_cell(T_e, i, w)
     if not complete:
         return SurfaceEdge(angle_deg, 0.0, u_e, 0.0, 0.0, 0.0, 0.0, dissociation)
     rho, mu, _ = state_in_cell(reference_enthalpy(h_e, enthalpy_in_cell(WALL_K, i, w), u_e, False), p_e, i, w)
-    by_h = (density_in_cell(h_e * (1.0 + STEP), p_e, i, w) - rho_e) / (h_e * STEP)
-    by_p = (air_density_of_enthalpy_kernel(h_e, p_e * (1.0 + STEP)) - rho_e) / (p_e * STEP)
-    return SurfaceEdge(angle_deg, 1.0, u_e, rho, mu, mu_e, 1.0 / math.sqrt(by_h / rho_e + by_p), dissociation)
+    return SurfaceEdge(angle_deg, 1.0, u_e, rho, mu, mu_e, sound_in_cell(h_e, i, w), dissociation)
 
 
 @njit
