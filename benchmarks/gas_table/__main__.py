@@ -85,10 +85,10 @@ def lines(air: Air) -> Iterator[str]:
         p = float(10.0**log_p)
         for T in map(float, T_AXIS):
             h, Z, formation = air.thermodynamics(T, p)
-            t = air.transport(T, p)
+            t, sound = air.transport(T, p), air.sound(T, p)
             yield (
                 f"{log_p:.2f},{T:.0f},{h:.0f},{Z:.6f},{formation:.0f},"
-                f"{t.viscosity_Pa_s:.4e},{t.viscosity_sigma:.3f},{t.prandtl:.3f},{t.prandtl_sigma:.3f},{air.sound(T, p):.3f}"
+                f"{t.viscosity_Pa_s:.4e},{t.viscosity_sigma:.3f},{t.prandtl:.3f},{t.prandtl_sigma:.3f},{sound:.3f}"
             )
 
 

@@ -11,8 +11,9 @@ pressure, u_e = V |cos(angle)|. The laminar momentum thickness is Eckert's,
 
 with sqrt(3) for flow that diverges as over a cone. A control surface is wetted by the boundary layer that has run along
 the surface ahead of it: its criterion is that of the surface without deflection. M_e is at least 1 and, on a surface
-from which a shock is detached, that of the steepest one with an attached shock. Atoms are those of equilibrium air at the edge, or at the stagnation
-point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they are from there on (frozen).
+from which a shock is detached, that of the steepest one with an attached shock. Atoms are those of equilibrium air at
+the edge, or at the stagnation point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they
+are from there on (frozen).
 Equations: docs/theory/equations_reference_heating.md, equations 33 to 35.
 """
 
@@ -218,8 +219,8 @@ def edge_flow_kernel(
     velocity_m_s   : free-stream speed [m/s]
     x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
     numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
-    known          : last edge with a boundary layer at the same time, or NO_EDGE; returned, or the one of this point, as
-                     the fourth
+    known          : last edge with a boundary layer at the same time, or NO_EDGE; returned as the fourth, or the one of
+                     this point
     Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     ratio, criterion, dissociation = 1.0, 0.0, 0.0

@@ -40,7 +40,7 @@ PRANDTL = 0.71
 scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/theory/equations_reference_heating.md, section 2)."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
 """Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
-SOUND_STEP = 15.0
+SOUND_STEP = 25.0
 """Step [m/s] of the axis sqrt(h) of the speed of sound."""
 SOUND_REFINED = 10
 """Points between two temperatures of the table from which that axis is filled."""
@@ -172,18 +172,25 @@ def _make_inverse() -> Callable[[float, int, float], tuple[float, int, float]]:
 
 def _make_sound() -> Callable[[float, int, float], float]:
     log_p, T_axis, h = _grid()[:3]
-    # The ratio a / sqrt(h) changes slowly; cubic in T, since dissociation begins within a few points of the table.
+    # The ratio a / sqrt(h) changes slowly: cubic in sqrt(h), linear in log10 p. Its axis begins and ends one step early
+    # and late, for the cubic's neighbours; it is filled by cubics in T, as dissociation begins within a few points.
     T = np.linspace(T_axis[0], T_axis[-1], SOUND_REFINED * (len(T_axis) - 1) + 1)
     weights = _cubic_weights(T, T_axis).T
     root, ratio = np.sqrt(h @ weights), (_grid().sound_m_s / np.sqrt(h)) @ weights
     count = math.ceil(np.max(root) / SOUND_STEP) + 1
-    axis = SOUND_STEP * np.arange(count)
+    axis, length = SOUND_STEP * np.arange(-1, count + 1), count + 2
     flat = np.concatenate([np.interp(axis, root[i], ratio[i]) for i in range(len(log_p))])
 
     def sound(h_J_kg: float, i: int, w: float) -> float:
-        root_h = math.sqrt(h_J_kg)
+        root_h, f = math.sqrt(h_J_kg), pointer(flat)
         j, s = _uniform_cell(root_h, 0.0, SOUND_STEP, count)
-        return root_h * _blend(pointer(flat), count, i, w, j, s)
+        # Catmull and Rom's cubic: through two points with the slopes of parabolas through three.
+        before, after = -0.5 * s * (1.0 - s) * (1.0 - s), -0.5 * s * s * (1.0 - s)
+        here, there = 1.0 - s * s * (2.5 - 1.5 * s), s * (0.5 + s * (2.0 - 1.5 * s))
+        a = i * length + j
+        b = a + length
+        ratio = (1.0 - w) * (before * f[a] + here * f[a + 1] + there * f[a + 2] + after * f[a + 3])
+        return root_h * (ratio + w * (before * f[b] + here * f[b + 1] + there * f[b + 2] + after * f[b + 3]))
 
     return sound
 
@@ -197,8 +204,8 @@ _enthalpy = njit_of(_make_enthalpy)
 _air_inverse = njit_of(_make_inverse)
 """_air_inverse(h_J_kg, i, w) -> T [K], j, s: exact inverse of the table's h(T, p); 12000 K above the table."""
 sound_in_cell = njit_of(_make_sound)
-"""sound_in_cell(h_J_kg, i, w) -> speed of sound of equilibrium air [m/s] at an enthalpy above 0 K, where `pressure_cell`
-(i, w) is known; a / sqrt(h) linear in sqrt(h) and log10 p. docs/theory/equations_reference_heating.md, equation 34."""
+"""sound_in_cell(h_J_kg, i, w) -> speed of sound of equilibrium air [m/s] at an enthalpy above 0 K, with i, w of
+`pressure_cell`. docs/theory/equations_reference_heating.md, equation 34."""
 _compressibility = njit_of(partial(_make_column, "Z"))
 _dissociation = njit_of(partial(_make_column, "dissociation"))
 _viscosity_ratio = njit_of(partial(_make_column, "viscosity_ratio"))
