@@ -45,7 +45,7 @@ from sim_heating.heating.reference.gas import (
     sound_in_cell,
     state_in_cell,
 )
-from sim_heating.heating.reference.recovery import Recovery
+from sim_heating.heating.reference.recovery import EDGE_LAMINAR, EDGE_TURBULENT, Recovery
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 
 FLOW_COLUMNS = ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
@@ -228,7 +228,7 @@ def edge_flow_kernel(
         turbulent = table_ratio(tables, int(numbers[first + TURBULENT_AT]), x, 0)
         ratio = turbulent / table_ratio(tables, int(numbers[first + LAMINAR_AT]), x, 0)
     atoms, by_re_theta = numbers[first + ATOMS], numbers[first + BY_RE_THETA] > 0.0
-    has_edge, of_edge = numbers[first + KIND] > 0.0, atoms in (OF_EDGE, EDGE_OXYGEN)
+    has_edge, of_edge = numbers[first + KIND] in (EDGE_LAMINAR, EDGE_TURBULENT), atoms in (OF_EDGE, EDGE_OXYGEN)
     # Of the boundary layer, which has run along the surface ahead of a control surface.
     running_deg = x[0] + numbers[first + ANGLE]
     if has_edge and by_re_theta:
