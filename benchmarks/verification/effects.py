@@ -12,6 +12,8 @@ from benchmarks.verification.exact import SIGMA
 from benchmarks.verification.row import Row
 from benchmarks.verification.walls import flight, heat, material, wall
 from sim_heating.heating.effects import use
+from sim_heating.march.mesh_choice import pack
+from sim_heating.march.point import PointModel
 
 EPS, FILM, H_R, P_PA = 0.85, 0.012, 2.0e7, 1500.0
 """Emittance, film coefficient [kg/(m2 s)], recovery enthalpy [J/kg] and pressure [Pa] at the wall."""
@@ -30,8 +32,8 @@ def settled(effect: str, parameters: dict[str, float], **columns: float) -> floa
 def goulard(T: float, h_D: float, efficiency: float) -> float:
     """Heat flux over that of a fully catalytic wall [-]: atoms of a frozen layer that meet a wall of finite rate.
 
-    1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r, phi = 1 / (1 + Le^(2/3) film / (rho_w k_w)), Le 1.4, oxygen first,
-    k_w = gamma sqrt(R T / (2 pi M)). Goulard (1958); gamma: Scott, AIAA 80-1477 (1980).
+    1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / (H_r - h_w), phi = 1 / (1 + Le^(2/3) film / (rho_w k_w)), Le 1.4, oxygen
+    first, k_w = gamma sqrt(R T / (2 pi M)). Goulard (1958); gamma: Scott, AIAA 80-1477 (1980).
     """
     moles = 1.0 / 0.02885064
     h_O = min(h_D, 0.42 * moles * 246.790e3)
@@ -44,7 +46,9 @@ def goulard(T: float, h_D: float, efficiency: float) -> float:
         gamma = min(efficiency * A * math.exp(-T_A / T), 1.0)
         rate = density * gamma * math.sqrt(8.314462618 * T / (2.0 * math.pi * M))
         lost += h * (1.0 - rate / (rate + 1.4 ** (2.0 / 3.0) * FILM))
-    return 1.0 - lost / H_R
+    x = 1e-3 * T
+    frozen = 1e6 * (0.00655 + 0.96674 * x + 0.04828 * x**2 + 0.04626 * x**3 - 0.01460 * x**4)
+    return 1.0 - lost / (H_R - frozen)
 
 
 def recombination() -> list[Row]:
@@ -69,6 +73,30 @@ def recombination() -> list[Row]:
     return rows
 
 
+def oscillators(T: float) -> float:
+    """Enthalpy of frozen 79/21 N2/O2 [J/kg] from rigid rotors and harmonic oscillators of 3393 and 2274 K."""
+    vibration = sum(x * theta / math.expm1(theta / T) for x, theta in ((0.79, 3393.0), (0.21, 2274.0)))
+    return 8.314462618 / 0.02885064 * (3.5 * T + vibration)
+
+
+def noncatalytic() -> list[Row]:
+    """Flux to a hot wall at which no atom recombines: fully catalytic flux less film times heat of dissociation."""
+    rows = []
+    for T, h_D in ((300.0, 8e6), (1200.0, 8e6), (1600.0, 1.2e7)):
+        stack = wall((material(), 0.01), initial_K=T)
+        used = (use("recombination", {"efficiency": 0.0}),)
+        ensemble = pack([PointModel("p", stack, nodes=14, parameters=RATIO_ONE, effects=used)])
+        held = {"h_ref_kg_m2_s": FILM, "H_r_J_kg": H_R, "p_surface_Pa": P_PA, "dissociation_J_kg": h_D}
+        ensemble.begin(flight([0.0], **held)[:, 0])
+        driving = H_R - oscillators(T)
+        got = float(ensemble.film_kg_m2_s[0]) * driving / 1e3
+        name = f"noncatalytic wall at {T:g} K, {h_D / 1e6:g} of {H_R / 1e6:g} MJ/kg of dissociation: flux"
+        source, is_ = "film (H_r - h_w - h_D), Le = 1, h_w of rotors and oscillators", "0.34 % of h_w"
+        limit = 3.4e-3 * oscillators(T) * FILM / 1e3
+        rows.append(Row(name, FILM * (driving - h_D) / 1e3, got, limit, "kW/m2", source, is_))
+    return rows
+
+
 def transition() -> list[Row]:
     """Heating and recovery enthalpy at the onset and far beyond it."""
     rows = []
@@ -85,4 +113,4 @@ def transition() -> list[Row]:
 
 def rows() -> list[Row]:
     """All of this subject."""
-    return [*recombination(), *transition()]
+    return [*recombination(), *noncatalytic(), *transition()]

@@ -338,6 +338,24 @@ def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
     return rho, mu
 
 
+FROZEN_HOTTEST_K = 3000.0
+"""Temperature [K] up to which the polynomial of frozen air is used, which is a fit to 2200 K; linear above."""
+
+
+@njit
+def frozen_enthalpy(T_K: float) -> float:
+    """Enthalpy above 0 K [J/kg] of air at a temperature [K] without dissociation, within 0.34 % from 200 to 2200 K.
+
+        h = 0.00655 + 0.96674 x + 0.04828 x^2 + 0.04626 x^3 - 0.01460 x^4 [MJ/kg],    x = T / 1000 K
+
+    Source: fit to NASA-9 polynomials of N2 and O2 (NASA/TP-2002-211556);
+    docs/theory/equations_reference_heating.md, equation 8a.
+    """
+    x = min(T_K, FROZEN_HOTTEST_K) * 1e-3
+    h = 0.00655 + x * (0.96674 + x * (0.04828 + x * (0.04626 - x * 0.01460)))
+    return 1e6 * h * (T_K * 1e-3 / x)
+
+
 @njit
 def _transport_grid(T_K: FloatArray, p_Pa: FloatArray, out: FloatArray) -> None:
     for m in range(len(T_K)):
