@@ -7,11 +7,16 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
+from benchmarks.verification.boundary_layer import isobar
 from benchmarks.verification.conduction import CP_J_KGK, RATIO_ONE
 from benchmarks.verification.exact import SIGMA
-from benchmarks.verification.row import Row
+from benchmarks.verification.gas import cantera_air, equilibrium, shock_by_cantera, sound_by_cantera
+from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import flight, heat, material, wall
+from sim_heating.base.conditions import Conditions
+from sim_heating.heating.edge_flow import EdgeFlow, edge_flow_columns
 from sim_heating.heating.effects import use
+from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 
@@ -97,6 +102,47 @@ def noncatalytic() -> list[Row]:
     return rows
 
 
+def momentum_criterion(V: float, rho: float, T_inf: float, angle_deg: float, length_m: float) -> float:
+    """Re_theta / M_e [-] of a laminar layer at 1100 K with properties, shock and speed of sound of Cantera.
+
+    Beyond 57.5 deg, where the shock of a cone detaches, M_e is the one there; it is at least 1.
+    """
+
+    def edge(deg: float) -> tuple[float, float, float, float]:
+        p, p_0 = rho * 8314.462618 / 28.85064 * T_inf, shock_by_cantera(rho, V, T_inf)[2]
+        u_e, p_e = V * math.cos(math.radians(deg)), p + (p_0 - p) * math.sin(math.radians(deg)) ** 2
+        h_e = equilibrium(T_inf, p)[0] + 0.5 * (V * V - u_e * u_e)
+        T_e = float(brentq(lambda T: equilibrium(T, p_e)[0] - h_e, 200.0, 11000.0, xtol=0.01))
+        return p_e, h_e, u_e, T_e
+
+    p_e, h_e, u_e, T_e = edge(angle_deg)
+    bound_p, _, bound_u, bound_T = edge(min(angle_deg, 57.5))
+    mach = max(bound_u / sound_by_cantera(bound_T, bound_p), 1.0)
+    air = isobar(p_e, T_e + 1500.0)
+    star = 0.28 * h_e + 0.5 * air.enthalpy(1100.0) + 0.22 * (h_e + 0.5 * math.sqrt(0.71) * u_e * u_e)
+    rho_mu = float(air.density(np.array(star)) * air.viscosity(np.array(star)))
+    re_theta = 0.664 * math.sqrt(rho_mu * u_e * length_m / 3.0) / float(air.viscosity(np.array(h_e)))
+    return re_theta / mach
+
+
+def criterion() -> list[Row]:
+    """Criterion of transition on windward and steep surfaces, and on a flap behind a windward surface."""
+    rows = []
+    V, rho, T_inf, length = 3870.0, 5.09e-4, 262.0, 29.8
+    for alpha, flap in ((40.0, 0.0), (40.0, 15.0), (57.5, 0.0), (80.0, 0.0), (89.5, 0.0)):
+        state = Conditions({"time_s": np.zeros(1)}).with_columns(
+            rho_kg_m3=rho, velocity_m_s=V, T_inf_K=T_inf, alpha_deg=alpha, beta_deg=0.0, log10_re=6.6, elevon_deg=0.0,
+            bodyflap_deg=flap,
+        )  # fmt: skip
+        flow = EdgeFlow(Recovery("edge-laminar", bodyflap_factor=1.0), length, True)
+        got = float(10.0 ** edge_flow_columns(flow, state)["log10_re_theta_m"][0])
+        expected = momentum_criterion(V, rho, T_inf, alpha, length)
+        name = f"Re_theta/M_e at {V:g} m/s, surface at {alpha:g} deg" + (f", flap {flap:g} deg" if flap else "")
+        source, is_ = "Eckert's layer, Cantera; flap: the layer ahead of it", "15 K of T(h, p), 0.4 % of h: 1 %"
+        rows.append(within(0.01, name, expected, got, "", source, is_))
+    return rows
+
+
 def transition() -> list[Row]:
     """Heating and recovery enthalpy at the onset and far beyond it."""
     rows = []
@@ -113,4 +159,5 @@ def transition() -> list[Row]:
 
 def rows() -> list[Row]:
     """All of this subject."""
-    return [*recombination(), *noncatalytic(), *transition()]
+    with_cantera = criterion() if cantera_air() is not None else []
+    return [*recombination(), *noncatalytic(), *transition(), *with_cantera]
