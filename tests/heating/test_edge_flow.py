@@ -20,6 +20,7 @@ from sim_heating.heating.reference.gas import (
 )
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import stagnation_kernel
+from sim_heating.inputs.vehicle import load_vehicle
 
 ct = pytest.importorskip("cantera", reason="no wheel of Cantera for this Python")
 
@@ -112,6 +113,18 @@ def test_subsonic_flow_has_a_criterion_of_re_theta_alone() -> None:
 
 def test_a_flap_is_wetted_by_the_layer_that_has_run_ahead_of_it() -> None:
     assert criterion(40.0, 15.0, 1.0) == criterion(40.0)
+
+
+def test_onset_at_the_body_flap_is_uncertain_by_a_layer_that_keeps_its_momentum_over_the_ramp() -> None:
+    """rho u^2 theta the same on both sides, the edge that of the deflected surface behind the hinge; 15 deg."""
+    declared = load_vehicle("orbiter").control_point("BODYFLAP").transition
+    assert declared is not None
+    assert declared.re_theta_over_m_e is not None
+    state = stagnation_kernel(2.2e-4, 5000.0, 250.0)
+    ahead, behind = (surface_edge(state, 5000.0, angle, True) for angle in (40.0, 55.0))
+    rise = ahead.mu_e / behind.mu_e * ahead.u_e / behind.u_e * ahead.mach / behind.mach
+    earliest = declared.re_theta_over_m_e / rise
+    assert declared.re_theta_over_m_e_sigma == pytest.approx(declared.re_theta_over_m_e - earliest, rel=0.15)
 
 
 @pytest.mark.parametrize(("V", "rho", "T"), [(7000.0, 4e-5, 210.0), (5000.0, 2e-4, 240.0)])
