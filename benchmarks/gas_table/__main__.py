@@ -23,6 +23,8 @@ H_298_K = {"N2": 8670.0e3, "O2": 8683.0e3}
 """Enthalpy at 298.15 K above 0 K [J/kmol], JANAF Thermochemical Tables (1998)."""
 FORMATION = {"O": 246.790e6, "N": 470.818e6, "NO": 89.775e6}
 """Heats of formation at 0 K [J/kmol]."""
+DIFFERENCE = 5e-4
+"""Relative change of temperature and pressure in the differences of the speed of sound."""
 LOG_P = np.arange(0.0, 6.01, 0.25)
 T_AXIS = np.arange(200.0, 12001.0, 50.0)
 
@@ -34,6 +36,7 @@ class Air:
         import cantera
 
         self.gas = cantera.Solution("airNASA9.yaml")
+        self.gas_constant = float(cantera.gas_constant)
         self.offset = 0.79 * H_298_K["N2"] + 0.21 * H_298_K["O2"]
 
     def fractions(self, T_K: float, p_Pa: float) -> dict[str, float]:
@@ -50,6 +53,25 @@ class Air:
         formation = sum(x[s] * value for s, value in FORMATION.items()) / mass
         return float(self.gas.enthalpy_mass) + self.offset / MOLAR_MASS_N2_O2, MOLAR_MASS_N2_O2 / mass, formation
 
+    def sound(self, T_K: float, p_Pa: float) -> float:
+        """Speed of sound [m/s] where the composition stays in equilibrium, by central differences.
+
+            a^2 = -v^2 / [(dv/dp)_T + T/cp (dv/dT)_p^2],    v = Z R T/p,  cp = (dh/dT)_p
+
+        Source: a^2 = (dp/d rho)_s by identities of thermodynamics.
+        """
+        gas_constant = self.gas_constant / MOLAR_MASS_N2_O2
+
+        def volume(T: float, p: float) -> tuple[float, float]:
+            h, Z, _ = self.thermodynamics(T, p)
+            return Z * gas_constant * T / p, h
+
+        dT, dp = DIFFERENCE * T_K, DIFFERENCE * p_Pa
+        (v, _), (hot, h_hot), (cold, h_cold) = volume(T_K, p_Pa), volume(T_K + dT, p_Pa), volume(T_K - dT, p_Pa)
+        by_p = (volume(T_K, p_Pa + dp)[0] - volume(T_K, p_Pa - dp)[0]) / (2.0 * dp)
+        by_T, cp = (hot - cold) / (2.0 * dT), (h_hot - h_cold) / (2.0 * dT)
+        return float(v / np.sqrt(-by_p - T_K / cp * by_T**2))
+
     def transport(self, T_K: float, p_Pa: float) -> Transport:
         """Viscosity and frozen Prandtl number; the specific heats are those of Cantera's NASA-9 polynomials."""
         x = self.fractions(T_K, p_Pa)
@@ -63,10 +85,10 @@ def lines(air: Air) -> Iterator[str]:
         p = float(10.0**log_p)
         for T in map(float, T_AXIS):
             h, Z, formation = air.thermodynamics(T, p)
-            t = air.transport(T, p)
+            t, sound = air.transport(T, p), air.sound(T, p)
             yield (
                 f"{log_p:.2f},{T:.0f},{h:.0f},{Z:.6f},{formation:.0f},"
-                f"{t.viscosity_Pa_s:.4e},{t.viscosity_sigma:.3f},{t.prandtl:.3f},{t.prandtl_sigma:.3f}"
+                f"{t.viscosity_Pa_s:.4e},{t.viscosity_sigma:.3f},{t.prandtl:.3f},{t.prandtl_sigma:.3f},{sound:.3f}"
             )
 
 

@@ -10,6 +10,9 @@ the enthalpy with the frozen Prandtl number:
     d eta/dy = rho (du_e/dx / (rho_e mu_e))^1/2,    beta = 1, u_e = 0       on the stagnation line of a cylinder
     d eta/dy = rho (u_e / (2 rho_e mu_e x))^1/2,    beta = 0                on a flat plate
 
+On the stagnation line of a swept cylinder the spanwise speed w_e g joins with (C g')' + f g' = 0, and its friction
+C w_e^2 g'^2 heats the layer in place of C u_e^2 f''^2 (Reshotko and Beckwith, NACA TR 1379, 1958).
+
 Turbulent friction is van Driest's, a transformation of the incompressible plate's.
 Source: Lees, Jet Propulsion 26 (1956) 259; Anderson, Hypersonic and High-Temperature Gas Dynamics, 6.3 to 6.5.
 """
@@ -158,6 +161,64 @@ def plate(p_e: float, T_e: float, u_e: float, length_m: float, T_w_K: float, pra
     rho_mu = float(air.density(np.array(h_e)) * air.viscosity(np.array(h_e)))
     q = layer.flux * math.sqrt(rho_mu * u_e / (2.0 * length_m))
     return Plate(q / (insulated.h_w - h_w), q, (insulated.h_w - h_e) / kinetic)
+
+
+@dataclass(frozen=True)
+class SweptLine:
+    """Stagnation line of a swept cylinder: enthalpy of the insulated wall [J/kg], flux q [W/m2], h_w [J/kg]."""
+
+    h_aw: float
+    flux: float
+    h_w: float
+
+
+def swept_line(
+    p_0: float, T_e: float, w_e: float, T_w_K: float, gradient_1_s: float, prandtl: float | None = None
+) -> SweptLine:
+    """Laminar boundary layer on the stagnation line of an infinite swept cylinder.
+
+    p_0, T_e     : pressure [Pa] and temperature [K] where the normal flow is at rest;  w_e : speed along the line [m/s]
+    T_w_K        : wall temperature [K];  gradient_1_s : du_e/dx across the line [1/s]
+    prandtl      : constant Prandtl number; None for the frozen one of air
+    """
+    air, h_e = isobar(p_0, min(T_e + 0.5 * w_e**2 / 1000.0, 11800.0)), isobar(p_0, T_e).enthalpy(T_e)
+    rho_mu, h_w = float(air.density(np.array(h_e)) * air.viscosity(np.array(h_e))), air.enthalpy(T_w_K)
+    q = _swept_layer(air, h_e, w_e, h_w, prandtl).flux * math.sqrt(rho_mu * gradient_1_s)
+    return SweptLine(_swept_layer(air, h_e, w_e, None, prandtl).h_w, q, h_w)
+
+
+def _swept_layer(air: Isobar, h_e: float, w_e: float, h_w: float | None, prandtl: float | None) -> Layer:
+    """Layer as `solve` returns it, with spanwise flow w_e [m/s]; an insulated wall where h_w is None.
+
+    raises : RuntimeError where the solver does not converge
+    """
+    rho_e, mu_e = float(air.density(np.array(h_e))), float(air.viscosity(np.array(h_e)))
+
+    def slopes(eta: FloatArray, y: FloatArray) -> FloatArray:
+        f, v, shear, _, spanwise, theta, flux = y
+        rho = air.density(theta * h_e)
+        C = rho * air.viscosity(theta * h_e) / (rho_e * mu_e)
+        Pr = air.prandtl(theta * h_e) if prandtl is None else prandtl
+        return np.array(
+            [
+                v, shear / C, -f * shear / C - (rho_e / rho - v * v), spanwise / C, -f * spanwise / C, flux * Pr / C,
+                -f * flux * Pr / C - spanwise * spanwise / C * w_e * w_e / h_e,
+            ]
+        )  # fmt: skip
+
+    def ends(a: FloatArray, b: FloatArray) -> FloatArray:
+        wall = a[6] if h_w is None else a[5] - h_w / h_e
+        return np.array([a[0], a[1], a[3], wall, b[1] - 1.0, b[3] - 1.0, b[5] - 1.0])
+
+    eta = FAR * np.linspace(0.0, 1.0, NODES) ** 1.5
+    start = h_w / h_e if h_w is not None else 1.0 + 0.42 * w_e * w_e / h_e
+    rise = np.tanh(0.6 * eta)
+    slope = 0.5 * (1.0 - rise)
+    guess = np.array([eta - rise / 0.6, rise, slope, rise, slope, start + (1.0 - start) * rise, (1.0 - start) * slope])
+    found = solve_bvp(slopes, ends, eta, guess, tol=1e-5, max_nodes=20000)
+    if not found.success:
+        raise RuntimeError(f"swept line at h_e = {h_e:g} J/kg, w_e = {w_e:g} m/s: {found.message}")
+    return Layer(float(found.y[5, 0]) * h_e, float(found.y[6, 0]) * h_e)
 
 
 def van_driest_friction(

@@ -6,12 +6,16 @@ import importlib.util
 import math
 from functools import cache
 
+import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.gas_table.__main__ import AIR, Air
+from benchmarks.gas_table.__main__ import AIR, FROZEN_K, Air
 from benchmarks.verification import statistical
 from benchmarks.verification.row import Row, within
+from sim_heating.base.conditions import Conditions
+from sim_heating.heating.edge_flow import EdgeFlow, edge_flow_columns
 from sim_heating.heating.reference import gas
+from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import shock_density_ratio, stagnation_kernel
 
 M0_KG_KMOL = 28.85064
@@ -58,6 +62,54 @@ def states() -> list[Row]:
     got = gas.air_temperature_kernel(equilibrium(T, p)[0], p)
     rows.append(Row("temperature from enthalpy at 5510 K, 3000 Pa", T, got, 15.0, "K", CANTERA, f"{TABLE}: 15 K"))
     return rows
+
+
+def sound_by_cantera(T_K: float, p_Pa: float) -> float:
+    """Speed of sound of equilibrium air [m/s], (dp/d rho)^1/2 along an isentrope of Cantera's equilibria."""
+    air = cantera_air()
+    assert air is not None
+    air.fractions(T_K, p_Pa)
+    s, rho = float(air.gas.entropy_mass), []
+    for factor in (0.9995, 1.0005):
+        air.gas.SP = s, factor * p_Pa
+        # Cold air is in its equilibrium as it is.
+        if T_K >= FROZEN_K:
+            air.gas.equilibrate("SP", rtol=1e-10)
+        rho.append(float(air.gas.density))
+    return math.sqrt(1e-3 * p_Pa / (rho[1] - rho[0]))
+
+
+def sound() -> list[Row]:
+    """Speed of sound at points between the nodes of the table."""
+    rows = []
+    is_ = "stated accuracy: 0.05 % to 8000 K"
+    for T, p in (
+        (275.0, 2e3),
+        (1025.0, 2e3),
+        (2325.0, 150.0),
+        (3025.0, 1.5e3),
+        (4525.0, 2e4),
+        (6025.0, 6e3),
+        (7925.0, 700.0),
+    ):
+        got = gas.sound_in_cell(equilibrium(T, p)[0], *gas.pressure_cell(p))
+        name = f"speed of sound of air at {T:g} K, {p:g} Pa"
+        rows.append(within(5e-4, name, sound_by_cantera(T, p), got, "m/s", f"{CANTERA}, along an isentrope", is_))
+    return rows
+
+
+def teeth() -> list[Row]:
+    """Re_theta / M_e along a smooth line of an entry, 5000 to 3500 m/s in 400 s at 40 deg, where it only rises."""
+    s, zero = np.linspace(0.0, 1.0, 4001), np.zeros(4001)
+    line = Conditions({"time_s": 400.0 * s}).with_columns(
+        rho_kg_m3=2e-4 * np.exp(1.6 * s), velocity_m_s=5000.0 - 1500.0 * s, T_inf_K=250.0, alpha_deg=40.0,
+        beta_deg=zero, log10_re=6.0, elevon_deg=zero, bodyflap_deg=zero,
+    )  # fmt: skip
+    criterion = edge_flow_columns(EdgeFlow(Recovery("edge-laminar"), 33.0, True), line)["log10_re_theta_m"]
+    falls = float(np.sum(np.diff(criterion) <= 0.0))
+    return [
+        Row("falls of Re_theta/M_e between 4001 points of a smooth entry", 0.0, falls, 0.0, "", "a rising line", "none")
+    ]
 
 
 def partition_functions() -> list[Row]:
@@ -186,5 +238,5 @@ def perfect_gas() -> list[Row]:
 
 def rows() -> list[Row]:
     """All of this subject; without Cantera, what needs no equilibrium of another program."""
-    with_cantera = [*states(), *shocks()] if cantera_air() is not None else []
-    return [*with_cantera, *partition_functions(), *viscosity(), *published(), *perfect_gas()]
+    with_cantera = [*states(), *sound(), *shocks()] if cantera_air() is not None else []
+    return [*with_cantera, *partition_functions(), *viscosity(), *published(), *perfect_gas(), *teeth()]

@@ -79,8 +79,8 @@ LINE_TOLERANCE = {
 }  # fmt: skip
 LINE_TOLERANCE_SHARE = {"velocity_m_s": 0.002, "rho_kg_m3": 0.002}
 """Distance from a straight line in time that heating does not notice, in the unit of the variable, plus a share of its
-value: what samples of a flight, linear between them, may leave out, and how far a host may bend within a thermal step.
-With them plug-in and march stay within 0.02 K of each other over an entry. Altitude acts through density."""
+value: what samples of a flight, linear between them, may leave out; a host may bend by a part of it within a thermal
+step. With them plug-in and march stay within 0.1 K of each other over an entry. Altitude acts through density."""
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,11 @@ pressure, u_e = V |cos(angle)|. The laminar momentum thickness is Eckert's,
 
     Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e,
 
-with sqrt(3) for flow that diverges as over a cone. Atoms are those of equilibrium air at the edge, or at the stagnation
-point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they are from there on (frozen).
+with sqrt(3) for flow that diverges as over a cone. A control surface is wetted by the boundary layer that has run along
+the surface ahead of it: its criterion is that of the surface without deflection. M_e is at least 1 and, on a surface
+from which a shock is detached, that of the steepest one with an attached shock. Atoms are those of equilibrium air at
+the edge, or at the stagnation point, whose flow wets a blunt body, all of them or the oxygen alone; they remain as they
+are from there on (frozen).
 Equations: docs/theory/equations_reference_heating.md, equations 33 to 35.
 """
 
@@ -35,15 +38,14 @@ from sim_heating.heating.ratio.lookup import pack_table, table_ratio
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import DIVERGING_LAMINAR, reference_enthalpy, windward_edge
 from sim_heating.heating.reference.gas import (
-    air_density_of_enthalpy_kernel,
     air_dissociation_kernel,
-    density_in_cell,
     dissociation_in_cell,
     enthalpy_in_cell,
     pressure_cell,
+    sound_in_cell,
     state_in_cell,
 )
-from sim_heating.heating.reference.recovery import Recovery
+from sim_heating.heating.reference.recovery import EDGE_LAMINAR, EDGE_TURBULENT, Recovery
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 
 FLOW_COLUMNS = ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
@@ -62,8 +64,15 @@ MOMENTUM_C = 0.664
 """Of Blasius: Re_theta = 0.664 sqrt(Re_x)."""
 WALL_K = 1100.0
 """Wall temperature of the laminar boundary layer [K], that of the lower-surface estimate."""
-STEP = 1e-3
-"""Relative step of the differences for the speed of sound."""
+
+
+STEEPEST_DEG = 57.5
+"""Half-angle [deg] of the steepest cone with an attached shock, gamma 1.4, in the limit of high Mach numbers: on a
+steeper surface the flow at the edge is subsonic, and Re_theta / M_e is no measure of its boundary layer (NACA Report
+1135, 1953, charts of cones)."""
+SONIC = 1.0
+"""Least edge Mach number [-] of the criterion. Where the flow is subsonic, as on a blunt nose, published criteria are
+ones of Re_theta alone (Anderson, Passive Nosetip Technology Program, SAMSO-TR-74-86)."""
 
 
 @dataclass(frozen=True)
@@ -135,60 +144,67 @@ class SurfaceEdge(NamedTuple):
     """Flow at the edge of a windward surface, and of its laminar boundary layer what the running length leaves alone.
 
     angle_deg         : of the surface against the flow [deg]; NaN stands for no edge
-    complete          : 1 with the boundary layer, 0 where rho, mu, mu_e and sound were not asked for
     u_e               : edge speed [m/s]
     rho, mu           : density [kg/m3] and viscosity [Pa s] at Eckert's reference enthalpy
-    mu_e, sound       : viscosity [Pa s] and speed of sound [m/s] at the edge
+    mu_e, mach        : viscosity at the edge [Pa s], edge Mach number of the criterion [-]; rho, mu, mu_e and mach are
+                        0 where they were not asked for
     dissociation_J_kg : heat of dissociation at the edge [J/kg]
     """
 
     angle_deg: float
-    complete: float
     u_e: float
     rho: float
     mu: float
     mu_e: float
-    sound: float
+    mach: float
     dissociation_J_kg: float
 
 
-NO_EDGE = SurfaceEdge(math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_EDGE = SurfaceEdge(math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """To begin with, at every time."""
 
 
 @njit
-def surface_edge(p_e: float, h_e: float, u_e: float, angle_deg: float, complete: bool) -> SurfaceEdge:
+def surface_edge(
+    state: tuple[float, float, float, float], velocity_m_s: float, angle_deg: float, complete: bool
+) -> SurfaceEdge:
     """Flow at the edge of a surface.
 
-    p_e, h_e, u_e : edge pressure [Pa], enthalpy [J/kg], speed [m/s];  angle_deg : of the surface against the flow [deg]
-    complete      : whether the laminar boundary layer is asked for, with a wall at WALL_K
+    state        : stagnation pressure [Pa], enthalpy [J/kg] and density [kg/m3], free-stream pressure [Pa]
+    velocity_m_s : free-stream speed [m/s];  angle_deg : of the surface against the flow [deg]
+    complete     : whether the laminar boundary layer is asked for, with a wall at WALL_K
 
-    Speed of sound of equilibrium air a^-2 = (d rho/d h)_p / rho + (d rho/d p)_h, by differences. One cell of the
-    pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and 34.
+    One cell of the pressure serves all of it. Source: docs/theory/equations_reference_heating.md, equations 15, 18 and
+    34.
     """
+    p_e, h_e, u_e = windward_edge(state[3], state[0], state[1], velocity_m_s, angle_deg)
     i, w = pressure_cell(p_e)
-    rho_e, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
+    _, mu_e, T_e = state_in_cell(h_e, p_e, i, w)
     dissociation = dissociation_in_cell(T_e, i, w)
     if not complete:
-        return SurfaceEdge(angle_deg, 0.0, u_e, 0.0, 0.0, 0.0, 0.0, dissociation)
+        return SurfaceEdge(angle_deg, u_e, 0.0, 0.0, 0.0, 0.0, dissociation)
     rho, mu, _ = state_in_cell(reference_enthalpy(h_e, enthalpy_in_cell(WALL_K, i, w), u_e, False), p_e, i, w)
-    by_h = (density_in_cell(h_e * (1.0 + STEP), p_e, i, w) - rho_e) / (h_e * STEP)
-    by_p = (air_density_of_enthalpy_kernel(h_e, p_e * (1.0 + STEP)) - rho_e) / (p_e * STEP)
-    return SurfaceEdge(angle_deg, 1.0, u_e, rho, mu, mu_e, 1.0 / math.sqrt(by_h / rho_e + by_p), dissociation)
+    mach = u_e / sound_in_cell(h_e, i, w)
+    if angle_deg > STEEPEST_DEG:
+        p, h, u = windward_edge(state[3], state[0], state[1], velocity_m_s, STEEPEST_DEG)
+        i, w = pressure_cell(p)
+        mach = u / sound_in_cell(h, i, w)
+    return SurfaceEdge(angle_deg, u_e, rho, mu, mu_e, max(mach, SONIC), dissociation)
 
 
 @njit
 def re_theta_over_mach(edge: SurfaceEdge, length_m: float) -> float:
     """Re_theta / M_e [-] of a laminar boundary layer on a cone-like surface at 1100 K.
 
-        Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e
+        Re_theta = 0.664 sqrt(rho* mu* u_e x) / mu_e / sqrt(3),    M_e = u_e / a_e, at least 1
 
     edge : complete;  length_m : running length x [m]
-    rho*, mu* are at Eckert's reference enthalpy. Source: Eckert 1956; docs/theory/equations_reference_heating.md,
+    rho*, mu* are at Eckert's reference enthalpy. Beyond 57.5 deg M_e stays what it is there, and the criterion falls to
+    0 where the flow meets the surface squarely. Source: Eckert 1956; docs/theory/equations_reference_heating.md,
     equations 33 and 34.
     """
     re_theta = MOMENTUM_C * math.sqrt(edge.rho * edge.mu * edge.u_e * length_m) / (edge.mu_e * DIVERGING_LAMINAR)
-    return re_theta * edge.sound / edge.u_e
+    return re_theta / edge.mach
 
 
 @njit
@@ -203,7 +219,8 @@ def edge_flow_kernel(
     velocity_m_s   : free-stream speed [m/s]
     x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
     numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
-    known          : edge of the point before at the same time, or NO_EDGE; returned, or the one found, as the fourth
+    known          : last edge with a boundary layer at the same time, or NO_EDGE; returned as the fourth, or the one of
+                     this point
     Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     ratio, criterion, dissociation = 1.0, 0.0, 0.0
@@ -211,18 +228,18 @@ def edge_flow_kernel(
         turbulent = table_ratio(tables, int(numbers[first + TURBULENT_AT]), x, 0)
         ratio = turbulent / table_ratio(tables, int(numbers[first + LAMINAR_AT]), x, 0)
     atoms, by_re_theta = numbers[first + ATOMS], numbers[first + BY_RE_THETA] > 0.0
-    has_edge, of_edge = numbers[first + KIND] > 0.0, atoms in (OF_EDGE, EDGE_OXYGEN)
-    if has_edge and (by_re_theta or of_edge):
-        angle = x[0] + numbers[first + ANGLE]
-        angle += numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
-        # Points of one surface differ by their running length alone, and a point's edge is the largest part of a frame.
-        if angle != known.angle_deg or (by_re_theta and known.complete == 0.0):
-            p_e, h_e, u_e = windward_edge(state[3], state[0], state[1], velocity_m_s, angle)
-            known = surface_edge(p_e, h_e, u_e, angle, by_re_theta)
-        if by_re_theta:
-            criterion = math.log10(re_theta_over_mach(known, numbers[first + LENGTH]))
+    has_edge, of_edge = numbers[first + KIND] in (EDGE_LAMINAR, EDGE_TURBULENT), atoms in (OF_EDGE, EDGE_OXYGEN)
+    # Of the boundary layer, which has run along the surface ahead of a control surface.
+    running_deg = x[0] + numbers[first + ANGLE]
+    if has_edge and by_re_theta:
+        # Points of one surface differ by their running length alone, and an edge is the largest part of a frame.
+        if running_deg != known.angle_deg:
+            known = surface_edge(state, velocity_m_s, running_deg, True)
+        criterion = math.log10(re_theta_over_mach(known, numbers[first + LENGTH]))
     if has_edge and of_edge:
-        dissociation = known.dissociation_J_kg
+        angle = running_deg + numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
+        edge = known if angle == known.angle_deg else surface_edge(state, velocity_m_s, angle, False)
+        dissociation = edge.dissociation_J_kg
     elif atoms > NO_ATOMS:
         # Without a known edge: the flow of the stagnation point.
         dissociation = air_dissociation_kernel(state[1], state[0])

@@ -244,10 +244,13 @@ class RatioSource(Declared):
         if self.scaling is not None and self.scaling.flight.recovery not in (None, self.recovery):
             rule = f"`{self.scaling.flight.recovery}` is not the `recovery` of the source; remove it"
             raise LocatedError((("scaling", "flight", "recovery"), rule))
+        if self.scaling is not None and self.recovery == "attachment-line":
+            rule = "`attachment-line` is of no surface that a ratio is scaled for; remove [scaling]"
+            raise LocatedError((("recovery",), rule))
         if isinstance(self.base, TheoryBase):
             if self.scaling is not None:
                 raise LocatedError((("scaling",), "a base by theory holds in flight; remove one of them"))
-            if self.recovery in (None, "total"):
+            if self.recovery in (None, "total", "attachment-line"):
                 rule = f"`{self.base.theory}` goes with the enthalpy of an edge; give edge-laminar or edge-turbulent"
                 raise LocatedError((("recovery",), rule))
         return self
@@ -343,7 +346,7 @@ def _build(source: RatioSource, path: Path, point: ControlPointFile, vehicle: Ve
     table = RatioTable(axes, ratio, relative * ratio, header)
     if source.scaling is not None:
         table = scale_table(table, source.scaling_to_flight)
-    expected = recovery_of(point, vehicle.heating.reference).kind
+    expected = recovery_of(point, vehicle.heating).kind
     if source.flow == "turbulent":
         expected = turbulent_recovery(expected)
     if differs := table.recovery_problem(expected, vehicle.heating.reference):

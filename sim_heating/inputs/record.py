@@ -165,8 +165,8 @@ LocalAngle = Annotated[
 
 def edge_problems(recovery: RecoveryName | None, local_angle_deg: float | None) -> list[tuple[Location, str]]:
     """Problems of a declared recovery enthalpy: an edge without an angle, or an angle without a recovery enthalpy."""
-    if recovery in (None, "total") or local_angle_deg is not None:
-        unused = recovery is None and local_angle_deg is not None
+    if recovery in (None, "total", "attachment-line") or local_angle_deg is not None:
+        unused = recovery in (None, "attachment-line") and local_angle_deg is not None
         rule = 'is that of an edge; give `recovery` = "edge-laminar" or "edge-turbulent"'
         return [(("local_angle_deg",), rule)] if unused else []
     return [(("recovery",), f'"{recovery}" needs `local_angle_deg`, the angle that is added to alpha; add it')]
@@ -178,31 +178,41 @@ def declared_recovery(
     reference: str,
     elevon_factor: float = 0.0,
     bodyflap_factor: float = 0.0,
+    sweep_deg: float | None = None,
 ) -> Recovery:
     """Recovery enthalpy of a control point: as declared, else that of the reference heating.
 
     recovery, local_angle_deg      : as declared, angle [deg]; None where not
     reference                      : name of the reference heating
     elevon_factor, bodyflap_factor : part of a deflection that turns the surface [-]
+    sweep_deg                      : of an attachment line [deg]
     """
     if recovery is None:
-        return reference_model(reference).recovery
+        return replace(reference_model(reference).recovery, sweep_deg=sweep_deg or 0.0)
     if recovery == "total":
         return Recovery()
+    if recovery == LINE:
+        return Recovery(recovery, sweep_deg=sweep_deg or 0.0)
     return Recovery(recovery, local_angle_deg or 0.0, elevon_factor, bodyflap_factor)
 
 
 STAGNATION = ("sutton-graves", "detra-kemp-riddell", "fay-riddell", "swept-cylinder")
 FLAT_PLATE = ("eckert-laminar", "eckert-turbulent")
-SWEPT = "swept-cylinder"
+SWEPT, LINE = "swept-cylinder", "attachment-line"
 
 
-def sweep_problems(reference: str, sweep_deg: float | None) -> list[tuple[Location, str]]:
-    """Problems of a sweep [deg]: the cylinder needs one, and no other reference heating has one."""
-    if (sweep_deg is None) != (reference == SWEPT):
+def sweep_problems(
+    reference: str, sweep_deg: float | None, recovery: RecoveryName | None = None
+) -> list[tuple[Location, str]]:
+    """Problems of a sweep [deg]: a cylinder and an attachment line need one, and nothing else has one.
+
+    reference, recovery : names of the reference heating and of the recovery enthalpy, None where not stated
+    """
+    key, name = ("recovery", LINE) if recovery == LINE and reference != SWEPT else ("reference", SWEPT)
+    if (sweep_deg is None) != (reference == SWEPT or recovery == LINE):
         return []
     if sweep_deg is None:
-        return [(("reference",), f'"{SWEPT}" needs `sweep_deg`; add it (0 for a cylinder across the flow)')]
+        return [((key,), f'"{name}" needs `sweep_deg`; add it (0 for a cylinder across the flow)')]
     return [(("sweep_deg",), f'is of "{SWEPT}" only; remove it, or change `reference`')]
 
 
@@ -243,8 +253,9 @@ class Heating(Declared):
     def recovery_of_point(self) -> Recovery:
         """Recovery enthalpy of the control point: as declared, else that of the reference heating."""
         return declared_recovery(
-            self.recovery, self.local_angle_deg, self.reference, self.elevon_factor, self.bodyflap_factor
-        )
+            self.recovery, self.local_angle_deg, self.reference, self.elevon_factor, self.bodyflap_factor,
+            self.sweep_deg,
+        )  # fmt: skip
 
     @property
     def effects(self) -> tuple[EffectUse, ...]:
@@ -265,7 +276,7 @@ class Heating(Declared):
             rule = "needs the laminar `ratio_table` as well; name it, or give `factor` in place of the turbulent table"
             raise LocatedError((("transition", "ratio_table_turbulent"), rule))
         needs_edge = self.transition.by_re_theta
-        if needs_edge and (self.recovery_of_point.kind == "total" or self.running_length_m is None):
+        if needs_edge and (not self.recovery_of_point.of_surface or self.running_length_m is None):
             rule = "needs the edge of the point: `recovery`, `local_angle_deg` and `running_length_m` in [heating]"
             raise LocatedError((("transition", "re_theta_over_m_e"), rule))
         return self
@@ -284,7 +295,7 @@ class Heating(Declared):
         for names, key in ((STAGNATION, "nose_radius_m"), (FLAT_PLATE, "running_length_m")):
             if self.reference in names and getattr(self, key) is None:
                 raise LocatedError((("reference",), f'"{self.reference}" needs `{key}`; add it'))
-        if problems := sweep_problems(self.reference, self.sweep_deg):
+        if problems := sweep_problems(self.reference, self.sweep_deg, self.recovery):
             raise LocatedError(*problems)
         return self
 

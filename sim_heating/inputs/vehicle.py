@@ -41,7 +41,7 @@ from sim_heating.heating.ratio.table import RatioTable, depends_on, read_ratio_t
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureModel, surface_pressure
 from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_recovery
-from sim_heating.inputs.record import declared_recovery
+from sim_heating.inputs.record import LINE, SWEPT, declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
 from sim_heating.thermal.stack import Construction, Material, Sensor, construct
 
@@ -412,7 +412,10 @@ def _read_control_points(
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
             construction = problems.attempt(construct, file.stack, materials, display_path(path))
-        recovery = recovery_of(file, None if vehicle is None else vehicle.heating.reference)
+        if file.recovery == LINE and vehicle is not None and vehicle.heating.sweep_deg is None:
+            rule = f'"{LINE}" needs the sweep of "{SWEPT}", which the [heating] of vehicle.toml does not have'
+            problems.add(f"{display_path(path)}: `recovery`: {rule}")
+        recovery = recovery_of(file, None if vehicle is None else vehicle.heating)
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
         turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
         tables += [(file.name, file.ratio_table, ratio)] if ratio is not None else []
@@ -454,14 +457,16 @@ def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile)
     return [f"{display_path(path)}: `position_m`: {stated}; correct one of the three"]
 
 
-def recovery_of(file: ControlPointFile, reference: str | None) -> Recovery:
+def recovery_of(file: ControlPointFile, heating: ReferenceHeating | None) -> Recovery:
     """Recovery enthalpy of a control point; a control surface turns with the deflection as in its pressure model.
 
-    reference : name of the vehicle's reference heating, None where unknown
+    heating : reference heating of the vehicle, None where unknown
     """
     pressure = file.pressure
     turns = (pressure.elevon_factor, pressure.bodyflap_factor) if isinstance(pressure, ModifiedNewtonian) else ()
-    return declared_recovery(file.recovery, file.local_angle_deg, reference or "none", *turns)
+    reference, sweep_deg = ("none", None) if heating is None else (heating.reference, heating.sweep_deg)
+    elevon, bodyflap = turns or (0.0, 0.0)
+    return declared_recovery(file.recovery, file.local_angle_deg, reference, elevon, bodyflap, sweep_deg)
 
 
 def _read_ratio(
@@ -553,7 +558,7 @@ def _flow(
     flow = edge_flow(
         effects, recovery, file.running_length_m, "edge-oxygen" if declared is None else declared.atoms_of, tables
     )
-    if flow.re_theta and (recovery.kind == "total" or file.running_length_m is None):
+    if flow.re_theta and (not recovery.of_surface or file.running_length_m is None):
         rule = "transition by Re_theta / M_e needs the edge: `recovery`, `local_angle_deg` and `running_length_m`"
         raise InputError(f"{display_path(path)}: {rule}")
     return flow

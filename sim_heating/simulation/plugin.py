@@ -74,8 +74,8 @@ class HeatingPlugin:
     control_points : names; all of the vehicle's by default
     longest_step_s : longest thermal step [s]; a longer frame is divided
     longest_wait_s : longest time between thermal steps [s]. Temperatures of the frames between are extrapolated
-                     from the last step (simulation/plugin_kernel.py), within about 0.01 K of a step a frame; 0 makes a
-                     step a frame
+                     from the last step (simulation/plugin_kernel.py), within 0.02 K of a step a frame and 0.1 K of
+                     `run` over an entry at 60 Hz; 0 makes a step a frame
     nodes          : nodes of each point at least; chosen for accuracy (march/mesh_choice.py) where not given. Fewer
                      cost accuracy and save time
     parameters     : dotted model parameters, the same for all points
@@ -93,7 +93,7 @@ class HeatingPlugin:
     >>> for i in range(1, 601):  # ten seconds at 60 Hz
     ...     plugin.step(frame | {"time_s": i / 60.0})
     >>> round(plugin.surface_K["V09T9527"])
-    909
+    906
     """
 
     def __init__(

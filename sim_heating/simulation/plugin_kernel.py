@@ -14,7 +14,9 @@ the last one to the frame. The kernel asks for a thermal step when
   model then steps to the frame before and from there to this one, so that the corner of the conditions stays at the
   frame where it was.
 
-`heat_points` derives the conditions of a frame and takes the step. Within it conditions are linear in time.
+`heat_points` derives the conditions of a frame and takes the step. Within it conditions are linear in time. They end at
+the frame plus the mean distance of the frames of the wait from their chord: a deflection that is commanded ten times a
+second is a staircase, and of its stairs a step at every n-th frame would always meet the same ones.
 """
 
 from __future__ import annotations
@@ -63,11 +65,11 @@ from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, be
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(11)
-THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3))
+THERMAL_FRAME, SLOPE, AREA, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3, 4))
 """Places in the host array. Constant: reference model, reference length [m], nose radius [m], sweep [deg], longest
 thermal step and longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last
-one [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of
-change of the frame's values over the last thermal step [1/s]."""
+one [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, the rates of change
+of the frame's values over the last thermal step [1/s], and their integrals over time since then [s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
@@ -98,8 +100,11 @@ TARGET_SHARE = 0.5
 """Share of TOLERANCE_K that the next wait is chosen for."""
 LARGEST_GROWTH = 2.0
 """Largest ratio of the next wait to the last step."""
-# With these distances and TOLERANCE_K (decision 0007) plug-in and march stay within 0.02 K of each other over an entry.
-BEND_TOLERANCE = np.array([LINE_TOLERANCE.get(name, np.inf) for name in FRAME])
+# With these distances and TOLERANCE_K (decision 0007) temperatures stay within 0.02 K of those of a step with every
+# frame over an entry.
+BEND_SHARE = 0.6
+"""How far a frame may lie off the line of the last step, over how far samples of a flight may lie off theirs [-]."""
+BEND_TOLERANCE = np.array([BEND_SHARE * LINE_TOLERANCE.get(name, np.inf) for name in FRAME])
 """Distance of a value from its line that counts as a bend; altitude acts through density."""
 BEND_TOLERANCE_SHARE = np.array([LINE_TOLERANCE_SHARE.get(name, 0.0) for name in FRAME])
 """Further distance that is tolerated, as a share of the value itself."""
@@ -177,6 +182,7 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
     if since >= host[WAIT] - CLOCK_ROUNDING_S:
         return HEAT
     for i in range(len(frame)):
+        host[AREA + i] += 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
         host[LAST_FRAME + i] = frame[i]
     for i in range(published.shape[1]):
         published[CURRENT, i] = published[VALUE, i] + since * (published[LINEAR, i] + since * published[QUADRATIC, i])
@@ -277,7 +283,11 @@ def _heat_to(
     dt = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     # Without the 1e-9, rounding would add a step to a wait that is a multiple of the longest one.
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
-    derive_conditions(frame, host, points, lanes, vectors)
+    elapsed, end = frame[F_TIME] - host[LAST_FRAME + F_TIME], frame.copy()
+    for i in range(F_TIME + 1, len(frame)):
+        area = host[AREA + i] + 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
+        end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
+    derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
     advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
     error = _update_parabolas(all_lanes.state, places, published, dt)
@@ -290,6 +300,7 @@ def _heat_to(
         host[SLOPE + i] = (frame[i] - host[THERMAL_FRAME + i]) / dt
         host[THERMAL_FRAME + i] = frame[i]
         host[LAST_FRAME + i] = frame[i]
+        host[AREA + i] = 0.0
 
 
 @njit
@@ -312,6 +323,7 @@ def heat_points(
         for i in range(len(frame)):
             host[THERMAL_FRAME + i] = frame[i]
             host[LAST_FRAME + i] = frame[i]
+            host[AREA + i] = 0.0
         for i in range(len(places)):
             published[CURRENT, i] = published[VALUE, i] = published[LAGGED, i] = all_lanes.state[places[i]]
             published[LINEAR, i] = published[QUADRATIC, i] = 0.0

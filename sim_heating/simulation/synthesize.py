@@ -233,6 +233,8 @@ def _recovery_keys(point: ControlPoint) -> dict[str, Any]:
     own = point.recovery
     if own.kind == "total":
         return {}
+    if own.kind == "attachment-line":
+        return {"recovery": own.kind, "sweep_deg": own.sweep_deg}
     turns = {"elevon_factor": own.elevon_factor, "bodyflap_factor": own.bodyflap_factor}
     turned = {key: factor for key, factor in turns.items() if factor != 0.0}
     return {"recovery": own.kind, "local_angle_deg": own.local_angle_deg, **turned}

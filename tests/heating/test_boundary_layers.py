@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.verification.boundary_layer import Isobar, plate, solve, stagnation_film, van_driest_friction
+from benchmarks.verification.boundary_layer import (
+    Isobar,
+    plate,
+    solve,
+    stagnation_film,
+    swept_line,
+    van_driest_friction,
+)
 from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.reference.cylinder import swept_cylinder_film
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
@@ -58,13 +65,27 @@ def test_fay_riddell_is_2_to_5_percent_above_the_boundary_layer_at_its_wall_of_3
     assert 0.02 < stagnation_ratio(altitude_m, V, 300.0) - 1.0 < 0.055
 
 
-@pytest.mark.parametrize(("V", "rho", "T_inf"), [(7081.0, 7.04e-5, 217.0), (4500.0, 3.1e-4, 247.0)])
-def test_the_constant_of_a_cylinder_is_3_to_8_percent_above_the_plane_boundary_layer(V, rho, T_inf):
-    p_0, h_0, rho_0, p = stagnation_kernel(rho, V, T_inf)
+LINES = [(1200.0, 0.05, 222.0), (2500.0, 2e-3, 265.0), (4500.0, 3.1e-4, 247.0), (8000.0, 2.5e-5, 200.0)]
+
+
+@pytest.mark.parametrize(("V", "rho", "T_inf"), LINES)
+@pytest.mark.parametrize("sweep_deg", [0.0, 30.0, 45.0, 60.0])
+def test_a_swept_cylinder_is_within_1_5_percent_of_its_boundary_layer(V, rho, T_inf, sweep_deg):
+    sweep = math.radians(sweep_deg)
+    p_0, h_e, rho_0, p = stagnation_kernel(rho, V * math.cos(sweep), T_inf)
     gradient = math.sqrt(2.0 * (p_0 - p) / rho_0) / RADIUS_M
-    for T_w, low, high in ((300.0, 0.05, 0.08), (1200.0, 0.03, 0.045)):
-        own = stagnation_film(p_0, air_temperature_kernel(h_0, p_0), T_w, gradient, PRANDTL, plane=True)
-        assert low < swept_cylinder_film(rho, V, T_inf, 0.0, 0.0, RADIUS_M, T_w) / own - 1.0 < high
+    own = swept_line(p_0, air_temperature_kernel(h_e, p_0), V * math.sin(sweep), 300.0, gradient, PRANDTL)
+    H_r = h_e + math.sqrt(PRANDTL) * 0.5 * (V * math.sin(sweep)) ** 2
+    film = swept_cylinder_film(rho, V, T_inf, 0.0, sweep_deg, RADIUS_M, 300.0)
+    assert film * (H_r - own.h_w) == pytest.approx(own.flux, rel=0.015)
+    assert pytest.approx(own.h_aw, rel=0.012) == H_r  # the solution's recovery factor is 0.855, above Pr^(1/2)
+
+
+def test_an_unswept_line_is_the_plane_stagnation_point():
+    p_0, T_0 = 5000.0, 4000.0
+    own = swept_line(p_0, T_0, 0.0, 300.0, 1e4, PRANDTL)
+    film = stagnation_film(p_0, T_0, 300.0, 1e4, PRANDTL, plane=True)
+    assert own.flux / (own.h_aw - own.h_w) == pytest.approx(film, rel=1e-3)
 
 
 PLATES = [(70e3, 7000.0, 25.0), (70e3, 6300.0, 40.0), (66e3, 5500.0, 40.0), (57e3, 3900.0, 40.0), (49e3, 2650.0, 40.0)]

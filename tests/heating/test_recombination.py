@@ -9,6 +9,7 @@ import pytest
 
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import HEAT_OF_OXYGEN
+from sim_heating.heating.reference.gas import air_kernel
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
 from tests.support.walls import flight, heat, material, wall
@@ -17,10 +18,10 @@ H_R, H_REF, PRESSURE = 2.4e7, 0.02, 1500.0
 R_U = 8314.462618
 
 
-def factor(used: EffectUse, wall_K: float, dissociation_J_kg: float, ratio: float = 0.2) -> float:
+def factor(used: EffectUse, wall_K: float, dissociation_J_kg: float, ratio: float = 0.2, H_r: float = H_R) -> float:
     """Factor of an effect on the film of a wall at a temperature [-]."""
     stack = wall((material(), 0.01), initial_K=wall_K)
-    conditions = {"h_ref_kg_m2_s": H_REF, "H_r_J_kg": H_R, "p_surface_Pa": PRESSURE}
+    conditions = {"h_ref_kg_m2_s": H_REF, "H_r_J_kg": H_r, "p_surface_Pa": PRESSURE}
     ensemble = pack([PointModel("p", stack, nodes=14, parameters={"ratio.d0": ratio}, effects=(used,))])
     ensemble.begin(flight([0.0], dissociation_J_kg=dissociation_J_kg, **conditions)[:, 0])
     return float(ensemble.film_kg_m2_s[0]) / (ratio * H_REF)
@@ -28,8 +29,25 @@ def factor(used: EffectUse, wall_K: float, dissociation_J_kg: float, ratio: floa
 
 @pytest.mark.parametrize("dissociation", [1e6, HEAT_OF_OXYGEN, 1.2e7])
 def test_a_wall_without_recombination_loses_the_heat_of_dissociation(dissociation: float) -> None:
-    """Fay and Riddell's frozen boundary layer at a noncatalytic wall: 1 - h_D / h_0."""
-    assert factor(use("recombination", {"efficiency": 0.0}), 1200.0, dissociation) == 1.0 - dissociation / H_R
+    """Frozen boundary layer at a noncatalytic wall, Le = 1: the flux film (H_r - h_w) loses film h_D."""
+    h_w = air_kernel(1200.0, 1e5)[0]
+    expected = 1.0 - dissociation / (H_R - h_w)
+    assert factor(use("recombination", {"efficiency": 0.0}), 1200.0, dissociation) == pytest.approx(expected, rel=2e-4)
+
+
+def test_a_cold_noncatalytic_wall_has_fay_and_riddells_limit() -> None:
+    cold = factor(use("recombination", {"efficiency": 0.0}), 120.0, 8e6)
+    assert cold == pytest.approx(1.0 - 8e6 / H_R, rel=4e-3)
+
+
+def test_a_hot_noncatalytic_stagnation_point_is_heated_a_tenth_less_than_with_the_limit_of_a_cold_wall() -> None:
+    h_D, hot = 1.4e7, 2000.0
+    limit = 1.0 - h_D / H_R
+    assert 0.09 < 1.0 - factor(use("recombination", {"efficiency": 0.0}), hot, h_D) / limit < 0.16
+
+
+def test_a_wall_as_hot_as_the_flow_does_not_divide_by_its_driving_enthalpy() -> None:
+    assert np.isfinite(factor(use("recombination", {"efficiency": 0.0}), 2900.0, 1e6, H_r=3.2e6))
 
 
 def test_a_wall_at_which_every_atom_recombines_is_all_but_fully_catalytic() -> None:
@@ -52,7 +70,7 @@ def test_oxygen_recombines_by_scotts_law_against_its_diffusion(wall_K: float, ga
     # the atoms that arrive by diffusion are those that react: h_m (c_e - c_w) = rho_w k_w c_w
     c_w = np.linalg.solve([[diffusion + rate]], [diffusion])[0]
     recombined = 1.0 - c_w
-    expected = 1.0 - (1.0 - recombined) * HEAT_OF_OXYGEN / H_R
+    expected = 1.0 - (1.0 - recombined) * HEAT_OF_OXYGEN / (H_R - air_kernel(wall_K, 1e5)[0])
     assert factor(use("recombination"), wall_K, HEAT_OF_OXYGEN) == pytest.approx(expected, abs=3e-4)
 
 
@@ -91,11 +109,11 @@ def test_turbulent_film_is_the_one_that_atoms_diffuse_through() -> None:
 
 
 def test_the_step_of_catalysis_is_the_same_equation_about_the_temperature_of_half_recombination() -> None:
-    """Width T_c^2 / (T_A - T_c / 2) and step h_D / (H_r - h_D), docs/reference/effects.md, behind equation 28."""
+    """Width T_c^2 / (T_A - T_c / 2) and step h_D / (H_r - h_w - h_D), docs/reference/effects.md, behind equation 28."""
     finite, none = use("recombination"), use("recombination", {"efficiency": 0.0})
     T = np.linspace(1100.0, 1650.0, 23)
     rise = np.array([factor(finite, t, HEAT_OF_OXYGEN, 0.6) / factor(none, t, HEAT_OF_OXYGEN, 0.6) for t in T]) - 1.0
-    step = HEAT_OF_OXYGEN / (H_R - HEAT_OF_OXYGEN)
+    step = HEAT_OF_OXYGEN / (H_R - air_kernel(1400.0, 1e5)[0] - HEAT_OF_OXYGEN)
     half = float(np.interp(0.5 * step, rise, T))
     own = use(
         "catalysis",

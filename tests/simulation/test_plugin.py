@@ -16,10 +16,13 @@ from hypothesis import strategies as st
 from sim_heating.base.conditions import FRAME, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.march.history import march_points
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.plugin_jsbsim import JSBSimHeating
+from sim_heating.simulation.run import fly_scenario
+from sim_heating.simulation.run import run as run_scenario
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.jsbsim.host import InitialState, JSBSimHost, open_vehicle
 from sim_heating.trajectory.spec import TrajectorySpec
@@ -229,6 +232,43 @@ def test_temperatures_between_thermal_steps_are_those_of_a_step_with_every_frame
 def test_temperatures_between_thermal_steps_follow_a_popu(plugin: HeatingPlugin, every_frame: HeatingPlugin) -> None:
     # 0.023 K where the atoms of the flow, linear between thermal steps, pass a corner of the gas table
     assert largest_difference_K(plugin, every_frame, glide(60.0)[1]) < 0.03
+
+
+def test_a_commanded_staircase_acts_with_its_mean(orbiter: Vehicle) -> None:
+    """A body flap that retracts by 0.02 deg ten times a second, met at the same place of every second stair."""
+    plugins = [HeatingPlugin(orbiter, ["BODYFLAP"], longest_wait_s=wait_s) for wait_s in (0.2, 0.0)]
+    late = {"altitude_m": 33e3, "velocity_m_s": 1440.0, "alpha_deg": 21.8, "rho_kg_m3": 8.9e-3}
+    stairs = (np.arange(3600) + 5) // 6
+    apart = []
+    for i, stair in enumerate(stairs):
+        values = frame(i / 60.0, **late, bodyflap_deg=14.0 - 0.02 * stair)
+        for plugin in plugins:
+            plugin.reset(values) if i == 0 else plugin.step(values)
+        apart.append(plugins[0].surface_K["BODYFLAP"] - plugins[1].surface_K["BODYFLAP"])
+    assert abs(np.mean(apart[-1200:])) < 0.004
+
+
+@pytest.mark.thorough
+def test_over_an_entry_at_60_hertz_every_point_keeps_the_promise() -> None:
+    """All points of the nominal entry: within 0.02 K of a step with every frame, 0.1 K of `run`."""
+    scenario = load_scenario(ROOT / "scenarios" / "nominal.toml")
+    frames: list[np.ndarray] = []
+    flight = fly_scenario(scenario, on_frame=lambda row: frames.append(row.copy()))
+    waiting, every = (HeatingPlugin(scenario.vehicle, scenario.names, longest_wait_s=wait_s) for wait_s in (0.25, 0.0))
+    surface, apart = [], 0.0
+    for i, values in enumerate(frames):
+        for plugin in (waiting, every):
+            plugin.reset(values) if i == 0 else plugin.step(values)
+        apart = max(apart, float(np.max(np.abs(waiting.temperatures() - every.temperatures()))))
+        surface.append(waiting.surface_temperatures())
+    assert apart < 0.02
+    result = run_scenario(scenario, flight=flight)
+    clock = np.array([values[0] for values in frames])
+    for k, name in enumerate(scenario.names):
+        history = result.points[name].history
+        known = history.time_s <= clock[-1] + 1e-6
+        at = np.searchsorted(clock, history.time_s[known] - 1e-6)
+        assert np.max(np.abs(np.array(surface)[at, k] - history.surface_K[known])) < 0.1
 
 
 def test_a_quiet_flight_takes_a_thermal_step_every_quarter_of_a_second(plugin: HeatingPlugin) -> None:

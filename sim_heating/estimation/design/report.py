@@ -102,7 +102,7 @@ def design(
 
     >>> import sim_heating as sh
     >>> sh.design("scenarios/design_first_look.toml", evaluations=4)
-    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=5.4e-05; 4 designs>
+    <DesignResult of BODYFLAP: sigma(ratio.d_elevon)=0.00012; 4 designs>
     """
     scenario = load_scenario(scenario)
     if evaluations is not None:

@@ -1,12 +1,15 @@
 """Finite-rate recombination of oxygen and nitrogen atoms at the wall: heating below that of a fully catalytic wall.
 
-    f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r
+    f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / (H_r - h_w)
     phi = rho_w k_w / (rho_w k_w + h_m),    k_w = gamma sqrt(R_u T_w / (2 pi M)),    gamma = A exp(-T_A / T_w)
 
 h_O and h_N are the heats of dissociation that the flow brings to the wall as atoms, frozen through the boundary layer;
-h_m = Le^(2/3) film is its coefficient of mass transfer, film the fully catalytic one of the point. Oxygen dissociates
-first: h_O is up to 3.59 MJ/kg of the heat of dissociation, that of all its atoms, and h_N the rest.
-Source: Goulard, Jet Propulsion 28 (1958) 737; phi = 0 is Fay and Riddell's (1958) frozen flow at a noncatalytic wall;
+h_w is the enthalpy of frozen air at the wall: the flux film (H_r - h_w) falls by film times the heat that is not given
+up, whatever the wall's temperature. h_m = Le^(2/3) film is its coefficient of mass transfer, film the fully catalytic
+one of the point. Oxygen dissociates first: h_O is up to 3.59 MJ/kg of the heat of dissociation, that of all its atoms,
+and h_N the rest.
+Source: Goulard, Jet Propulsion 28 (1958) 737; phi = 0 is frozen flow at a noncatalytic wall, of which Fay and Riddell
+(1958) print the limit of a cold wall, 1 - h_D / h_0;
 derived in docs/reference/effects.md, equations 25 to 28.
 """
 
@@ -23,7 +26,7 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import Parameter
 from sim_heating.heating.atmosphere import MOLAR_GAS_CONSTANT
 from sim_heating.heating.effects import Effect, SearchStart, flight
-from sim_heating.heating.reference.gas import MOLAR_MASS_N2_O2, R_TABLE
+from sim_heating.heating.reference.gas import MOLAR_MASS_N2_O2, R_TABLE, frozen_enthalpy
 
 RECOMBINATION = "recombination"
 """Name of the effect."""
@@ -37,6 +40,8 @@ FORMATION_O, FORMATION_N = 246.790e6, 470.818e6
 HEAT_OF_OXYGEN = 2.0 * OXYGEN * FORMATION_O / MOLAR_MASS_N2_O2
 HEAT_OF_NITROGEN = 2.0 * NITROGEN * FORMATION_N / MOLAR_MASS_N2_O2
 """Heats of dissociation of all oxygen and of all nitrogen of air [J/kg]: 3.59e6 and 25.8e6."""
+LEAST_DRIVING = 0.1
+"""Least H_r - h_w, as a share of H_r [-]."""
 LEWIS_2_3 = 1.4 ** (2.0 / 3.0)
 """Le^(2/3) [-] with the Lewis number 1.4 of atoms in air (Fay and Riddell 1958)."""
 
@@ -67,15 +72,16 @@ def recombined_part(gamma: float, molar_mass: float, rho_w: float, wall_K: float
 
 @njit
 def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-    """Factor of finite-rate recombination on the heating ratio [-], from 1 - h_D / H_r (noncatalytic) to 1 (fully).
+    """Factor of finite-rate recombination on the heating ratio [-], 1 - h_D / (H_r - h_w) (noncatalytic) to 1.
 
-        f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / H_r
+        f = 1 - [(1 - phi_O) h_O + (1 - phi_N) h_N] / (H_r - h_w)
 
     B       : block of the lane group; B[c] flight conditions with h_D, H_r [J/kg], p_surface [Pa], B[p] the parameters
     wall_K  : wall temperature T_w [K], above 0; gamma stays as it is at `highest_K` above that
     returns : factor [-]; 1 where the flow has no atoms, or no film
 
-    gamma is at most 1. Source: Goulard (1958), Scott (1980); docs/reference/effects.md, equations 25 to 28.
+    gamma is at most 1. H_r - h_w counts as a tenth of H_r at least: at a wall near H_r there is no flux to divide.
+    Source: Goulard (1958), Scott (1980); docs/reference/effects.md, equations 25 to 28.
     """
     h_D, film = B[c + flight.dissociation_J_kg], film_found(B, c)
     if h_D <= 0.0 or film <= 0.0:
@@ -89,7 +95,9 @@ def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
     gamma_N = min(B[p + EFFICIENCY] * B[p + N_FACTOR] * exp(-B[p + N_ACTIVATION] / T), 1.0)
     phi_O = recombined_part(gamma_O, MOLAR_MASS_O, rho_w, wall_K, h_m)
     phi_N = recombined_part(gamma_N, MOLAR_MASS_N, rho_w, wall_K, h_m)
-    return 1.0 - ((1.0 - phi_O) * h_O + (1.0 - phi_N) * h_N) / B[c + flight.H_r_J_kg]
+    H_r = B[c + flight.H_r_J_kg]
+    driving = max(H_r - frozen_enthalpy(wall_K), LEAST_DRIVING * H_r)
+    return 1.0 - ((1.0 - phi_O) * h_O + (1.0 - phi_N) * h_N) / driving
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:

@@ -58,7 +58,7 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import eckert_kernel, windward_edge_kernel
 from sim_heating.heating.reference.gas import air_kernel
 from sim_heating.heating.reference.models import total_enthalpy_kernel
-from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery_kernel
+from sim_heating.heating.reference.recovery import Recovery, SurfaceRecovery, point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, NO_LEWIS, fay_riddell_kernel
 
 ALPHA, LOG10_RE = 0, 2
@@ -95,7 +95,7 @@ class FlowState(Declared):
     wall_K: float = Field(gt=0.0, description="wall temperature in K")
     length_m: float = Field(gt=0.0, description="reference length of model or vehicle in m")
     nose_radius_m: float = Field(gt=0.0, description="radius of the reference sphere, scaled with the model, in m")
-    recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
+    recovery: SurfaceRecovery | None = Field(default=None, description="enthalpy that the ratio is reduced with")
 
     def density(self, log10_re: float) -> float:
         """Free-stream density rho = Re mu(T_inf) / (V L) [kg/m3] at a Reynolds number.
@@ -203,7 +203,7 @@ def theoretical_ratio(state: FlowState, log10_re: float, angle_deg: float, x_ove
 
 
 def driving_enthalpy(
-    state: FlowState, log10_re: float, angle_deg: float, recovery: RecoveryName | None, intermittency: float = 0.0
+    state: FlowState, log10_re: float, angle_deg: float, recovery: SurfaceRecovery | None, intermittency: float = 0.0
 ) -> float:
     """Recovery less wall enthalpy, H - H_w [J/kg], that a flux in a flow state is divided by for a film coefficient.
 
@@ -218,7 +218,7 @@ def driving_enthalpy(
     rho, V, T = state.density(log10_re), state.velocity_m_s, state.T_inf_K
     p_e, _, _ = windward_edge_kernel(rho, V, T, angle_deg)
     H_w, H_0 = air_kernel(state.wall_K, p_e)[0], total_enthalpy_kernel(V, T)
-    kind: RecoveryName = "edge-laminar" if recovery is None else recovery
+    kind: SurfaceRecovery = "edge-laminar" if recovery is None else recovery
     H, rise = point_recovery_kernel(H_0, V, angle_deg, 0.0, 0.0, Recovery(kind).parameters(), 0)
     driving = H - H_w if recovery is not None else H + intermittency * rise - H_w
     if driving <= 0.0:

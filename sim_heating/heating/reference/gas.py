@@ -1,10 +1,12 @@
-"""Equilibrium air: enthalpy, density and viscosity of hot air, and the enthalpy of air at the wall.
+"""Equilibrium air: enthalpy, density, viscosity and speed of sound of hot air, and the enthalpy of air at the wall.
 
 The enthalpies are zero at 0 K. The table is `data/equilibrium_air.csv` (its source is in the file): 200 to 12000 K,
 1 Pa to 1 MPa, linear in T and in log10 p. Outside in pressure the composition of the edge is kept (the density still
 follows p); below 200 K the enthalpy runs linearly to zero at 0 K; above 12000 K the edge value is returned. Between
 its points the table is within 0.4 % in h, 0.2 % in Z and 15 K in T(h, p) of the equilibrium it was computed from.
-Viscosity is Sutherland's up to 700 K; above, it is Sutherland's times the table's ratio to it.
+Viscosity is Sutherland's up to 700 K; above, it is Sutherland's times the table's ratio to it. The speed of sound is
+tabulated against h and p: as a derivative of the lines between the points of the table it would fall by 0.6 % at every
+one of them. It is within 0.05 % of the equilibrium to 8000 K, 0.1 % above.
 Equations: docs/theory/equations_reference_heating.md, equations 5 to 8.
 """
 
@@ -38,6 +40,10 @@ PRANDTL = 0.71
 scatter about it, 0.68 to 0.78 from 1000 to 6000 K (docs/theory/equations_reference_heating.md, section 2)."""
 ENTHALPY_BIN, ENTHALPY_BINS = 2.5e5, 160
 """Width [J/kg] and number of the bins of enthalpy that start the search for a temperature; the last has no end."""
+SOUND_STEP = 25.0
+"""Step [m/s] of the axis sqrt(h) of the speed of sound."""
+SOUND_REFINED = 10
+"""Points between two temperatures of the table from which that axis is filled."""
 JOIN_K = 700.0
 """Temperature [K] up to which the viscosity is Sutherland's; the table's differs from it by 0.2 % there."""
 
@@ -48,6 +54,7 @@ class Grid(NamedTuple):
     h, Z, dissociation : enthalpy above 0 K [J/kg], compressibility [-], dissociation enthalpy [J/kg]
     viscosity_ratio    : viscosity over Sutherland's [-], 1 up to JOIN_K
     viscosity_sigma, prandtl, prandtl_sigma : relative sigma of the viscosity, frozen Prandtl number, its sigma [-]
+    sound_m_s          : speed of sound [m/s]
     """
 
     log_p: FloatArray
@@ -59,6 +66,7 @@ class Grid(NamedTuple):
     viscosity_sigma: FloatArray
     prandtl: FloatArray
     prandtl_sigma: FloatArray
+    sound_m_s: FloatArray
 
 
 @cache
@@ -162,6 +170,31 @@ def _make_inverse() -> Callable[[float, int, float], tuple[float, int, float]]:
     return inverse
 
 
+def _make_sound() -> Callable[[float, int, float], float]:
+    log_p, T_axis, h = _grid()[:3]
+    # The ratio a / sqrt(h) changes slowly: cubic in sqrt(h), linear in log10 p. Its axis begins and ends one step early
+    # and late, for the cubic's neighbours; it is filled by cubics in T, as dissociation begins within a few points.
+    T = np.linspace(T_axis[0], T_axis[-1], SOUND_REFINED * (len(T_axis) - 1) + 1)
+    weights = _cubic_weights(T, T_axis).T
+    root, ratio = np.sqrt(h @ weights), (_grid().sound_m_s / np.sqrt(h)) @ weights
+    count = math.ceil(np.max(root) / SOUND_STEP) + 1
+    axis, length = SOUND_STEP * np.arange(-1, count + 1), count + 2
+    flat = np.concatenate([np.interp(axis, root[i], ratio[i]) for i in range(len(log_p))])
+
+    def sound(h_J_kg: float, i: int, w: float) -> float:
+        root_h, f = math.sqrt(h_J_kg), pointer(flat)
+        j, s = _uniform_cell(root_h, 0.0, SOUND_STEP, count)
+        # Catmull and Rom's cubic: through two points with the slopes of parabolas through three.
+        before, after = -0.5 * s * (1.0 - s) * (1.0 - s), -0.5 * s * s * (1.0 - s)
+        here, there = 1.0 - s * s * (2.5 - 1.5 * s), s * (0.5 + s * (2.0 - 1.5 * s))
+        a = i * length + j
+        b = a + length
+        ratio = (1.0 - w) * (before * f[a] + here * f[a + 1] + there * f[a + 2] + after * f[a + 3])
+        return root_h * (ratio + w * (before * f[b] + here * f[b + 1] + there * f[b + 2] + after * f[b + 3]))
+
+    return sound
+
+
 # They close over arrays and numbers only: a compiled kernel in one would change the cache key at every start.
 pressure_cell = njit_of(_make_pressure_cell)
 """pressure_cell(p_Pa) -> i, w: cell of the table in log10 p and fraction of it [-]; all at one pressure shares it."""
@@ -170,6 +203,9 @@ _temperature_cell = njit_of(_make_temperature_cell)
 _enthalpy = njit_of(_make_enthalpy)
 _air_inverse = njit_of(_make_inverse)
 """_air_inverse(h_J_kg, i, w) -> T [K], j, s: exact inverse of the table's h(T, p); 12000 K above the table."""
+sound_in_cell = njit_of(_make_sound)
+"""sound_in_cell(h_J_kg, i, w) -> speed of sound of equilibrium air [m/s] at an enthalpy above 0 K, with i, w of
+`pressure_cell`. docs/theory/equations_reference_heating.md, equation 34."""
 _compressibility = njit_of(partial(_make_column, "Z"))
 _dissociation = njit_of(partial(_make_column, "dissociation"))
 _viscosity_ratio = njit_of(partial(_make_column, "viscosity_ratio"))
@@ -208,17 +244,6 @@ def _density(p_Pa: float, Z: float, T_K: float) -> float:
 
 
 @njit
-def density_in_cell(h_J_kg: float, p_Pa: float, i: int, w: float) -> float:
-    """Density [kg/m3] as `air_density_of_enthalpy_kernel`, where the cell of the pressure is known.
-
-    h_J_kg, p_Pa : enthalpy above 0 K [J/kg], pressure [Pa];  i, w : `pressure_cell` of this pressure
-    Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
-    """
-    T_K, j, s = _air_inverse(h_J_kg, i, w)
-    return _density(p_Pa, _compressibility(i, w, j, s), T_K)
-
-
-@njit
 def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
     """Density of equilibrium air rho = p / (Z R T) [kg/m3] at an enthalpy and a pressure.
 
@@ -227,7 +252,8 @@ def air_density_of_enthalpy_kernel(h_J_kg: float, p_Pa: float) -> float:
     Source: docs/theory/equations_reference_heating.md, equations 5 and 6.
     """
     i, w = pressure_cell(p_Pa)
-    return density_in_cell(h_J_kg, p_Pa, i, w)
+    T_K, j, s = _air_inverse(h_J_kg, i, w)
+    return _density(p_Pa, _compressibility(i, w, j, s), T_K)
 
 
 @njit
@@ -310,6 +336,24 @@ def air_state_kernel(h_J_kg: float, p_Pa: float) -> tuple[float, float]:
     i, w = pressure_cell(p_Pa)
     rho, mu, _ = state_in_cell(h_J_kg, p_Pa, i, w)
     return rho, mu
+
+
+FROZEN_HOTTEST_K = 3000.0
+"""Temperature [K] up to which the polynomial of frozen air is used, which is a fit to 2200 K; linear above."""
+
+
+@njit
+def frozen_enthalpy(T_K: float) -> float:
+    """Enthalpy above 0 K [J/kg] of air at a temperature [K] without dissociation, within 0.34 % from 200 to 2200 K.
+
+        h = 0.00655 + 0.96674 x + 0.04828 x^2 + 0.04626 x^3 - 0.01460 x^4 [MJ/kg],    x = T / 1000 K
+
+    Source: fit to NASA-9 polynomials of N2 and O2 (NASA/TP-2002-211556);
+    docs/theory/equations_reference_heating.md, equation 8a.
+    """
+    x = min(T_K, FROZEN_HOTTEST_K) * 1e-3
+    h = 0.00655 + x * (0.96674 + x * (0.04828 + x * (0.04626 - x * 0.01460)))
+    return 1e6 * h * (T_K * 1e-3 / x)
 
 
 @njit

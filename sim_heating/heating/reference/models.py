@@ -8,7 +8,7 @@ Equations: docs/theory/equations_reference_heating.md, sections 3 and 5.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple, cast
 
@@ -53,7 +53,7 @@ class ReferenceModel:
     needs    : columns of the conditions that it reads
     on_plate : True where it also needs a running length [m]
     recovery : enthalpy that a ratio over it is reduced with where nothing else is stated; the Eckert models are a
-               surface at the angle of attack with its boundary layer
+               surface at the angle of attack with its boundary layer, the cylinder is an attachment line with its sweep
     holds_m_s : lowest and highest speed [m/s] at which the published form holds; Fay-Riddell replaces a correlation
                below the lowest, every form is continued above the highest, which `beyond_range` reports
     """
@@ -93,7 +93,7 @@ _ALL = (
     ),
     ReferenceModel(
         "swept-cylinder", SWEPT_CYLINDER, "stagnation line of a swept cylinder, Fay & Riddell (1958), laminar", _PLATE,
-        holds_m_s=(0.0, 8000.0),
+        recovery=Recovery("attachment-line"), holds_m_s=(0.0, 8000.0),
     ),
 )  # fmt: skip
 
@@ -287,8 +287,9 @@ def reference_heating(
     running_length_m   : of the Eckert models [m]
     wall_temperature_K : of the reference wall [K]; 300, the definition, unless a table states another
     sweep_deg          : of the reference cylinder at alpha 0 [deg], 0 to below 90
-    recovery           : of the point; by default that of the reference: the total enthalpy, or the adiabatic wall of
-                         an Eckert model at the angle of attack. Columns are those of the point and taken as given
+    recovery           : of the point; by default that of the reference: the total enthalpy, the adiabatic wall of an
+                         Eckert model at the angle of attack, or that of the cylinder. Columns are those of the point
+                         and taken as given
     returns            : h_ref, H_r and its rise in turbulent flow
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
 
@@ -299,7 +300,7 @@ def reference_heating(
     al. 1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
     """
     model = reference_model(name)
-    of_point = model.recovery if recovery is None else recovery
+    of_point = replace(model.recovery, sweep_deg=sweep_deg) if recovery is None else recovery
     _check_geometry(model, nose_radius_m, running_length_m, wall_temperature_K)
     if not 0.0 <= sweep_deg < 90.0:
         raise InputError(f"heating.sweep_deg: {sweep_deg} (must be 0 or above, and below 90)")

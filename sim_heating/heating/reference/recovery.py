@@ -6,8 +6,11 @@ Behind a boundary layer it is below the total enthalpy H_0 = V^2/2 + cp T_inf, b
 A film coefficient goes with the enthalpy that its flux was divided by, q = h (H_r - H_w). The difference between two
 of them depends on the wall temperature and on the speed, so that no heating ratio can stand for it.
 
+On the attachment line of a swept leading edge the flow across the edge comes to rest, and the edge speed is the one
+along it, u_e = V sin(sweep) cos(alpha).
+
 A nose, a leeward side or a pod has no known edge: its heating ratio is reduced with the total enthalpy.
-Equations: docs/theory/equations_reference_heating.md, equations 15, 18 and 19.
+Equations: docs/theory/equations_reference_heating.md, equations 15, 18, 19 and 33a.
 """
 
 from __future__ import annotations
@@ -26,33 +29,42 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.reference.gas import PRANDTL
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S
 
-RecoveryName = Literal["total", "edge-laminar", "edge-turbulent"]
+SurfaceRecovery = Literal["total", "edge-laminar", "edge-turbulent"]
+"""Enthalpy of a ratio that is scaled from a wind tunnel or made by theory."""
+RecoveryName = Literal["total", "edge-laminar", "edge-turbulent", "attachment-line"]
 """Enthalpy that a heating ratio is reduced with, by the name that files use."""
-TOTAL, EDGE_LAMINAR, EDGE_TURBULENT = 0.0, 1.0, 2.0
+TOTAL, EDGE_LAMINAR, EDGE_TURBULENT, ATTACHMENT_LINE = 0.0, 1.0, 2.0, 3.0
 RECOVERIES: Mapping[str, float] = MappingProxyType(
-    dict(zip(get_args(RecoveryName), (TOTAL, EDGE_LAMINAR, EDGE_TURBULENT), strict=True))
+    dict(zip(get_args(RecoveryName), (TOTAL, EDGE_LAMINAR, EDGE_TURBULENT, ATTACHMENT_LINE), strict=True))
 )
 """Every recovery by name, with its number in the kernel."""
 # Constants, for a host asks for them at every frame and point.
 _LAMINAR, _TURBULENT = math.sqrt(PRANDTL), PRANDTL ** (1.0 / 3.0)
 RECOVERY_WIDTH = 4
-"""Length of the parameter block of a recovery: kind, local angle [deg], elevon and body-flap factor [-]."""
+"""Length of the parameter block of a recovery: kind, local angle or sweep [deg], elevon and body-flap factor [-]."""
 
 
 @dataclass(frozen=True)
 class Recovery:
     """Enthalpy that the heating ratio of a point is reduced with, and the surface that its edge speed follows from.
 
-    kind            : `total`, `edge-laminar` or `edge-turbulent`
+    kind            : `total`, `edge-laminar`, `edge-turbulent` or `attachment-line`
     local_angle_deg : angle of the local surface against the vehicle's x axis [deg], added to alpha
     elevon_factor   : part of the elevon deflection that turns the surface [-]
     bodyflap_factor : part of the body-flap deflection that turns the surface [-]
+    sweep_deg       : of `attachment-line`, sweep of the leading edge at alpha 0 [deg]
     """
 
     kind: RecoveryName = "total"
     local_angle_deg: float = 0.0
     elevon_factor: float = 0.0
     bodyflap_factor: float = 0.0
+    sweep_deg: float = 0.0
+
+    @property
+    def of_surface(self) -> bool:
+        """Whether it is that of the boundary layer on a surface, whose edge is known."""
+        return self.kind in ("edge-laminar", "edge-turbulent")
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -63,8 +75,9 @@ class Recovery:
         return ("velocity_m_s", "alpha_deg", *(name for name, factor in turned.items() if factor != 0.0))
 
     def parameters(self) -> FloatArray:
-        """(RECOVERY_WIDTH,) block of `point_recovery_kernel`: kind, local angle [deg], elevon and flap factor [-]."""
-        return np.array([RECOVERIES[self.kind], self.local_angle_deg, self.elevon_factor, self.bodyflap_factor])
+        """(RECOVERY_WIDTH,) block of `point_recovery_kernel`: kind, angle or sweep [deg], elevon, flap factor [-]."""
+        angle_deg = self.sweep_deg if self.kind == "attachment-line" else self.local_angle_deg
+        return np.array([RECOVERIES[self.kind], angle_deg, self.elevon_factor, self.bodyflap_factor])
 
 
 @njit
@@ -89,6 +102,16 @@ def edge_speed(velocity_m_s: float, angle_deg: float) -> float:
 
 
 @njit
+def spanwise_speed(velocity_m_s: float, alpha_deg: float, sweep_deg: float) -> float:
+    """Speed w = V sin(sweep) cos(alpha) along a leading edge [m/s].
+
+    velocity_m_s : free-stream speed [m/s];  alpha_deg, sweep_deg : angle of attack, sweep of the edge at alpha 0 [deg]
+    Source: docs/theory/equations_reference_heating.md, equation 33a.
+    """
+    return velocity_m_s * math.sin(math.radians(sweep_deg)) * math.cos(math.radians(alpha_deg))
+
+
+@njit
 def point_recovery_kernel(
     total_J_kg: float,
     velocity_m_s: float,
@@ -101,16 +124,20 @@ def point_recovery_kernel(
     """Recovery enthalpy H_r of a point and its rise from laminar to fully turbulent flow [J/kg].
 
         H_r = H_0 - (1 - r) u_e^2/2,    rise = (Pr^1/3 - Pr^1/2) u_e^2/2 for edge-laminar, else 0
+        H_r = H_0 - (1 - Pr^1/2) w^2/2 for attachment-line, w the speed along the edge
 
     total_J_kg                          : total enthalpy H_0 [J/kg]
     velocity_m_s                        : free-stream speed [m/s]
     alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
     numbers, first                      : array that holds `Recovery.parameters()` from this place on
-    Source: docs/theory/equations_reference_heating.md, equations 15, 18 and 19.
+    Source: docs/theory/equations_reference_heating.md, equations 15, 18, 19 and 33a.
     """
     kind = numbers[first]
     if kind == TOTAL:
         return total_J_kg, 0.0
+    if kind == ATTACHMENT_LINE:
+        w = spanwise_speed(velocity_m_s, alpha_deg, numbers[first + 1])
+        return total_J_kg - (1.0 - recovery_factor(False)) * 0.5 * w * w, 0.0
     angle = alpha_deg + numbers[first + 1] + numbers[first + 2] * elevon_deg + numbers[first + 3] * bodyflap_deg
     u_e = edge_speed(velocity_m_s, angle)
     kinetic, turbulent = 0.5 * u_e * u_e, recovery_factor(True)

@@ -121,7 +121,7 @@ def candidates(
 def _with_criteria(record: Record, flown: Conditions) -> Conditions:
     """Conditions with Re_theta / M_e, an onset of transition that may be searched for where the point has an edge."""
     heating = record.declared.heating
-    known = heating.recovery_of_point.kind != "total" and heating.running_length_m is not None
+    known = heating.recovery_of_point.of_surface and heating.running_length_m is not None
     if not known or any(used.effect.name == TRANSITION for used in heating.effects):
         return flown
     flow = flow_of_record(record, [use(TRANSITION, {"by_re_theta": 1.0})])
