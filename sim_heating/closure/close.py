@@ -547,7 +547,7 @@ def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
     ])  # fmt: skip
     part = problem.record_fits[0]
     if part.model_error is not None and part.error_root_K is not None:
-        flight = slice(len(part.model_error.time_s), None)
+        flight = part.model_error.of_flight
         residuals -= part.error_root_K[:, flight] @ u[flight]
     known = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")

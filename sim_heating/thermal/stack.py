@@ -399,6 +399,9 @@ class Sensor(Declared):
     column: str = Field(min_length=1, description="column of the measurements, ending in _K")
     depth_m: float = Field(ge=0.0, description="depth from the outer surface in m")
     noise_sigma_K: float | None = Field(default=None, ge=0.0, le=HOTTEST_K, description="random part in K")
+    noise_correlation_s: float | None = Field(
+        default=None, gt=0.0, description="time over which that part changes; white without"
+    )
     bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word")
     range_K: list[float] | None = Field(default=None, description="[lowest, highest] in K")
     calibration: list[float] | None = Field(default=None, min_length=2, description="[c0, c1, ...], indicated K")

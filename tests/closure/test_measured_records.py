@@ -85,10 +85,9 @@ def test_a_stated_uncertainty_is_used_whether_measured_or_not():
     assert (prior.relative, prior.shortest_s, prior.longest_s) == (0.02, 90.0, 90.0)
     assert list(flight.directions) == [("velocity_relative", 0.003)]
     none = record.declared.heating.model_copy(update={"uncertainty": HeatingUncertainty(relative=0.0)})
-    assert (
-        heating_error_prior(as_measured(replace(record, declared=record.declared.model_copy(update={"heating": none}))))
-        is None
-    )
+    exact = replace(record, declared=record.declared.model_copy(update={"heating": none}))
+    assert heating_error_prior(exact) is None
+    assert heating_error_prior(as_measured(exact)).relative == 0.0  # its flight has an error
 
 
 def test_the_error_of_a_flight_follows_from_the_confidence_of_its_conditions():
@@ -104,7 +103,7 @@ def test_a_faster_flight_heats_more_and_keeps_its_angles_and_onsets():
     error = flight_error(tile)
     f = np.array([float(n == "velocity_relative") for n, _ in error.directions])
     before, after = (conditions_of_record(r) for r in (tile, error.record(f)))
-    at = int(np.argmax(before["h_ref_kg_m2_s"]))
+    at = int(np.argmax(before["h_ref_kg_m2_s"] * before["H_r_J_kg"]))
     assert after["h_ref_kg_m2_s"][at] == pytest.approx(1.01 * before["h_ref_kg_m2_s"][at], rel=2e-3)
     assert after["H_r_J_kg"][at] == pytest.approx(1.01**2 * before["H_r_J_kg"][at], rel=5e-3)
     for name in ("alpha_deg", "log10_re", "mach", "velocity_m_s"):

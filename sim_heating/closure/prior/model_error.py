@@ -51,12 +51,15 @@ derivative along the flight's error could not say it.
 
 
 def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
-    """The prior of the error of a record's heating; None where its model is exact."""
+    """The prior of the error of a record's heating, of size 0 where only its flight or a sensor has one; None where its
+    model is exact."""
     stated = record.declared.heating.uncertainty
-    if stated is None:
-        return HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S) if record.declared.measured else None
-    if stated.relative == 0.0:
-        return None
+    slow = any(s.noise_sigma_K and s.noise_correlation_s for s in record.used_sensors)
+    if stated is None and record.declared.measured:
+        return HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S)
+    if stated is None or stated.relative == 0.0:
+        other = slow or flight_error(record) is not None
+        return HeatingErrorPrior(0.0, SHORTEST_S, LONGEST_S) if other else None
     limits = (SHORTEST_S, LONGEST_S) if stated.correlation_s is None else (stated.correlation_s, stated.correlation_s)
     return HeatingErrorPrior(stated.relative, *limits)
 

@@ -12,7 +12,13 @@ from scipy.linalg import cho_solve, solve_triangular
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
-from sim_heating.estimation.inference.model_error import ErrorSize, FlightError, HeatingErrorPrior, ModelError
+from sim_heating.estimation.inference.model_error import (
+    CorrelatedNoise,
+    ErrorSize,
+    FlightError,
+    HeatingErrorPrior,
+    ModelError,
+)
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.march.ensemble import condition_history
@@ -22,6 +28,8 @@ SPACING_S, MOST_KNOTS = 20.0, 100
 """Least distance of knots [s], a third of the shortest correlation time, and their largest number."""
 STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
+KNOTS_A_TIME = 4.0
+"""Knots of slow noise in each of its correlation times."""
 SETTLED, MOST_STEPS = 0.01, 12
 """Change of u at which the inner iteration has converged [-], and its most steps."""
 TOGETHER = 64
@@ -58,8 +66,20 @@ def model_error(
     T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
     moved = np.moveaxis(T[1:] - T[0], 0, -1)
     return ModelError(
-        knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s
-    )
+        knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s,
+        _correlated_noise(record_fit),
+    )  # fmt: skip
+
+
+def _correlated_noise(record_fit: RecordFit) -> dict[int, CorrelatedNoise]:
+    """Noise that changes slowly, by the number of the sensor."""
+    found, t = {}, record_fit.sample_s
+    for channel in record_fit.channels:
+        sigma, tau = channel.sensor.noise_sigma_K, channel.sensor.noise_correlation_s
+        if sigma and tau:
+            count = max(math.ceil((t[-1] - t[0]) / max(tau / KNOTS_A_TIME, float(np.median(np.diff(t))))), 1) + 1
+            found[channel.number] = CorrelatedNoise(np.linspace(t[0], t[-1], count), sigma, tau)
+    return found
 
 
 def _marched_K(record_fit: RecordFit, values: FloatArray, histories: Sequence[FloatArray]) -> FloatArray:

@@ -26,8 +26,8 @@ equations 1 to 7; after M. C. Kennedy and A. O'Hagan, "Bayesian Calibration of C
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -65,6 +65,8 @@ class HeatingErrorPrior:
         Source: docs/theory/model_error.md, equation 5.
         """
         sizes, ends = np.array(SIZES), np.log([self.shortest_s, self.longest_s])
+        if self.relative == 0.0:  # the heating is exact, and something else is not
+            return np.zeros(1), np.array([self.middle_s]), np.zeros((1, 1))
         count = TIMES if self.longest_s > self.shortest_s else 1
         middles = ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0])
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
@@ -92,6 +94,34 @@ class FlightError(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class CorrelatedNoise:
+    """Noise of a sensor that changes slowly: a first-order Gauss-Markov process, linear between knots.
+
+    time_s : (knot,) [s];  sigma_K : its standard deviation [K];  correlation_s : its correlation time [s]
+    """
+
+    time_s: FloatArray
+    sigma_K: float
+    correlation_s: float
+
+    @cached_property
+    def root_K(self) -> FloatArray:
+        """(knot, knot) lower root of its covariance [K]: docs/theory/model_error.md, equation 8."""
+        apart = np.abs(self.time_s[:, np.newaxis] - self.time_s)
+        return np.asarray(self.sigma_K * np.linalg.cholesky(np.exp(-apart / self.correlation_s)))
+
+    @property
+    def white_K(self) -> float:
+        """Size of what the line between two knots leaves of it [K]: docs/theory/model_error.md, equation 8."""
+        return self.sigma_K * math.sqrt((self.time_s[1] - self.time_s[0]) / (3.0 * self.correlation_s))
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """(reading, knot) what a unit of each unknown adds at some times [s], in [K]: equation 8 there."""
+        hats = [np.interp(time_s, self.time_s, hat) for hat in np.eye(len(self.time_s))]
+        return np.asarray(np.array(hats).T @ self.root_K)
+
+
+@dataclass(frozen=True, eq=False)
 class ModelError:
     """The error of the model of one record.
 
@@ -101,6 +131,9 @@ class ModelError:
     flight_K   : (sensor, sample, direction) change of a reading for one standard deviation along a direction [K]
     flight     : the directions; None where the flight has no error
     sigma      : standard deviation of the heating's error [-];  correlation_s : its correlation time [s]
+    noise      : of the sensors whose noise changes slowly, by their numbers
+
+    The unknowns u are those of the heating, of the flight and of the noise of each sensor, in this order.
     """
 
     time_s: FloatArray
@@ -110,6 +143,7 @@ class ModelError:
     flight: FlightError | None
     sigma: float
     correlation_s: float
+    noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
 
     @cached_property
     def correlation_root(self) -> FloatArray:
@@ -139,15 +173,22 @@ class ModelError:
 
         f of docs/theory/model_error.md, equation 1.
         """
-        return u[len(self.time_s) :]
+        return u[self.of_flight]
+
+    @property
+    def of_flight(self) -> slice:
+        """Places of the flight's unknowns [-] among all u of docs/theory/model_error.md, equation 1."""
+        first = len(self.time_s)
+        return slice(first, first + self.flight_K.shape[-1])
 
     def at(self, sensor: int, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(reading, knot) and (reading, direction) responses of a sensor, by its number, at some samples [K].
+        """(reading, knot) response of a sensor, by its number, at some samples, and (reading, unknown) of all else [K].
 
-        S and F of docs/theory/model_error.md, equation 1.
+        S and F of docs/theory/model_error.md, equation 1; F with the noise that changes slowly.
         """
         k = np.searchsorted(self.sample_s, time_s)
-        return self.heating_K[sensor, k], self.flight_K[sensor, k]
+        others = [np.zeros((len(k), len(n.time_s))) if i != sensor else n.at(time_s) for i, n in self.noise.items()]
+        return self.heating_K[sensor, k], np.column_stack([self.flight_K[sensor, k], *others])
 
 
 @dataclass(frozen=True, eq=False)

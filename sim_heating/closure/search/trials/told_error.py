@@ -83,12 +83,11 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     flight, state = error.flight, trial.known_error
     if not isinstance(flight, SmoothFlightError) or state is None:
         return {}
-    first = len(error.time_s)
-    covariance = state.covariance[first:, first:]
+    covariance = state.covariance[error.of_flight, error.of_flight]
     found: dict[str, tuple[float, float] | None] = {}
     for name, (row, prior) in flight.rows.items():
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
-        value = row @ u[first:]
+        value = row @ error.along_flight(u)
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
         found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
     return found

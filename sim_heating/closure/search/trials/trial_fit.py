@@ -37,7 +37,7 @@ from sim_heating.estimation.inference.model_error import ErrorSize, HeatingError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
 from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
-from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
+from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, least_sigma_K
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
@@ -220,10 +220,12 @@ def base_trial(before: FitResult) -> TrialFit:
         problem = _declared_problem(before, thin, weighed, chosen, **THINNED_STEPS)
         part = problem.record_fits[0]
         part.correction_K = error_K[:, np.isin(at_s, part.sample_s)]
-        part.model_error = error
+        if error is not None:
+            part.model_error = error
+            part.sigma_K.update({i: max(n.white_K, least_sigma_K(sensors[i])) for i, n in error.noise.items()})
         return problem
 
-    error = _model_error(thinned, start)
+    error, sensors = _model_error(thinned, start), thin.sensors
     problem = problem_over(fitted)
     try:
         held_out_problem = problem_over(held_out) if np.any(held_out) else None
