@@ -54,8 +54,15 @@ from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.kernels.operations import pointer
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
-from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, NO_EDGE, edge_flow_kernel
-from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
+from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, LAMINAR_AT, LARGEST, NO_EDGE, edge_flow_kernel
+from sim_heating.heating.ratio.lookup import table_ratio
+from sim_heating.heating.reference.models import (
+    is_dense,
+    reference_film_kernel,
+    surface_angle,
+    total_enthalpy_kernel,
+)
+from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_film
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
@@ -80,7 +87,7 @@ class PointConstants(NamedTuple):
     """What the conditions of control points follow from.
 
     numbers : (point, POINT_WIDTH) of each point
-    tables  : its laminar and turbulent ratio tables where it has declared transition (heating/edge_flow.py)
+    tables  : its laminar ratio table, and its turbulent one where it has declared transition (heating/edge_flow.py)
     """
 
     numbers: FloatArray
@@ -193,6 +200,25 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
 
 
 @njit
+def _film_at_point(
+    code: int, h_ref: float, rho: float, V: float, T_inf: float, x: FloatArray, sweep_deg: float, point: FloatArray,
+    tables: FloatArray,
+) -> float:  # fmt: skip
+    """Reference film coefficient [kg/(m2 s)] of a point, bridged in thin air (heating/reference/rarefied.py).
+
+    h_ref : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
+    """
+    angle = surface_angle(code, x[ALPHA], x[ELEVON], x[BODYFLAP], sweep_deg, point, RECOVERY_AT)
+    # Most of an entry ends here, without the look-up of the ratio.
+    if h_ref == 0.0 or is_dense(rho, V, angle, point[FLOW_AT + LARGEST] * h_ref):
+        return h_ref
+    at = int(point[FLOW_AT + LAMINAR_AT])
+    ratio = table_ratio(tables, at, x, 0) if at >= 0 else 1.0
+    speed = max(V, SLOWEST_M_S)
+    return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[RECOVERY_ENTHALPY]), ratio)
+
+
+@njit
 def derive_conditions(
     frame: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray
 ) -> None:
@@ -226,10 +252,10 @@ def derive_conditions(
         vector[ALPHA], vector[BETA], vector[LOG10_RE] = alpha, beta, log10_re
         vector[ELEVON], vector[BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vector[P_SURFACE] = pressure_below_rise(p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point)
-        vector[H_REF] = h_ref
         vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE] = point_recovery_kernel(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
+        vector[H_REF] = _film_at_point(code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables))
         vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
         vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
             state, V, vector, point, FLOW_AT, pointer(points.tables), edge

@@ -13,7 +13,6 @@ import math
 
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.reference.gas import PRANDTL
-from sim_heating.heating.reference.rarefied import bridged_film
 from sim_heating.heating.reference.stagnation import (
     CYLINDER,
     FAY_RIDDELL,
@@ -30,6 +29,16 @@ FAY_RIDDELL_CYLINDER = 0.57
 
 
 @njit
+def line_angle(alpha_deg: float, sweep_deg: float) -> float:
+    """Angle [deg] of a swept cylinder's stagnation line against the flow, 90 without sweep.
+
+    alpha_deg, sweep_deg : angle of attack, sweep L of the edge at alpha 0 [deg];  cos(angle) = sin L cos alpha
+    Source: docs/theory/equations_reference_heating.md, equation 33.
+    """
+    return math.degrees(math.acos(abs(math.sin(math.radians(sweep_deg)) * math.cos(math.radians(alpha_deg)))))
+
+
+@njit
 def swept_cylinder_film(
     rho_kg_m3: float,
     velocity_m_s: float,
@@ -42,7 +51,7 @@ def swept_cylinder_film(
     """Film coefficient h_ref [kg/(m2 s)] of a swept cylinder's stagnation line, for use with the total enthalpy.
 
         V_n = V sqrt(1 - sin^2 L cos^2 alpha),   w^2 = V^2 - V_n^2,   H_aw = H_0 - (1 - sqrt(Pr)) w^2/2
-        h_ref = h_n H_aw / H_0,   h_n of Fay and Riddell at V_n with 0.57 for 0.763, bridged to rho V_n
+        h_ref = h_n H_aw / H_0,   h_n of Fay and Riddell at V_n with 0.57 for 0.763
 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
     alpha_deg, sweep_deg             : angle of attack, sweep L of the edge at alpha 0 [deg]
@@ -54,12 +63,11 @@ def swept_cylinder_film(
     docs/theory/equations_reference_heating.md, equation 33.
     """
     V = max(velocity_m_s, SLOWEST_M_S)
-    along = math.sin(math.radians(sweep_deg)) * math.cos(math.radians(alpha_deg))
-    normal = max(V * math.sqrt(max(1.0 - along * along, 0.0)), SLOWEST_M_S)
+    normal = max(V * math.sin(math.radians(line_angle(alpha_deg, sweep_deg))), SLOWEST_M_S)
     p_0, h_e, rho_0, p = stagnation_kernel(rho_kg_m3, normal, T_inf_K)
     mach = mach_of_table_gas(normal, T_inf_K)
     gradient = velocity_gradient(p_0, rho_0, p, normal, mach, radius_m, CYLINDER)
     sphere = fay_riddell_film(p_0, h_e, rho_0, gradient, T_w_K, NO_LEWIS)
-    film = bridged_film(FAY_RIDDELL_CYLINDER / FAY_RIDDELL * sphere, rho_kg_m3, normal)
+    film = FAY_RIDDELL_CYLINDER / FAY_RIDDELL * sphere
     spanwise = 0.5 * max(V * V - normal * normal, 0.0)
     return film * (h_e + math.sqrt(PRANDTL) * spanwise) / (h_e + spanwise)
