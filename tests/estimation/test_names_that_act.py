@@ -8,6 +8,7 @@ import pytest
 from sim_heating.base.errors import InputError
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
 from sim_heating.heating.effects import effects, use
+from sim_heating.heating.effects.curve import VALUES
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.march.history import march_points
@@ -52,7 +53,9 @@ ON = {
     "effect.curve.variable": 0.0, "effect.curve.low": 37.0, "effect.curve.high": 43.0,
     "effect.catalysis.fall_K": 900.0, "effect.catalysis.catalysis_K": 800.0,
     "effect.transition.log10_re_onset": 5.9, "effect.transition.by_re_theta": 0.0,
-    "effect.nonisothermal-wall.decay_begin_s": 50.0,
+    "effect.nonisothermal-wall.decay_begin_s": 50.0, "effect.emissivity.change_s": 100.0,
+    "effect.recombination.highest_K": 400.0,
+    **{f"effect.{curve}.{value}": 0.03 * k for curve in ("curve", "added-curve") for k, value in enumerate(VALUES)},
 }  # fmt: skip
 """Values at which a parameter acts in this flight, where those of its definition lie outside of it."""
 
@@ -63,8 +66,8 @@ def varied_flight():
     wave = np.sin(flown.time_s / 20.0)
     return flown.with_columns(
         beta_deg=2.0 * wave + 0.5, elevon_deg=4.0 * wave, bodyflap_deg=8.0 * np.cos(flown.time_s / 30.0),
-        jets=0.5 + 0.5 * wave, turbulent_ratio=2.5 + 0.2 * wave, log10_re_theta_m=2.5 + 0.1 * wave,
-        dissociation_J_kg=1e7 + 1e6 * wave, p_surface_Pa=1000.0 + 500.0 * wave,
+        log10_re=flown["log10_re"] + 0.1 * wave, jets=0.5 + 0.5 * wave, turbulent_ratio=2.5 + 0.2 * wave,
+        log10_re_theta_m=2.5 + 0.1 * wave, dissociation_J_kg=1e7 + 1e6 * wave, p_surface_Pa=1000.0 + 500.0 * wave,
     )  # fmt: skip
 
 
