@@ -398,7 +398,7 @@ def summary(result: RunResult) -> dict[str, object]:
         "manoeuvres": [vars(w) for w in result.flight.windows],
         "control_points": points,
         "beyond_reference": beyond_range(scenario.vehicle.heating.reference, flown),
-        "compared": {c.measured.label: c.statistics | c.flux for c in compare(result)},
+        "compared": {c.measured.label: {**c.statistics, **c.flux} for c in compare(result)},
         "plugin_apart_K": result.plugin_apart_K,
         "credibility": result.credibility.as_json(),
     }
