@@ -19,7 +19,6 @@ import numpy as np
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.heating.reference.rarefied import bridged_film
 from sim_heating.heating.reference.stagnation import (
     COLD_WALL_K,
     NO_LEWIS,
@@ -63,7 +62,7 @@ def newtonian_gradient(scenario: Scenario, point: ControlPoint, flown: Condition
     def film(state: tuple[float, float, float, float], rho: float, V: float, T: float, radius: float) -> float:
         p_0, h_0, rho_0, p = state
         gradient = math.sqrt(2.0 * max(p_0 - p, 0.0) / rho_0) / radius
-        return bridged_film(fay_riddell_film(p_0, h_0, rho_0, gradient, COLD_WALL_K, NO_LEWIS), rho, V)
+        return fay_riddell_film(p_0, h_0, rho_0, gradient, COLD_WALL_K, NO_LEWIS)
 
     return {"h_ref_kg_m2_s": _film(scenario, flown, film)}
 
@@ -72,7 +71,7 @@ def sutton_graves_alone(scenario: Scenario, point: ControlPoint, flown: Conditio
     """Sutton-Graves at all speeds."""
 
     def film(state: tuple[float, float, float, float], rho: float, V: float, T: float, radius: float) -> float:
-        return bridged_film(sutton_graves_kernel(rho, V, T, radius), rho, V)
+        return sutton_graves_kernel(rho, V, T, radius)
 
     return {"h_ref_kg_m2_s": _film(scenario, flown, film)}
 

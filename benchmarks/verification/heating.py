@@ -12,10 +12,12 @@ from benchmarks.verification.gas import cantera_air, shock_by_cantera
 from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import flight, heat, material, wall
 from sim_heating.base.conditions import Conditions
+from sim_heating.heating.atmosphere import R_AIR, us76_kernel
 from sim_heating.heating.reference import gas
 from sim_heating.heating.reference.flat_plate import eckert_film, windward_edge_kernel
 from sim_heating.heating.reference.models import reference_heating
-from sim_heating.heating.reference.recovery import recovery_factor
+from sim_heating.heating.reference.rarefied import free_molecular_film
+from sim_heating.heating.reference.recovery import Recovery, recovery_factor
 from sim_heating.heating.reference.stagnation import fay_riddell_kernel, stagnation_kernel
 from sim_heating.heating.surface_pressure import ModifiedNewtonian, surface_pressure
 
@@ -257,6 +259,37 @@ def rarefied() -> list[Row]:
     continuum = fay_riddell_kernel(3e-4, 6000.0, 247.0, FOOT_M, 300.0, 1.0)
     source, is_ = "Fay-Riddell without bridging", "exp(-h_fm / h_c)"
     rows.append(within(1e-6, "fay-riddell with bridging at 60 km, 6000 m/s", continuum, got, "kg/(m2 s)", source, is_))
+    return [*rows, *rarefied_surfaces()]
+
+
+def rarefied_surfaces() -> list[Row]:
+    """Thin air at a surface: free-molecular film at any angle, and a film that no reference radius enters."""
+    rows = []
+    rho, V, T_inf = 2.08e-9, 7500.0, 634.0
+    RT = R_AIR * T_inf
+    for angle_deg in (-20.0, 0.0, 5.0, 40.0):
+        towards, along = V * math.sin(math.radians(angle_deg)), V * math.cos(math.radians(angle_deg))
+        reach = 9.0 * math.sqrt(2.0 * RT)
+        c = np.linspace(max(0.0, towards - reach), max(towards, 0.0) + reach, 40001)
+        maxwellian = np.exp(-((c - towards) ** 2) / (2.0 * RT)) / math.sqrt(2.0 * math.pi * RT)
+        carried = 0.5 * (c**2 + along**2 + 2.0 * RT) + RT
+        expected = rho * float(np.trapezoid(c * maxwellian * carried, c))
+        H_r = 0.5 * V**2 + 1004.5 * T_inf
+        got = free_molecular_film(rho, V, T_inf, angle_deg, H_r) * H_r
+        name = f"free-molecular flux to a surface at {angle_deg:g} deg, 150 km"
+        source = "quadrature over the Maxwellian, rotation R T"
+        rows.append(within(2e-4, name, expected, got, "W/m2", source, "quadrature"))
+    for altitude_km in (90, 100):
+        T_inf, _, rho = us76_kernel(1e3 * altitude_km)
+        state = conditions(rho_kg_m3=rho, velocity_m_s=V, T_inf_K=T_inf, alpha_deg=40.0)
+        films = [
+            r * float(reference_heating(
+                "fay-riddell", state, nose_radius_m=R, recovery=Recovery("edge-laminar"), ratio=np.full(2, r)
+            )[0][0])
+            for R, r in ((FOOT_M, 0.1096), (10.0 * FOOT_M, 0.1096 * math.sqrt(10.0)))
+        ]  # fmt: skip
+        name = f"film of a tile at 40 deg, {altitude_km} km, ratio over 1 ft for 10 ft"
+        rows.append(within(1e-10, name, films[0], films[1], "kg/(m2 s)", "one tile, one heating", "rounding"))
     return rows
 
 

@@ -94,6 +94,12 @@ def _print_run_warnings(found: dict[str, Any]) -> None:
         CONSOLE.print(line)
     if found["beyond_reference"]:
         print_warning(found["beyond_reference"])
+    for label, c in found["compared"].items():
+        if c["table_sigmas"] is not None:
+            CONSOLE.print(
+                f"{label}: measured over predicted flux {c['flux_ratio']:.2f} where it is hot, "
+                f"{c['table_sigmas']:+.1f} sigma of its ratio table"
+            )
     difference = found["plugin_apart_K"]
     if difference:
         CONSOLE.print(

@@ -47,7 +47,7 @@ from sim_heating.estimation.inference.observability import (
     variables_of,
     without_stuck_sensors,
 )
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference
+from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, without_action
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import point_of_record, point_of_vehicle
@@ -189,8 +189,10 @@ def parameter_list(
     """
     loaded, _ = without_stuck_sensors(load_record(record))
     uses = tuple(use(name) for name in effects)
-    listed = _listed(point_of_record(loaded, effects=uses), loaded.used_sensors)
-    listed = [p for p in listed if not is_of_absent_surface(p.name, loaded.surfaces)]
+    model = point_of_record(loaded, effects=uses)
+    listed = _listed(model, loaded.used_sensors)
+    idle = without_action([p.name for p in listed], loaded, model)
+    listed = [p for p in listed if p.name not in idle and not is_of_absent_surface(p.name, loaded.surfaces)]
     progress(0.0, "sensitivities of the readings")
     return ParameterList(loaded.declared.control_point, _judged(listed, loaded, uses, reference), loaded.name)
 

@@ -46,6 +46,8 @@ from sim_heating.estimation.record_fit import (
     set_parameters,
 )
 from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects.definition import ModelParameter
+from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.inputs.parameter_owners import Owners, is_of_record
 from sim_heating.inputs.points import conditions_of_record, flow_of_record, point_of_record
 from sim_heating.inputs.record import Record
@@ -215,6 +217,8 @@ class FitProblem:
         given = (*self.options.effects, *record.declared.heating.effects)
         implied = implied_effects((*names, *fixed), given)
         model = point_of_record(record, effects=(*self.options.effects, *implied))
+        for problem in without_action((*names, *fixed), record, model).values():
+            raise InputError(problem)
         for name, value in fixed.items():
             p = sensor_definition(record, name) or model.definition(name)
             if not p.lower <= value <= p.upper:
@@ -654,6 +658,30 @@ def require_estimated(options: FitOptions, owners: Owners, labels: Sequence[str]
         if not set(owners.labels([name])) & set(labels):
             hint = suggestion(name, labels, otherwise="; name it among the parameters")
             raise InputError(f"`{name}`: is not estimated{hint}")
+
+
+def without_action(names: Sequence[str], record: Record, model: PointModel) -> dict[str, str]:
+    """Parameters of effects that nothing computed for a record depends on, with what to name or declare instead.
+
+    names : dotted names, of which those like `effect.NAME.PARAMETER` count;  model : of the record with these effects
+
+    An effect on readings has no part in the march: its parameters are those of the record, `clock.skew` for instance.
+    Recombination acts on the atoms of a flow that the record declares.
+    """
+    found, recombines = {}, flow_of_record(record, model.effects).atoms != "none"
+    for name in names:
+        used = next((u for u in model.effects if name.startswith(f"{EFFECT_PREFIX}{u.effect.name}.")), None)
+        if used is None:
+            continue
+        parameter = next((p for p in used.effect.parameters if name.endswith(f".{p.name}")), None)
+        if used.effect.acts_on_readings and isinstance(parameter, ModelParameter):
+            found[name] = f"`{name}`: acts on the readings of a record, not on its wall; name `{parameter.stands_for}`"
+        elif used.effect.name == RECOMBINATION and not recombines:
+            found[name] = (
+                f"`{name}`: nothing recombines in {record.name}; declare the flow and its wall in [heating.catalysis], "
+                "or name the parameters of effect `catalysis`"
+            )
+    return found
 
 
 def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:

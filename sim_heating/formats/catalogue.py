@@ -113,7 +113,8 @@ FORMATS: tuple[FileFormat, ...] = (
         "ratio_table", "ratio_table.csv", "heating ratios of a control point over five variables",
         "First optional lines `# key: value` (`source`, `confidence`, `revision`, `reference`: the reference heating "
         "that the ratio is over, `recovery`), then one row a node. The nodes form a full rectangular grid; an axis may "
-        "have one value. Multilinear inside, constant outside.",
+        "have one value. Multilinear inside, constant outside. A flight more than 0.05 from the node of an axis of one "
+        "value is outside as well, which `run`, `predict` and the plug-in tell.",
         "aircraft_data/orbiter/ratio_tables/V09T9527.csv",
         {**_columns(*RATIO_VARIABLES), "ratio": "film coefficient over the reference film coefficient"},
         {"sigma": "one standard deviation of the ratio"},

@@ -50,10 +50,11 @@ from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_ker
 
 FLOW_COLUMNS = ("turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
 """Columns of the conditions that follow from declared transition and recombination."""
-LAMINAR_AT, TURBULENT_AT, BY_RE_THETA, ATOMS, LENGTH, KIND, ANGLE, BY_ELEVON, BY_BODYFLAP = range(9)
-FLOW_WIDTH = 9
-"""Places in the numbers of a point: its tables in the flat array (-1 without), whether Re_theta / M_e is asked for, of
-which flow the atoms are, running length [m]; its recovery, local angle [deg], elevon and body-flap factor [-]."""
+LAMINAR_AT, TURBULENT_AT, LARGEST, BY_RE_THETA, ATOMS, LENGTH, KIND, ANGLE, BY_ELEVON, BY_BODYFLAP = range(10)
+FLOW_WIDTH = 10
+"""Places in the numbers of a point: its tables in the flat array (-1 without), the largest ratio of the laminar one [-]
+(1 without), whether Re_theta / M_e is asked for, of which flow the atoms are, running length [m]; its recovery, local
+angle [deg], elevon and body-flap factor [-]."""
 Atoms = Literal["none", "edge", "stagnation", "edge-oxygen", "stagnation-oxygen"]
 """Flow whose atoms reach the wall."""
 NO_ATOMS, OF_EDGE, OF_STAGNATION, EDGE_OXYGEN, STAGNATION_OXYGEN = 0.0, 1.0, 2.0, 3.0, 4.0
@@ -83,7 +84,8 @@ class EdgeFlow:
     running_length_m   : from the origin of the boundary layer [m]
     re_theta           : whether its transition has a criterion in Re_theta / M_e
     atoms              : flow whose atoms reach its wall
-    laminar, turbulent : its ratio tables, both or none
+    laminar            : its ratio table, with which thin air is bridged
+    turbulent          : its turbulent ratio table, where transition is declared
     """
 
     recovery: Recovery = field(default_factory=Recovery)
@@ -116,9 +118,10 @@ def edge_flow(
     names = {used.effect.name for used in effects}
     by_re_theta = any(used.effect.name == TRANSITION and used.values[BY_RE_THETA_VALUE] > 0.0 for used in effects)
     laminar, turbulent = (*tables, None, None)[:2]
-    # Tables only with transition: without it a turbulent one does nothing.
-    both = (laminar, turbulent) if TRANSITION in names and turbulent is not None else (None, None)
-    return EdgeFlow(recovery, running_length_m or 1.0, by_re_theta, atoms if RECOMBINATION in names else "none", *both)
+    # Without transition a turbulent table does nothing.
+    turning = turbulent if TRANSITION in names and laminar is not None else None
+    of_atoms: Atoms = atoms if RECOMBINATION in names else "none"
+    return EdgeFlow(recovery, running_length_m or 1.0, by_re_theta, of_atoms, laminar, turning)
 
 
 def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
@@ -126,16 +129,17 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
 
     flows   : of the points
     returns : numbers in the units of their places, angles in [deg]; tables as `pack_table` makes them, a 0 behind them
-    The ratio of the tables is turbulent over laminar (docs/reference/effects.md, equation 23).
+    The ratio of the two tables is turbulent over laminar (docs/reference/effects.md, equation 23).
     """
     numbers, tables, end = np.full((len(flows), FLOW_WIDTH), -1.0), [], 0
     for row, flow in zip(numbers, flows, strict=True):
-        if flow.laminar is not None and flow.turbulent is not None:
-            for place, table in ((LAMINAR_AT, flow.laminar), (TURBULENT_AT, flow.turbulent)):
+        for place, table in ((LAMINAR_AT, flow.laminar), (TURBULENT_AT, flow.turbulent)):
+            if table is not None:
                 tables.append(pack_table(table))
                 row[place], end = end, end + len(tables[-1])
-        row[BY_RE_THETA:] = (
-            float(flow.re_theta), ATOMS_OF[flow.atoms], flow.running_length_m, *flow.recovery.parameters(),
+        largest = 1.0 if flow.laminar is None else float(np.max(flow.laminar.ratio))
+        row[LARGEST:] = (
+            largest, float(flow.re_theta), ATOMS_OF[flow.atoms], flow.running_length_m, *flow.recovery.parameters(),
         )  # fmt: skip
     return numbers, np.concatenate([*tables, np.zeros(1)])
 

@@ -14,6 +14,8 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.heating.effects.transition import HYSTERESIS, held_past, past_onset_now, turbulent_part
+from sim_heating.heating.ratio.lookup import table_ratios_at
+from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
@@ -69,9 +71,15 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         running_length_m=point.running_length_m,
         recovery=point.recovery,
         sweep_deg=vehicle.heating.sweep_deg or 0.0,
+        ratio=_ratio_along(point.ratio, flown),
     )
     of_edge = edge_flow_columns(point.flow, flown)
     return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge)
+
+
+def _ratio_along(table: RatioTable | None, flown: Conditions) -> FloatArray | None:
+    """(time,) tabulated heating ratio [-] along a flight, None without a table."""
+    return None if table is None else table_ratios_at(table, np.column_stack([flown[v] for v in RATIO_VARIABLES]))
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -119,13 +127,19 @@ def conditions_of_record(record: Record, flow: EdgeFlow | None = None) -> Condit
 
     flow : what effects ask of the flow at the point's edge; by default those that the record declares
     """
-    heated = _heated_conditions(record)
-    of_edge = edge_flow_columns(flow or flow_of_record(record), record.conditions)
+    of_point = flow or flow_of_record(record)
+    table = of_point.laminar
+    heated = _heated_conditions(record) if table is record.ratio_table else _heated_with(record, table)
+    of_edge = edge_flow_columns(of_point, record.conditions)
     return heated.with_columns(**of_edge) if of_edge else heated
 
 
 @lru_cache(RECORDS_KEPT)
 def _heated_conditions(record: Record) -> Conditions:
+    return _heated_with(record, record.ratio_table)
+
+
+def _heated_with(record: Record, table: RatioTable | None) -> Conditions:
     heating = record.declared.heating
     columns = reference_heating(
         heating.reference,
@@ -134,6 +148,7 @@ def _heated_conditions(record: Record) -> Conditions:
         running_length_m=heating.running_length_m,
         recovery=heating.recovery_of_point,
         sweep_deg=heating.sweep_deg or 0.0,
+        ratio=_ratio_along(table, record.conditions),
     )
     return record.conditions.with_columns(**columns._asdict())
 

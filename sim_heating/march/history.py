@@ -13,6 +13,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.lag import lag_columns
+from sim_heating.heating.ratio.lookup import NODE_SLACK
 from sim_heating.march.ensemble import Ensemble, histories
 from sim_heating.march.mesh_choice import meshes_on_flights
 from sim_heating.march.point import PointModel
@@ -158,7 +159,7 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
 
     flown   : conditions of the flight
     returns : variable, duration [s], largest distance in the unit of the variable, time of the first [s]; no entry for
-              an axis of a single value, which has no outside, and for a point without a table
+              a point without a table. Off an axis of a single value is more than NODE_SLACK from it
 
     Derived in docs/theory/equations_march.md, equations 19 and 20.
     """
@@ -169,8 +170,8 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
     for variable, axis in zip(RATIO_VARIABLES, model.ratio.axes, strict=True):
         x = flown[variable]
         beyond = np.maximum(axis[0] - x, x - axis[-1])
-        out = beyond > 0.0
-        if len(axis) > 1 and np.any(out):
+        out = beyond > (NODE_SLACK if len(axis) == 1 else 0.0)
+        if np.any(out):
             first = float(flown.time_s[out][0])
             found.append(TableExcursion(variable, float(np.sum(span[out])), float(np.max(beyond)), first))
     return found

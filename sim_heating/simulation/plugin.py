@@ -24,6 +24,7 @@ from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import limit_message
+from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
@@ -40,10 +41,16 @@ class Flags:
 
     density_spikes : frames with a sudden change of density that altitude does not explain
     last_spike_s   : time of the last one [s]; None without one
+    too_fast       : frames above the speed to which the reference heating holds
+    too_high       : frames above the table of the atmosphere, 200 km, where the air is taken as at its end
+    longest_frame_s : longest time from frame to frame [s]; above 1 s the flight between is assumed
     """
 
     density_spikes: int
     last_spike_s: float | None
+    too_fast: int = 0
+    too_high: int = 0
+    longest_frame_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -192,8 +199,29 @@ class HeatingPlugin:
     @property
     def flags(self) -> Flags:
         """Implausible frames since the reset."""
-        spikes = int(self._host[k.SPIKES])
-        return Flags(spikes, float(self._host[k.LAST_SPIKE]) if spikes else None)
+        host, spikes = self._host, int(self._host[k.SPIKES])
+        last_s = float(host[k.LAST_SPIKE]) if spikes else None
+        return Flags(spikes, last_s, int(host[k.TOO_FAST]), int(host[k.TOO_HIGH]), float(host[k.LONGEST_FRAME]))
+
+    def remarks(self) -> list[str]:
+        """What since the reset lay outside of what the model holds for, a line each."""
+        flags, lines = self.flags, []
+        if flags.too_fast:
+            fastest = self._host[k.FASTEST] / 1e3
+            lines.append(f"{flags.too_fast} frames above {fastest:g} km/s, to which the reference heating holds")
+        if flags.too_high:
+            lines.append(f"{flags.too_high} frames above {HIGHEST_M / 1e3:g} km, where the atmosphere ends")
+        if flags.longest_frame_s > k.LONGEST_PART_S:
+            lines.append(
+                f"the longest frame has {flags.longest_frame_s:g} s: heated in parts of {k.LONGEST_PART_S:g} s, the "
+                "flight between frames linear in time, ln(rho) for the density"
+            )
+        if flags.density_spikes:
+            lines.append(f"{flags.density_spikes} sudden changes of density, the last at {flags.last_spike_s:g} s")
+        counted = {"outside the ratio table": self.steps_outside, "of a ratio below 0": self.steps_negative}
+        for what, counts in counted.items():
+            lines += [f"{name}: {count} thermal steps {what}" for name, count in counts.items()]
+        return lines
 
     def _problem(self, values: FloatArray, outcome: int) -> str:
         if outcome == k.NOT_STARTED:
@@ -287,6 +315,7 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
     host[: k.STARTED] = (
         reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
         vehicle.heating.nose_radius_m or 1.0, vehicle.heating.sweep_deg or 0.0, longest_step_s, longest_wait_s,
+        reference_model(vehicle.heating.reference).holds_m_s[1],
     )  # fmt: skip
     return host
 

@@ -55,21 +55,30 @@ from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.lag import lag_step
 from sim_heating.base.kernels.operations import pointer
 from sim_heating.base.limits import LIMITS
-from sim_heating.heating.atmosphere import free_stream_kernel
-from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, NO_EDGE, edge_flow_kernel
-from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
+from sim_heating.heating.atmosphere import HIGHEST_M, free_stream_kernel
+from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, LAMINAR_AT, LARGEST, NO_EDGE, edge_flow_kernel
+from sim_heating.heating.ratio.lookup import table_ratio
+from sim_heating.heating.reference.models import (
+    is_dense,
+    reference_film_kernel,
+    surface_angle,
+    total_enthalpy_kernel,
+)
+from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_film
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
-CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(11)
+CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, FASTEST = range(7)
+STARTED, SPIKES, LAST_SPIKE, TOO_FAST, TOO_HIGH, LONGEST_FRAME, WAIT, LAST_FRAME = range(7, 15)
 THERMAL_FRAME, SLOPE, AREA, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3, 4))
 """Places in the host array. Constant: reference model, reference length [m], nose radius [m], sweep [deg], longest
-thermal step and longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last
-one [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, the rates of change
-of the frame's values over the last thermal step [1/s], and their integrals over time since then [s]."""
+thermal step and longest wait for one [s], speed to which the reference heating holds [m/s]. Changing: 1 after the first
+frame, number of density spikes, time of the last one [s], frames above that speed and above the atmosphere's table, the
+longest frame [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, the rates
+of change of the frame's values over the last thermal step [1/s], and their integrals over time since then [s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
@@ -82,7 +91,7 @@ class PointConstants(NamedTuple):
     """What the conditions of control points follow from.
 
     numbers : (point, POINT_WIDTH) of each point
-    tables  : its laminar and turbulent ratio tables where it has declared transition (heating/edge_flow.py)
+    tables  : its laminar ratio table, and its turbulent one where it has declared transition (heating/edge_flow.py)
     """
 
     numbers: FloatArray
@@ -115,6 +124,8 @@ GOOD, HEAT, BEND, CLOCK, NOT_CONVERGED, NOT_STARTED = -1, -2, -3, -4, -5, -6
 thermal step did not converge; `reset` was not called. 0 and above: the column whose value is out of range."""
 LONGEST_FRAME_S = 60.0
 """A longer step forward is a jump of the host's clock, not a frame."""
+LONGEST_PART_S = 1.0
+"""Longest part of a frame [s] over which derived conditions are linear."""
 CLOCK_ROUNDING_S = 1e-9
 """Tolerance of times: three frames of 1/60 s count as 0.05 s although the difference of their times is rounded."""
 SPIKE = 0.5
@@ -142,6 +153,13 @@ def _count_spike(host: FloatArray, frame: FloatArray) -> None:
     if change > SPIKE + explained:
         host[SPIKES] += 1.0
         host[LAST_SPIKE] = frame[F_TIME]
+
+
+@njit
+def _count_beyond(host: FloatArray, frame: FloatArray) -> None:
+    """Count a frame beyond the speed of the reference heating or above the table of the atmosphere."""
+    host[TOO_FAST] += 1.0 if frame[F_VELOCITY] > host[FASTEST] else 0.0
+    host[TOO_HIGH] += 1.0 if frame[F_ALTITUDE] > HIGHEST_M else 0.0
 
 
 @njit
@@ -176,6 +194,8 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
     if not 0.0 < elapsed <= LONGEST_FRAME_S:
         return CLOCK
     _count_spike(host, frame)
+    _count_beyond(host, frame)
+    host[LONGEST_FRAME] = max(host[LONGEST_FRAME], elapsed)
     since = frame[F_TIME] - host[THERMAL_FRAME + F_TIME]
     if _is_bent(host, frame, since):
         return BEND
@@ -196,6 +216,25 @@ def watch_frame(host: FloatArray, published: FloatArray, frame: FloatArray) -> i
 
 
 # Thermal steps -----------------------------------------------------------------------------------------------------
+
+
+@njit
+def _film_at_point(
+    code: int, h_ref: float, rho: float, V: float, T_inf: float, x: FloatArray, sweep_deg: float, point: FloatArray,
+    tables: FloatArray,
+) -> float:  # fmt: skip
+    """Reference film coefficient [kg/(m2 s)] of a point, bridged in thin air (heating/reference/rarefied.py).
+
+    h_ref : in continuum flow;  x : conditions of the point, its ratio variables and recovery enthalpy among them
+    """
+    angle = surface_angle(code, x[ALPHA], x[ELEVON], x[BODYFLAP], sweep_deg, point, RECOVERY_AT)
+    # Most of an entry ends here, without the look-up of the ratio.
+    if h_ref == 0.0 or is_dense(rho, V, angle, point[FLOW_AT + LARGEST] * h_ref):
+        return h_ref
+    at = int(point[FLOW_AT + LAMINAR_AT])
+    ratio = table_ratio(tables, at, x, 0) if at >= 0 else 1.0
+    speed = max(V, SLOWEST_M_S)
+    return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[RECOVERY_ENTHALPY]), ratio)
 
 
 @njit
@@ -232,10 +271,10 @@ def derive_conditions(
         vector[ALPHA], vector[BETA], vector[LOG10_RE] = alpha, beta, log10_re
         vector[ELEVON], vector[BODYFLAP] = frame[F_ELEVON], frame[F_BODYFLAP]
         vector[P_SURFACE] = pressure_below_rise(p_inf, rise, alpha, cos_beta, frame[F_ELEVON], frame[F_BODYFLAP], point)
-        vector[H_REF] = h_ref
         vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE] = point_recovery_kernel(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
+        vector[H_REF] = _film_at_point(code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables))
         vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
         vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
             state, V, vector, point, FLOW_AT, pointer(points.tables), edge
@@ -304,6 +343,27 @@ def _heat_to(
 
 
 @njit
+def _heat_through(
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    host: FloatArray, published: FloatArray, frame: FloatArray,
+) -> None:  # fmt: skip
+    """Advance to a frame, a long one in parts: values of the frame are linear in time, ln(rho) for the density.
+
+    Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off.
+    """
+    first = host[THERMAL_FRAME : THERMAL_FRAME + len(frame)].copy()
+    parts = math.ceil((frame[F_TIME] - first[F_TIME]) / LONGEST_PART_S - 1e-9)
+    between = frame.copy()
+    for k in range(1, parts):
+        share = k / parts
+        for i in range(len(frame)):
+            between[i] = first[i] + share * (frame[i] - first[i])
+        between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+        _heat_to(all_lanes, points, lanes, vectors, places, host, published, between)
+    _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
+
+
+@njit
 def heat_points(
     all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray, outcome: int,
@@ -320,6 +380,7 @@ def heat_points(
         e = all_lanes
         begin_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors)
         host[STARTED] = 1.0
+        _count_beyond(host, frame)
         for i in range(len(frame)):
             host[THERMAL_FRAME + i] = frame[i]
             host[LAST_FRAME + i] = frame[i]
@@ -333,7 +394,7 @@ def heat_points(
         # `_heat_to` writes the last frame.
         before = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
         _heat_to(all_lanes, points, lanes, vectors, places, host, published, before)
-    _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
+    _heat_through(all_lanes, points, lanes, vectors, places, host, published, frame)
     failed = 0.0
     for g in range(len(all_lanes.groups)):
         for lane in range(LANES):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import Conditions
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError, RunError, error_context
 from sim_heating.base.files import display_path, output_directory, suggestion, write_csv, write_json
 from sim_heating.base.files.package import package_version
@@ -22,6 +22,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.unused_parts import KINDS_OF_ARRAYS, without
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
+from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
@@ -186,11 +187,34 @@ def require_points(wanted: Sequence[str], flown: Collection[str], option: str = 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A measured history, the prediction of its control point, and the residual at its samples [K]."""
+    """A measured history, the prediction of its control point, and the residual at its samples [K].
+
+    table_sigma : (sample,) standard deviation of the point's ratio table over its ratio [-]; None where it states none
+    """
 
     measured: MeasuredHistory
     history: PointHistory
     residual_K: FloatArray
+    table_sigma: FloatArray | None = None
+
+    @property
+    def flux(self) -> dict[str, float | None]:
+        """Radiated flux measured over predicted at the peak of heating, and its distance from 1 in the table's sigmas.
+
+        flux_ratio   : mean of T^4 measured over that predicted, where the predicted T^4 is above half its highest [-]
+        table_sigma  : root mean square of the table's relative sigma there [-]
+        table_sigmas : (flux_ratio - 1) / table_sigma [-]
+        A wall in near equilibrium radiates what it takes up, so that its T^4 stands for the heating ratio.
+        """
+        predicted = (self.measured.temperature_K - self.residual_K) ** 4
+        hot = predicted > 0.5 * np.max(predicted, initial=0.0)
+        if not np.any(hot):
+            return {"flux_ratio": None, "table_sigma": None, "table_sigmas": None}
+        ratio = float(np.mean(self.measured.temperature_K[hot] ** 4) / np.mean(predicted[hot]))
+        if self.table_sigma is None:
+            return {"flux_ratio": ratio, "table_sigma": None, "table_sigmas": None}
+        sigma = float(np.sqrt(np.mean(self.table_sigma[hot] ** 2)))
+        return {"flux_ratio": ratio, "table_sigma": sigma, "table_sigmas": (ratio - 1.0) / sigma}
 
     @property
     def statistics(self) -> dict[str, float | int]:
@@ -335,8 +359,18 @@ def compare(result: RunResult) -> list[Comparison]:
             measured, time_s=t[within], temperature_K=measured.temperature_K[within], sigma_K=measured.sigma_K[within]
         )
         predicted = np.interp(compared.time_s, history.time_s, history.surface_K)
-        comparisons.append(Comparison(compared, history, compared.temperature_K - predicted))
+        sigma = _table_sigma(result.points[measured.control_point], compared.time_s)
+        comparisons.append(Comparison(compared, history, compared.temperature_K - predicted, sigma))
     return comparisons
+
+
+def _table_sigma(point: PointResult, time_s: FloatArray) -> FloatArray | None:
+    """(time,) sigma of a point's ratio table over its ratio [-] at times of its flight [s]; None where it has none."""
+    table = point.model.ratio
+    if table is None or table.sigma is None or len(time_s) == 0:
+        return None
+    flown = np.column_stack([np.interp(time_s, point.conditions.time_s, point.conditions[v]) for v in RATIO_VARIABLES])
+    return table_ratios_at(replace(table, ratio=table.sigma), flown) / table_ratios_at(table, flown)
 
 
 def rmse_by_point(result: RunResult) -> dict[str, float]:
@@ -364,7 +398,7 @@ def summary(result: RunResult) -> dict[str, object]:
         "manoeuvres": [vars(w) for w in result.flight.windows],
         "control_points": points,
         "beyond_reference": beyond_range(scenario.vehicle.heating.reference, flown),
-        "compared": {c.measured.label: c.statistics for c in compare(result)},
+        "compared": {c.measured.label: {**c.statistics, **c.flux} for c in compare(result)},
         "plugin_apart_K": result.plugin_apart_K,
         "credibility": result.credibility.as_json(),
     }

@@ -29,6 +29,7 @@ from sim_heating.heating.reference.gas import (
     wall_enthalpy_grid,
 )
 from sim_heating.heating.reference.models import REFERENCE_MODELS, reference_heating, reference_kernel
+from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_film
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import (
     detra_kemp_riddell_kernel,
@@ -363,7 +364,11 @@ def test_a_whole_flight_equals_its_frames(name):
     c = flight(velocity_m_s=np.array([300.0, 3000.0, 7500.0]), rho_kg_m3=np.array([1.0, 1e-3, 1e-5]))
     h_ref, H_r, _ = reference_heating(name, c, nose_radius_m=0.5, running_length_m=7.0, recovery=Recovery("total"))
     columns = zip(c["rho_kg_m3"], c["velocity_m_s"], c["T_inf_K"], c["alpha_deg"], strict=True)
-    frames = [reference_kernel(REFERENCE_MODELS[name].code, *row, 0.5, 7.0, 300.0) for row in columns]
+    frames = []
+    for rho, V, T_inf, alpha in columns:
+        continuum, H_0 = reference_kernel(REFERENCE_MODELS[name].code, rho, V, T_inf, alpha, 0.5, 7.0, 300.0)
+        thin = free_molecular_film(rho, V, T_inf, 90.0, H_0)
+        frames.append([bridged_film(continuum, thin, 1.0), H_0])
     assert np.array_equal(np.transpose(frames), [h_ref, H_r])
 
 

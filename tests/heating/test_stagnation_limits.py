@@ -8,10 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.heating.atmosphere import sutherland_viscosity, us76_kernel
+from sim_heating.heating.atmosphere import R_AIR, sutherland_viscosity, us76_kernel
 from sim_heating.heating.reference.gas import R_TABLE
-from sim_heating.heating.reference.models import REFERENCE_MODELS, beyond_range, reference_heating, reference_kernel
+from sim_heating.heating.reference.models import beyond_range, reference_heating
+from sim_heating.heating.reference.rarefied import free_molecular_film
+from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.heating.reference.stagnation import (
     CYLINDER,
     SPHERE,
@@ -29,8 +32,13 @@ ONE_FOOT_M = 0.3048
 SPHERES = ("sutton-graves", "detra-kemp-riddell", "fay-riddell")
 
 
+def stream(rho: float, V: float, T_inf: float, **columns: FloatArray) -> Conditions:
+    state = {"rho_kg_m3": rho, "velocity_m_s": V, "T_inf_K": T_inf}
+    return Conditions({"time_s": np.zeros(1)} | {name: np.full(1, value) for name, value in state.items()} | columns)
+
+
 def film(name: str, rho: float, V: float, T_inf: float, radius_m: float = ONE_FOOT_M) -> float:
-    return reference_kernel(REFERENCE_MODELS[name].code, rho, V, T_inf, 0.0, radius_m, 1.0, 300.0)[0]
+    return float(reference_heating(name, stream(rho, V, T_inf), nose_radius_m=radius_m)[0][0])
 
 
 def coefficient(rho: float, V: float, T_inf: float) -> float:
@@ -185,7 +193,8 @@ def test_bridged_heating_is_below_continuum_and_free_molecular_heating_and_falls
     rho = 10.0**log_rho
     h = film("sutton-graves", rho, V, 230.0, radius_m)
     assert h <= sutton_graves_kernel(rho, V, 230.0, radius_m) * (1 + 1e-12)
-    assert h <= rho * V * (1 + 1e-12)
+    # the thermal motion of the molecules adds (V_thermal / V)^2 to rho V
+    assert h <= rho * V * (1 + 1e-3)
     assert film("sutton-graves", 1.1 * rho, V, 230.0, radius_m) > h
 
 
@@ -199,6 +208,54 @@ def test_what_the_bridging_takes_off_a_shuttle_entry_is_what_the_documents_say()
     assert found[70] < 1e-5
     assert found[75] < 2e-4
     assert [found[km] for km in (80, 90, 100, 120)] == pytest.approx([0.0024, 0.073, 0.342, 0.804], rel=0.02)
+
+
+ANGLES_DEG = (-60.0, -20.0, -5.0, 0.0, 3.0, 40.0, 90.0)
+
+
+@pytest.mark.parametrize("altitude_m", [90e3, 150e3])
+def test_free_molecular_film_is_the_integral_over_the_maxwellian(altitude_m):
+    T, _, rho = us76_kernel(altitude_m)
+    RT, V, H_r = R_AIR * T, 7500.0, 0.5 * 7500.0**2
+    for angle in np.radians(ANGLES_DEG):
+        towards, along = V * np.sin(angle), V * np.cos(angle)
+        c = np.linspace(max(0.0, towards - 9.0 * np.sqrt(2.0 * RT)), max(towards, 0.0) + 9.0 * np.sqrt(2.0 * RT), 40001)
+        f = np.exp(-((c - towards) ** 2) / (2.0 * RT)) / np.sqrt(2.0 * np.pi * RT)
+        # tangential motion along**2 + 2 R T, rotation R T of two degrees of freedom
+        q = rho * np.trapezoid(c * f * (0.5 * (c**2 + along**2 + 2.0 * RT) + RT), c)
+        assert free_molecular_film(rho, V, T, np.degrees(angle), H_r) * H_r == pytest.approx(q, rel=1e-5)
+
+
+@pytest.mark.parametrize("altitude_m", [75e3, 90e3, 105e3, 120e3])
+def test_heating_does_not_depend_on_the_size_of_the_reference_sphere(altitude_m):
+    T, _, rho = us76_kernel(altitude_m)
+    flown = stream(rho, 7500.0, T, alpha_deg=np.array([40.0]))
+    films = [
+        r * reference_heating(
+            "fay-riddell", flown, nose_radius_m=R, recovery=Recovery("edge-laminar"), ratio=np.array([r])
+        ).h_ref_kg_m2_s[0]
+        for R, r in ((ONE_FOOT_M, 0.1096), (10.0 * ONE_FOOT_M, 0.1096 * np.sqrt(10.0)))
+    ]  # fmt: skip
+    assert films[1] == pytest.approx(films[0], rel=1e-12)
+
+
+def test_lee_surface_in_thin_air_is_heated_by_the_thermal_motion():
+    T, _, rho = us76_kernel(150e3)
+    for angle in (-30.0, 0.0):
+        flown = stream(rho, 7500.0, T, alpha_deg=np.array([angle]))
+        h = reference_heating("fay-riddell", flown, recovery=Recovery("edge-laminar"))[0][0]
+        H_r = reference_heating("fay-riddell", flown, recovery=Recovery("edge-laminar"))[1][0]
+        expected = rho * np.sqrt(R_AIR * T / (2.0 * np.pi)) * (0.5 * 7500.0**2 + 3.0 * R_AIR * T) / H_r
+        assert h == pytest.approx(expected, rel=0.01)
+
+
+def test_given_film_coefficient_is_not_bridged():
+    T, _, rho = us76_kernel(120e3)
+    given = stream(
+        rho, 7500.0, T, alpha_deg=np.array([40.0]), h_ref_kg_m2_s=np.array([0.03]), H_r_J_kg=np.array([2.5e7])
+    )
+    heated = reference_heating("columns", given, recovery=Recovery("edge-laminar"), ratio=np.array([0.1]))
+    assert heated.h_ref_kg_m2_s[0] == 0.03
 
 
 # --- Range -----------------------------------------------------------------------------------------------------------

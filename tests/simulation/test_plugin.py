@@ -420,6 +420,42 @@ def test_thermal_steps_outside_a_ratio_table_are_counted(plugin: HeatingPlugin) 
     assert plugin.steps_outside["V09T9527"] >= 1
 
 
+def test_frames_faster_and_higher_than_the_model_holds_are_counted_and_told(plugin: HeatingPlugin) -> None:
+    plugin.step(frame(1.0))
+    assert plugin.flags.too_fast == plugin.flags.too_high == 0
+    plugin.step(frame(2.0, velocity_m_s=12e3))
+    plugin.step(frame(3.0, altitude_m=400e3, rho_kg_m3=3e-12))
+    assert (plugin.flags.too_fast, plugin.flags.too_high) == (1, 1)
+    told = plugin.remarks()
+    assert "1 frames above 8 km/s, to which the reference heating holds" in told
+    assert "1 frames above 200 km, where the atmosphere ends" in told
+
+
+def test_deflection_off_a_table_of_one_deflection_is_outside(plugin: HeatingPlugin) -> None:
+    # the table of V09T9527 is for elevon and body flap at 0 alone
+    plugin.reset(frame(0.0, elevon_deg=0.0, bodyflap_deg=0.0))
+    plugin.step(frame(1.0, elevon_deg=0.0, bodyflap_deg=0.0))
+    assert "V09T9527" not in plugin.steps_outside
+    plugin.step(frame(2.0, elevon_deg=5.0, bodyflap_deg=0.0))
+    assert plugin.steps_outside["V09T9527"] >= 1
+
+
+def test_long_frame_is_heated_in_parts_and_told(plugin: HeatingPlugin) -> None:
+    # 10 s of a steep descent in one frame, and as frames of a quarter second on the same line
+    first, last = frame(0.0), frame(10.0, altitude_m=68e3, velocity_m_s=6300.0, rho_kg_m3=3e-4)
+    plugin.reset(first)
+    plugin.step(last)
+    at_once = plugin.temperatures().copy()
+    assert any("the longest frame has 10 s" in line for line in plugin.remarks())
+    plugin.reset(first)
+    rho = list(FRAME).index("rho_kg_m3")
+    for share in np.arange(1, 41) / 40.0:
+        between = first + share * (last - first)
+        between[rho] = first[rho] * (last[rho] / first[rho]) ** share
+        plugin.step(between)
+    assert np.max(np.abs(plugin.temperatures() - at_once)) < 0.2
+
+
 def test_a_frame_by_name_must_have_every_column_and_no_other(plugin: HeatingPlugin) -> None:
     plugin.step({**FRAME_0, "time_s": 1.0})
     with pytest.raises(InputError, match="unknown `aplha_deg`"):

@@ -24,6 +24,8 @@ from sim_heating.heating.ratio.table import RatioTable
 VARIABLES = 5
 FAR = 1e300
 """Bound of a cell that extends to infinity."""
+NODE_SLACK = 0.05
+"""Distance from the node of an axis of one value [deg], log10 Re [-], within which a flight is at that node."""
 
 
 def pack_table(table: RatioTable) -> FloatArray:
@@ -216,6 +218,10 @@ def _cache_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> Non
     for a in range(VARIABLES):
         n = 1 if offset == k.NO_TABLE else int(table[offset + a])
         node = node * n + cache_axis_cell(B, table, lane, a, first, n)
+        if n == 1 and offset != k.NO_TABLE:
+            # Both corners are this node: the fraction says only whether the flight is at it.
+            B[(k.CELL_FOOT + a) * LANES + lane] = table[first] - NODE_SLACK
+            B[(k.CELL_INVERSE + a) * LANES + lane] = 0.5 / NODE_SLACK
         first += n
     for corner in range(32):
         at, stride = first + node, 1
@@ -249,7 +255,7 @@ def lanes_outside_cell(B: FloatArray, a: int) -> int:
 def fraction(B: FloatArray, a: int, lane: int) -> float:
     """Position of a lane's variable in its cached cell of axis a [-]: 0 at the lower node, 1 at the upper one.
 
-    B : block of the lane group. Below 0 or above 1 only off the ends of the axis; 0 on an axis of one value.
+    B : block of the lane group. Below 0 or above 1 only off the ends of the axis; of one value, off its node.
     It is f_v of docs/theory/equations.md, equation 7, before it is limited to 0 to 1.
     """
     x, foot = B[(k.CELL_X + a) * LANES + lane], B[(k.CELL_FOOT + a) * LANES + lane]
@@ -289,7 +295,8 @@ def table_ratios(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> N
 
     B, J  : block of the lane group and its integers;  table : flat array of tables
     stage : 0 start, 1 middle, 2 end of the time step, whose conditions are read
-    Row OFF_AXES gets how many of the five variables lie outside the table (an axis of one value has no outside).
+    Row OFF_AXES gets how many of the five variables lie outside the table (off an axis of one value: more than
+    NODE_SLACK from it).
     The corners of a lane's cell are cached until it leaves the cell. Source: docs/theory/equations.md, equation 7.
     """
     c = k.C_STAGES * LANES + stage * LANES * k.N_CONDITIONS

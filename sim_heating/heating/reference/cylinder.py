@@ -18,7 +18,6 @@ import math
 
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.reference.gas import PRANDTL, air_density_kernel, air_kernel, air_state_kernel
-from sim_heating.heating.reference.rarefied import bridged_film
 from sim_heating.heating.reference.recovery import recovery_factor, spanwise_speed
 from sim_heating.heating.reference.stagnation import (
     CYLINDER,
@@ -38,6 +37,16 @@ LINE_RECOVERY = 0.855
 
 
 @njit
+def line_angle(alpha_deg: float, sweep_deg: float) -> float:
+    """Angle [deg] of a swept cylinder's stagnation line against the flow, 90 without sweep.
+
+    alpha_deg, sweep_deg : angle of attack, sweep L of the edge at alpha 0 [deg];  cos(angle) = sin L cos alpha
+    Source: docs/theory/equations_reference_heating.md, equation 33.
+    """
+    return math.degrees(math.acos(abs(math.sin(math.radians(sweep_deg)) * math.cos(math.radians(alpha_deg)))))
+
+
+@njit
 def swept_cylinder_film(
     rho_kg_m3: float,
     velocity_m_s: float,
@@ -50,7 +59,7 @@ def swept_cylinder_film(
     """Film coefficient h_ref [kg/(m2 s)] of a swept cylinder's stagnation line, for use with its recovery enthalpy.
 
         h_n = 0.57 Pr^-0.6 (rho_e mu_e du_e/dx)^1/2 [rho_e h_e / (rho_w h_w)]^0.05,    e at rest behind V_n
-        h_ref = h_n [1 + (0.855 - sqrt(Pr)) (w^2/2) / max(H_r - h_w, H_r/2)],    h_n bridged to rho V_n
+        h_ref = h_n [1 + (0.855 - sqrt(Pr)) (w^2/2) / max(H_r - h_w, H_r/2)]
 
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
     alpha_deg, sweep_deg             : angle of attack, sweep L of the edge at alpha 0 [deg]
@@ -69,7 +78,7 @@ def swept_cylinder_film(
     _, mu_0 = air_state_kernel(h_e, p_0)
     h_w, rho_w = air_kernel(T_w_K, p_0)[0], air_density_kernel(T_w_K, p_0)
     film = FAY_RIDDELL_CYLINDER * PRANDTL**-0.6 * math.sqrt(rho_0 * mu_0 * gradient)
-    film = bridged_film(film * (rho_0 * h_e / (rho_w * h_w)) ** DISSOCIATED, rho_kg_m3, normal)
+    film *= (rho_0 * h_e / (rho_w * h_w)) ** DISSOCIATED
     laminar, spanwise = recovery_factor(False), 0.5 * w * w
     H_r = h_e + laminar * spanwise
     return film * (1.0 + (LINE_RECOVERY - laminar) * spanwise / max(H_r - h_w, 0.5 * H_r))

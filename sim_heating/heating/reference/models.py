@@ -7,6 +7,7 @@ Equations: docs/theory/equations_reference_heating.md, sections 3 and 5.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -20,11 +21,18 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.jit import njit
 from sim_heating.heating.atmosphere import CP_AIR
-from sim_heating.heating.reference.cylinder import swept_cylinder_film
+from sim_heating.heating.reference.cylinder import line_angle, swept_cylinder_film
 from sim_heating.heating.reference.flat_plate import eckert_kernel
 from sim_heating.heating.reference.low_speed import CORRELATION_M_S, correlation_share
-from sim_heating.heating.reference.rarefied import bridged_film
-from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
+from sim_heating.heating.reference.rarefied import DENSE, NORMAL_DEG, bridged_film, free_molecular_film
+from sim_heating.heating.reference.recovery import (
+    ATTACHMENT_LINE,
+    TOTAL,
+    Recovery,
+    RecoveryName,
+    point_angle,
+    point_recovery,
+)
 from sim_heating.heating.reference.stagnation import (
     COLD_WALL_K,
     NO_LEWIS,
@@ -163,7 +171,7 @@ def reference_film_kernel(
     state: tuple[float, float, float, float],
     sweep_deg: float = 0.0,
 ) -> float:
-    """Reference film coefficient h_ref [kg/(m2 s)] of one flight condition whose stagnation state is known.
+    """Continuum film coefficient h_ref [kg/(m2 s)] of one flight condition whose stagnation state is known.
 
     state : result of `stagnation_kernel` at this density, temperature and speed (at least SLOWEST_M_S); a frame
             computes it once, for the film coefficient and for the surface pressures
@@ -188,7 +196,40 @@ def reference_film_kernel(
         else:
             correlation = detra_kemp_riddell_kernel(rho_kg_m3, V, T_inf_K, nose_radius_m)
         film += share * (correlation - film)
-    return bridged_film(film, rho_kg_m3, V)
+    return film
+
+
+@njit
+def surface_angle(
+    code: int, alpha_deg: float, elevon_deg: float, bodyflap_deg: float, sweep_deg: float, numbers: FloatArray,
+    first: int,
+) -> float:  # fmt: skip
+    """Angle [deg] at which the molecules of thin air meet the surface of a point, 0 to 90 or above.
+
+    code, sweep_deg                     : number of the reference heating; sweep of its cylinder [deg]
+    alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
+    numbers, first                      : array that holds `Recovery.parameters()` from this place on
+
+    A point with an edge has its angle. One without an edge states none: it counts as normal to the flow, over a swept
+    cylinder as its stagnation line. A lee surface counts as along the flow, where the thermal motion alone brings
+    molecules: in air that is not thin collisions bring them behind a body too, which free-molecular flow leaves empty.
+    Source: docs/theory/equations_reference_heating.md, equation 32a.
+    """
+    if numbers[first] == ATTACHMENT_LINE:
+        return line_angle(alpha_deg, numbers[first + 1])
+    if numbers[first] != TOTAL:
+        return max(point_angle(alpha_deg, elevon_deg, bodyflap_deg, numbers, first), 0.0)
+    return line_angle(alpha_deg, sweep_deg) if code == SWEPT_CYLINDER else NORMAL_DEG
+
+
+@njit
+def is_dense(rho_kg_m3: float, velocity_m_s: float, angle_deg: float, film: float) -> bool:
+    """Whether the bridging takes nothing off a film [kg/(m2 s)], by rho V sin(angle), a lower bound of h_fm.
+
+    rho_kg_m3, velocity_m_s, angle_deg : free stream [kg/m3], [m/s]; angle of the surface [deg]
+    Source: docs/theory/equations_reference_heating.md, equation 32.
+    """
+    return rho_kg_m3 * velocity_m_s * math.sin(math.radians(angle_deg)) > DENSE * film
 
 
 @njit
@@ -203,7 +244,7 @@ def reference_kernel(
     wall_temperature_K: float,
     sweep_deg: float = 0.0,
 ) -> tuple[float, float]:
-    """Reference film coefficient h_ref [kg/(m2 s)] and total enthalpy H_0 [J/kg] of one flight condition.
+    """Continuum film coefficient h_ref [kg/(m2 s)] and total enthalpy H_0 [J/kg] of one flight condition.
 
     code               : `ReferenceModel.code`; NONE and COLUMNS give h_ref = 0
     rho_kg_m3, velocity_m_s, T_inf_K : free-stream density [kg/m3], speed [m/s], temperature [K]
@@ -243,6 +284,18 @@ def _reference_loop(
         h_ref[i], H_0[i] = reference_kernel(code, rho[i], V[i], T_inf[i], alpha_deg[i], radius, length, T_w, sweep)
 
 
+@njit
+def _bridge_loop(
+    code: int, rho: FloatArray, V: FloatArray, T_inf: FloatArray, turned: FloatArray, sweep_deg: float,
+    numbers: FloatArray, ratio: FloatArray, H_r: FloatArray, h_ref: FloatArray,
+) -> None:  # fmt: skip
+    for i in range(len(V)):
+        speed = max(V[i], SLOWEST_M_S)
+        angle = surface_angle(code, turned[0, i], turned[1, i], turned[2, i], sweep_deg, numbers, 0)
+        molecules = free_molecular_film(rho[i], speed, T_inf[i], angle, H_r[i])
+        h_ref[i] = bridged_film(h_ref[i], molecules, ratio[i])
+
+
 def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_m: float | None, T_w_K: float) -> None:
     given = {"heating.nose_radius_m": nose_radius_m, "wall_temperature_K": T_w_K}
     if model.on_plate:
@@ -277,6 +330,7 @@ def reference_heating(
     wall_temperature_K: float = COLD_WALL_K,
     recovery: Recovery | None = None,
     sweep_deg: float = 0.0,
+    ratio: FloatArray | None = None,
 ) -> HeatingColumns:
     """Reference film coefficient and recovery enthalpy along a flight.
 
@@ -290,14 +344,16 @@ def reference_heating(
     recovery           : of the point; by default that of the reference: the total enthalpy, the adiabatic wall of an
                          Eckert model at the angle of attack, or that of the cylinder. Columns are those of the point
                          and taken as given
+    ratio              : (time,) heating ratio of the point in continuum flow [-], with which thin air is bridged; by
+                         default 1, that of the reference itself
     returns            : h_ref, H_r and its rise in turbulent flow
     raises             : InputError for an unknown name, a missing column, a density, temperature or length not above 0
 
     Stagnation heating holds from rest to free-molecular flow: below 2 km/s Fay-Riddell takes over from a correlation,
-    thin air is bridged (Matting 1971). Eckert's plate is for continuum flow, below about 90 km. `ReferenceModel`
-    states the speeds, `beyond_range` what a flight does outside of them.
-    Source: docs/theory/equations_reference_heating.md, equations 9 to 19, 31 and 32 (Sutton and Graves 1971; Detra et
-    al. 1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
+    thin air is bridged at the point (Matting 1971), to free-molecular flow at the angle of its surface. Columns are
+    never bridged. `ReferenceModel` states the speeds, `beyond_range` what a flight does outside of them.
+    Source: docs/theory/equations_reference_heating.md, equations 9 to 19, 31, 32 and 32a (Sutton and Graves 1971;
+    Detra et al. 1957; Fay and Riddell 1958; Eckert 1956; Matting 1971).
     """
     model = reference_model(name)
     of_point = replace(model.recovery, sweep_deg=sweep_deg) if recovery is None else recovery
@@ -317,7 +373,14 @@ def reference_heating(
     h_ref, H_0 = np.empty(len(conditions)), np.empty(len(conditions))
     geometry = (float(nose_radius_m), float(running_length_m or 1.0), float(wall_temperature_K), float(sweep_deg))
     _reference_loop(model.code, rho, V, T_inf, alpha, geometry, h_ref, H_0)
-    return HeatingColumns(h_ref, *point_recovery(of_point, H_0, conditions))
+    H_r, rise = point_recovery(of_point, H_0, conditions)
+    if model.code != NONE:
+        names = ("alpha_deg", "elevon_deg", "bodyflap_deg")
+        read = {*model.needs, *of_point.needs}
+        turned = np.array([conditions[n] if n in read else absent for n in names])
+        ratios = np.ones(len(conditions)) if ratio is None else np.array(ratio, dtype=float)
+        _bridge_loop(model.code, rho, V, T_inf, turned, float(sweep_deg), of_point.parameters(), ratios, H_r, h_ref)
+    return HeatingColumns(h_ref, H_r, rise)
 
 
 def beyond_range(name: str, conditions: Conditions) -> str | None:

@@ -112,6 +112,17 @@ def spanwise_speed(velocity_m_s: float, alpha_deg: float, sweep_deg: float) -> f
 
 
 @njit
+def point_angle(alpha_deg: float, elevon_deg: float, bodyflap_deg: float, numbers: FloatArray, first: int) -> float:
+    """Angle [deg] of the surface of a point with an edge against the flow: alpha, local angle, turned surfaces.
+
+    alpha_deg, elevon_deg, bodyflap_deg : angle of attack and deflections [deg]
+    numbers, first                      : array that holds `Recovery.parameters()` from this place on
+    Source: docs/theory/equations_reference_heating.md, equation 19.
+    """
+    return alpha_deg + numbers[first + 1] + numbers[first + 2] * elevon_deg + numbers[first + 3] * bodyflap_deg
+
+
+@njit
 def point_recovery_kernel(
     total_J_kg: float,
     velocity_m_s: float,
@@ -138,8 +149,7 @@ def point_recovery_kernel(
     if kind == ATTACHMENT_LINE:
         w = spanwise_speed(velocity_m_s, alpha_deg, numbers[first + 1])
         return total_J_kg - (1.0 - recovery_factor(False)) * 0.5 * w * w, 0.0
-    angle = alpha_deg + numbers[first + 1] + numbers[first + 2] * elevon_deg + numbers[first + 3] * bodyflap_deg
-    u_e = edge_speed(velocity_m_s, angle)
+    u_e = edge_speed(velocity_m_s, point_angle(alpha_deg, elevon_deg, bodyflap_deg, numbers, first))
     kinetic, turbulent = 0.5 * u_e * u_e, recovery_factor(True)
     if kind == EDGE_TURBULENT:
         return total_J_kg - (1.0 - turbulent) * kinetic, 0.0
