@@ -360,7 +360,7 @@ class RecordFile(Construction):
     def _check_record(self) -> RecordFile:
         problems: list[tuple[Location, str]] = [
             (("thermocouples", "sensor", *place), text)
-            for place, text in sensor_problems(self.stack, self.thermocouples.sensor)
+            for place, text in sensor_problems(self.stack, self.thermocouples.sensor, self.materials)
         ]
         heating = self.heating
         files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)

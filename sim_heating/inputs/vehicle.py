@@ -43,7 +43,7 @@ from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureMode
 from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_recovery
 from sim_heating.inputs.record import declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
-from sim_heating.thermal.stack import Construction, Material, Sensor, construct
+from sim_heating.thermal.stack import Construction, Material, Sensor, construct, sensor_problems
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -411,7 +411,7 @@ def _read_control_points(
                 problems.add(line)
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
-            construction = problems.attempt(construct, file.stack, materials, display_path(path))
+            construction = problems.attempt(_construct_wall, file, materials, display_path(path))
         recovery = recovery_of(file, None if vehicle is None else vehicle.heating.reference)
         ratio = problems.attempt(_read_ratio, path, file.ratio_table, vehicle, recovery)
         turbulent = problems.attempt(_read_turbulent, path, file, vehicle, recovery)
@@ -462,6 +462,14 @@ def recovery_of(file: ControlPointFile, reference: str | None) -> Recovery:
     pressure = file.pressure
     turns = (pressure.elevon_factor, pressure.bodyflap_factor) if isinstance(pressure, ModifiedNewtonian) else ()
     return declared_recovery(file.recovery, file.local_angle_deg, reference or "none", *turns)
+
+
+def _construct_wall(file: ControlPointFile, materials: Mapping[str, Material], where: str) -> Construction:
+    """The wall of a control point; refuses a sensor within a layer of gas, which the file alone does not show."""
+    construction = construct(file.stack, materials, where)
+    for (i, key), text in sensor_problems(file.stack, file.sensor, construction.materials):
+        raise InputError(f"{where}: `sensor[{i}].{key}`: {text}")
+    return construction
 
 
 def _read_ratio(

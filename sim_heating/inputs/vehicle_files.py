@@ -156,7 +156,7 @@ class ControlPointFile(Declared):
     @model_validator(mode="after")
     def _check(self) -> ControlPointFile:
         problems: list[tuple[Location, str]] = [
-            (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor)
+            (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor, {})
         ]
         problems += edge_problems(self.recovery, self.local_angle_deg)
         if self.limits.bondline_K is not None and len(self.stack.layer) == 1:

@@ -129,19 +129,22 @@ RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 48, 49, 50,
 CURVE = 55
 # E* of the stage [J/m2], and its copy while the error of a step is found.
 E_STAR, STAR_COPY = 56, 57
-NODE_ROWS = 58
+# Radiation between the two faces of a gas layer, which is one element: Stefan-Boltzmann constant over the resistance of
+# the faces, of the element to the right [W/(m2 K4)] (docs/theory/equations_thermal_step.md, equation 11a).
+BETWEEN_FACES = 58
+NODE_ROWS = 59
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 INVALID_HIGH_K = -1e30
 """A HIGH [K] below every temperature: the polynomials have to be gathered."""
 
-# Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of their
-# pressures, of its emissivity, wall-enthalpy and ratio tables, number of its effects that add and of all on the ratio,
-# the first of those that are evaluated again at each wall temperature, the code of each, the node at the back face
-# (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat), number of
-# effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of transition,
-# or NONE; then four flags of the group, whether any lane has moisture or radiation in depth, gaps, natural convection
-# behind, or a venting lag.
+# Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of
+# their pressures, of its emissivity, wall-enthalpy and ratio tables, number of its effects that add and of all on the
+# ratio, the first of those that are evaluated again at each wall temperature, the code of each, the node at the back
+# face (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat),
+# number of effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of
+# transition, or NONE; then four flags of the group, whether any lane has moisture or radiation in depth or between
+# faces, gaps, natural convection behind, or a venting lag.
 # Then for each node two flags, whether its two elements differ in material in any lane and whether heat enters it from
 # outside in any lane, and the material-table offset of the element to its right in each lane.
 N_NODES = 0
