@@ -528,6 +528,8 @@ def face_emittance(stack: Stack, materials: Mapping[str, Material], gas: int, fa
 
     stack, materials : of a wall;  gas : index of the layer;  face : "emissivity_outer" or "emissivity_inner"
     returns          : None where neither states one, or that of the material changes with temperature
+
+    What it is for: docs/theory/equations_thermal_step.md, equation 11a.
     """
     stated: float | None = getattr(stack.layer[gas], face)
     if stated is not None:
