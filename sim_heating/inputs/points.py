@@ -15,6 +15,7 @@ from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.heating.effects.transition import HYSTERESIS, held_past, past_onset_now, turbulent_part
 from sim_heating.heating.reference.models import reference_heating
+from sim_heating.heating.surroundings import surroundings_columns
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
@@ -71,7 +72,10 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         sweep_deg=vehicle.heating.sweep_deg or 0.0,
     )
     of_edge = edge_flow_columns(point.flow, flown)
-    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge)
+    around = {}
+    if vehicle.declared.surroundings == "by altitude":
+        around = surroundings_columns(flown, point.pressure.parameters())
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge, **around)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:

@@ -27,6 +27,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE
 from sim_heating.base.kernels.block import (
+    AIR_K,
     ALPHA,
     BETA,
     BODYFLAP,
@@ -45,6 +46,8 @@ from sim_heating.base.kernels.block import (
     RATE,
     RECOVERY_ENTHALPY,
     RECOVERY_RISE,
+    STILL_AIR,
+    SURROUNDINGS,
     TIME,
     TURBULENT_RATIO,
     T,
@@ -59,13 +62,16 @@ from sim_heating.heating.reference.models import reference_film_kernel, total_en
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
+from sim_heating.heating.surroundings import ground_view, still_air_kernel, surroundings_kernel
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
-CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(11)
+CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, BY_ALTITUDE, AROUND = range(8)
+STARTED, SPIKES, LAST_SPIKE, WAIT, LAST_FRAME = range(8, 13)
 THERMAL_FRAME, SLOPE, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3))
 """Places in the host array. Constant: reference model, reference length [m], nose radius [m], sweep [deg], longest
-thermal step and longest wait for one [s]. Changing: 1 after the first frame, number of density spikes, time of the last
+thermal step and longest wait for one [s], 1 where surroundings follow from altitude. Changing: surroundings that the
+host states [K], 0 without; 1 after the first frame, number of density spikes, time of the last
 one [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, and the rates of
 change of the frame's values over the last thermal step [1/s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
@@ -230,6 +236,11 @@ def derive_conditions(
         vector[RECOVERY_ENTHALPY], vector[RECOVERY_RISE] = point_recovery_kernel(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
+        vector[SURROUNDINGS] = host[AROUND]
+        if host[BY_ALTITUDE] > 0.0:
+            vector[STILL_AIR], vector[AIR_K] = still_air_kernel(V, p_inf), T_inf
+            if host[AROUND] == 0.0:
+                vector[SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, ground_view(point[0], point[1]))
         vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
         vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
             state, V, vector, point, FLOW_AT, pointer(points.tables), edge

@@ -26,11 +26,13 @@ would be compiled a second time."""
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
 P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
 TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION, SURROUNDINGS, BEHIND = 13, 14, 15, 16, 17
-N_CONDITIONS = 18
+STILL_AIR, AIR_K = 18, 19
+N_CONDITIONS = 20
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
     "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
+    "still_air_W_m2K43", "T_inf_K",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/theory/equations.md, section 2: 5
