@@ -18,7 +18,7 @@ RUNWAY = {
 
 
 def soaked_K(hours: float, sky_K: float | None = None) -> dict[str, float]:
-    """Surface temperatures [K] of the Orbiter after some hours at rest, from 290 K; sky_K: overcast, in place of clear."""
+    """Surface temperatures [K] of the Orbiter after some hours at rest, from 290 K; sky_K: in place of a clear sky."""
     frame = RUNWAY | ({} if sky_K is None else {"T_surroundings_K": sky_K})
     plugin = HeatingPlugin(load_vehicle("orbiter"), POINTS)
     plugin.reset(frame | {"time_s": 0.0})

@@ -9,6 +9,9 @@ from scipy.optimize import fsolve
 
 from benchmarks.verification.row import Row
 from benchmarks.verification.walls import flight, heat, material, wall
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.march.history import march_points
+from sim_heating.march.point import PointModel
 from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.stack import BackFace, Construction, Layer, Material, PressureTable, Stack
 
@@ -134,6 +137,22 @@ def gas_layers() -> list[Row]:
     return rows
 
 
+def back_losses() -> list[Row]:
+    """Heat that leaves a wall with a gas layer at its back, once steady: film and radiation at the inner face."""
+    t = np.array([0.0, 4e4])
+    still = {name: np.zeros(2) for name in (*RATIO_VARIABLES, "h_ref_kg_m2_s", "H_r_J_kg", "mach")}
+    flown = Conditions({"time_s": t, "q_add_W_m2": np.full(2, 6e4), "p_surface_Pa": np.full(2, 101325.0)} | still)
+    lost = march_points([PointModel("wall", gas_layer())], [flown])[0].heat.back_W_m2[-1]
+    inner = gas_layer_K(6e4, 20.0)[1]
+    expected = 20.0 * (inner - START_K) + 0.9 * SIGMA * (inner**4 - START_K**4)
+    name, source = "heat that leaves at the back of that wall, back_W_m2", "h (T - T_b) + eps sigma (T^4 - T_b^4)"
+    return [Row(name, expected, float(lost), 1.0, "W/m2", source, "0.01 K at the inner face: 1 W/m2")]
+
+
 def rows() -> list[Row]:
     """All of this subject."""
-    return [row for part in (surroundings, back_in_time, natural_convection, venting, gas_layers) for row in part()]
+    return [
+        row
+        for part in (surroundings, back_in_time, natural_convection, venting, gas_layers, back_losses)
+        for row in part()
+    ]

@@ -437,11 +437,12 @@ class Ensemble:
         return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
 
     def heat_offsets(self) -> IntArray:
-        """(2, point) offsets in `state` of the heat that enters the wall [W/m2], and of T_sur^4 [K4], at the samples.
+        """(3, point) offsets in `state` of the heat that enters the wall and that leaves at the back [W/m2], and of
+        T_sur^4 [K4], at the samples.
 
         Source: docs/theory/equations_thermal_step.md, equations 14 and 30.
         """
-        rows = (block.STAGE_IN, block.STAGE_SURROUNDINGS4 + 2)
+        rows = (block.STAGE_IN, block.STAGE_OUT, block.STAGE_SURROUNDINGS4 + 2)
         return np.array([[place.scalar(row) for place in self.lane_offsets] for row in rows], dtype=np.int64)
 
     @property
