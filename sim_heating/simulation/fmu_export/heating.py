@@ -463,7 +463,9 @@ class _HeatingPacker(ImagePacker):
         for i, v in enumerate(variables[first:], start=first):
             if v.role is Role.OUTPUT and ".heating." in v.name:
                 inside = v.name.endswith(".radiated_W_m2") and not emitting
-                inputs = () if inside else ("time", *self.inputs)
+                # Surroundings by altitude follow from altitude and density.
+                around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
+                inputs = (*around, "T_surroundings_K") if inside else ("time", *self.inputs)
                 variables[i] = replace(v, depends=inputs, parameters=parameters)
 
     def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], place: int) -> None:
