@@ -72,7 +72,7 @@ def still_air_kernel(V: float, p: float) -> float:
     return STILL_AIR * (1.0 - V / AT_REST_M_S) * (p / SEA_LEVEL_PA) ** (2.0 / 3.0)
 
 
-def surroundings_columns(flown: Conditions, pressure_parameters: tuple[float, ...]) -> dict[str, FloatArray]:
+def surroundings_columns(flown: Conditions, pressure_parameters: FloatArray) -> dict[str, FloatArray]:
     """Columns T_surroundings_K [K], where the flight has none of its own, and still_air_W_m2K43 of a control point.
 
     flown : conditions;  pressure_parameters : kind and inclination [deg] of its pressure model
