@@ -18,6 +18,7 @@ import click
 from benchmarks.measure import Figure, save
 from benchmarks.page import DOCS, fill, markdown_table
 from benchmarks.verification import (
+    at_rest,
     atmosphere,
     chosen,
     conduction,
@@ -42,6 +43,7 @@ SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Surface": surface.rows,
     "Transition and recombination": effects.rows,
     "Behind and within a wall": inside.rows,
+    "At rest on the runway": at_rest.rows,
     "Mesh and steps as chosen": chosen.rows,
     "Method": numerics.rows,
     "Whole stack, estimates": stack.rows,

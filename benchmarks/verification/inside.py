@@ -1,14 +1,19 @@
-"""Behind and within a wall: surroundings and back in time, natural convection, venting of an insulation."""
+"""Behind and within a wall: surroundings and back in time, natural convection, venting of an insulation, air layers."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from scipy.optimize import fsolve
 
 from benchmarks.verification.row import Row
 from benchmarks.verification.walls import flight, heat, material, wall
-from sim_heating.thermal.stack import PressureTable
+from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
+from sim_heating.march.history import march_points
+from sim_heating.march.point import PointModel
+from sim_heating.thermal.faces import SIGMA
+from sim_heating.thermal.stack import BackFace, Construction, Layer, Material, PressureTable, Stack
 
 START_K = 300.0
 
@@ -71,6 +76,83 @@ def venting() -> list[Row]:
     return rows
 
 
+def gas_layer(emissivity_inner: float = 0.8, conductivity_W_mK: float = 20.0) -> Construction:
+    """Two plates of 2 mm, 10 mm of air between them; the back convects and radiates to 300 K.
+
+    emissivity_inner  : of the inner face of the air [-]; the outer one is that of the outer plate, 0.8
+    conductivity_W_mK : of the plates
+    """
+    plate = Material(
+        density_kg_m3=8000.0, emissivity=[[200.0, 0.8]], specific_heat_J_kgK=[[200.0, 500.0]],
+        conductivity_W_mK=[[200.0, conductivity_W_mK]],
+    )  # fmt: skip
+    air = Material(
+        kind="gas", density_kg_m3=0.4, specific_heat_J_kgK=[[200.0, 1000.0], [2000.0, 1200.0]],
+        conductivity_W_mK=[[200.0, 0.018], [2000.0, 0.12]],
+    )  # fmt: skip
+    layers = [
+        Layer(material="plate", thickness_m=0.002),
+        Layer(material="air", thickness_m=0.01, emissivity_inner=emissivity_inner),
+        Layer(material="plate", name="back plate", thickness_m=0.002),
+    ]
+    back = BackFace(h_W_m2K=20.0, T_K=START_K, emissivity=0.9)
+    return Construction(stack=Stack(initial_K=START_K, back=back, layer=layers), materials={"plate": plate, "air": air})
+
+
+def gas_layer_K(flux_W_m2: float, conductivity_W_mK: float) -> tuple[float, float]:
+    """Temperatures [K] of the outermost and of the innermost face of `gas_layer` in the steady state.
+
+    flux_W_m2 : absorbed at the outer face;  conductivity_W_mK : of the plates
+
+    Three balances solved by scipy; conduction of the air is the integral of its conductivity.
+    """
+
+    def conducted(T: float) -> float:
+        return 0.018 * (T - 200.0) + 0.5 * (0.12 - 0.018) / 1800.0 * (T - 200.0) ** 2
+
+    def balance(T: np.ndarray) -> list[float]:
+        outer, hot, cold, inner = T
+        plates = conductivity_W_mK / 0.002
+        across = (conducted(hot) - conducted(cold)) / 0.01 + SIGMA * (hot**4 - cold**4) / (2.0 / 0.8 - 1.0)
+        lost = 20.0 * (inner - START_K) + 0.9 * SIGMA * (inner**4 - START_K**4)
+        taken = flux_W_m2 - 0.8 * SIGMA * outer**4
+        return [taken - plates * (outer - hot), plates * (outer - hot) - across, across - plates * (cold - inner),
+                plates * (cold - inner) - lost]  # fmt: skip
+
+    outer, _, _, inner = fsolve(balance, [950.0, 945.0, 735.0, 730.0], xtol=1e-12)
+    return float(outer), float(inner)
+
+
+def gas_layers() -> list[Row]:
+    """Plates that radiate at each other across still air, under a lamp until nothing changes."""
+    rows = []
+    for k, name in ((1800.0, "that conduct well"), (20.0, "of steel")):
+        t = np.array([0.0, 4e4])
+        w = gas_layer(conductivity_W_mK=k)
+        _, out = heat(w, flight(t, q_add_W_m2=6e4), (w.stack.thickness_m,), nodes=14)
+        for face, expected, got in zip(("outer", "inner"), gas_layer_K(6e4, k), out[-1, [0, 2]], strict=True):
+            text = f"10 mm of air between plates {name}, 60 kW/m2: {face} face"
+            source = "balances at four faces, scipy; grey parallel plates, emittances 0.8"
+            rows.append(Row(text, expected, float(got), 0.01, "K", source, "steady state: digits of the solution"))
+    return rows
+
+
+def back_losses() -> list[Row]:
+    """Heat that leaves a wall with a gas layer at its back, once steady: film and radiation at the inner face."""
+    t = np.array([0.0, 4e4])
+    still = {name: np.zeros(2) for name in (*RATIO_VARIABLES, "h_ref_kg_m2_s", "H_r_J_kg", "mach")}
+    flown = Conditions({"time_s": t, "q_add_W_m2": np.full(2, 6e4), "p_surface_Pa": np.full(2, 101325.0)} | still)
+    lost = march_points([PointModel("wall", gas_layer())], [flown])[0].heat.back_W_m2[-1]
+    inner = gas_layer_K(6e4, 20.0)[1]
+    expected = 20.0 * (inner - START_K) + 0.9 * SIGMA * (inner**4 - START_K**4)
+    name, source = "heat that leaves at the back of that wall, back_W_m2", "h (T - T_b) + eps sigma (T^4 - T_b^4)"
+    return [Row(name, expected, float(lost), 1.0, "W/m2", source, "0.01 K at the inner face: 1 W/m2")]
+
+
 def rows() -> list[Row]:
     """All of this subject."""
-    return [row for part in (surroundings, back_in_time, natural_convection, venting) for row in part()]
+    return [
+        row
+        for part in (surroundings, back_in_time, natural_convection, venting, gas_layers, back_losses)
+        for row in part()
+    ]

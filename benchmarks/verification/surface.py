@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from benchmarks.verification import exact
@@ -15,7 +16,11 @@ from benchmarks.verification.gas import equilibrium as gas_equilibrium
 from benchmarks.verification.row import Row
 from benchmarks.verification.volterra import surface_temperature
 from benchmarks.verification.walls import FloatArray, as_run, flight, from_the_first_instant, heat, material, wall
+from sim_heating.base.conditions import STATE, Conditions
+from sim_heating.base.files import check
+from sim_heating.inputs.record import Record, RecordFile, make_record
 from sim_heating.march.mesh_choice import TOLERANCE_K
+from sim_heating.simulation.predict import predict
 from sim_heating.thermal.stack import Construction
 
 EPS, START_K, THIN_M = 0.85, 300.0, 0.001
@@ -48,6 +53,47 @@ def equilibrium() -> list[Row]:
     w = wall((material(emissivity=1e-9), THIN_M))
     _, out = heat(w, flight(LONG_S, h_ref_kg_m2_s=0.1, H_r_J_kg=CP_J_KGK * 1500.0), nodes=14, parameters=RATIO_ONE)
     rows.append(Row("film alone: recovery temperature", 1500.0, out[-1, 0], 1e-5, "K", "H_r / cp", "emittance of 1e-9"))
+    return rows
+
+
+def constant_ratio(ratio: float | None) -> Record:
+    """A thin plate in a film, as a flight record: `[heating] ratio`, or none of it. Recovery temperature 600 K."""
+    plate = material(emissivity=EPS).model_dump(exclude_none=True)
+    declared = {
+        "control_point": "plate", "measured": False, "conditions": {"file": "conditions.csv"},
+        "thermocouples": {"file": "thermocouples.csv", "sensor": [
+            {"name": "T", "column": "T_K", "depth_m": 0.0, "noise_sigma_K": 1.0}]},
+        "stack": {"initial_K": START_K, "back": "adiabatic", "layer": [{"material": "plate", "thickness_m": THIN_M}]},
+        "materials": {"plate": plate},
+        "heating": {"reference": "columns", "wall_enthalpy": {"cp_J_kgK": CP_J_KGK}}
+        | ({} if ratio is None else {"ratio": ratio}),
+    }  # fmt: skip
+    t = np.linspace(0.0, 200.0, 201)
+    still = dict.fromkeys((*STATE, "p_surface_Pa"), 0.0) | {
+        "altitude_m": 3e4, "velocity_m_s": 1000.0, "mach": 3.31, "log10_re": 6.0, "rho_kg_m3": 0.0184, "T_inf_K": 226.5,
+        "p_inf_Pa": 1197.0, "p_surface_Pa": 1197.0, "h_ref_kg_m2_s": 0.02, "H_r_J_kg": CP_J_KGK * 600.0,
+    }  # fmt: skip
+    flown = Conditions({n: np.full(len(t), v) for n, v in still.items()} | {"time_s": t})
+    made = check({"format": "flight-record/1", **declared}, RecordFile, "plate")
+    return make_record(made, flown, {"time_s": t, "T_K": np.full(len(t), START_K)})
+
+
+def declared_ratios() -> list[Row]:
+    """A constant heating ratio of a record: rho c L dT/dt = r h_ref cp (T_r - T) - eps sigma T^4 of a thin plate."""
+    rows = []
+    for ratio in (1.0, 0.5):
+        film = ratio * 0.02 * CP_J_KGK
+
+        def rate(_: float, T: FloatArray, film: float = film) -> FloatArray:
+            return (film * (600.0 - T) - EPS * exact.SIGMA * T**4) / (1e6 * THIN_M)
+
+        expected = float(solve_ivp(rate, (0.0, 100.0), [START_K], rtol=1e-10, atol=1e-8).y[0, -1])
+        got = float(predict(constant_ratio(ratio)).indicated_K[0, 100])
+        name, source = (
+            f"record with [heating] ratio = {ratio:g}: thin plate after 100 s",
+            "heat balance of a thin plate, scipy",
+        )
+        rows.append(Row(name, expected, got, TOLERANCE_K, "K", source, "tolerance of mesh and steps"))
     return rows
 
 
@@ -132,4 +178,4 @@ def _after_a_jump(
 
 def rows() -> list[Row]:
     """All of this subject."""
-    return [row for part in (equilibrium, real_gas, lumped, half_spaces) for row in part()]
+    return [row for part in (equilibrium, declared_ratios, real_gas, lumped, half_spaces) for row in part()]

@@ -51,7 +51,7 @@ DESCRIPTIONS = {
 }
 """What each column of a file of conditions holds, for pages and schemas."""
 
-DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg")
+DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "still_air_W_m2K43")
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 
 SURFACES = ("elevon_deg", "bodyflap_deg")

@@ -304,7 +304,7 @@ def _print_errors(found: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
     from sim_heating.estimation.report.remarks import floor_in_words
 
-    declared, innovations = (found.model_extra or {}).get("predicted", {}), found.innovations
+    declared, innovations = (found.model_extra or {}).get("predicted") or {}, found.innovations
     march = "" if innovations is None else ", plain march without readings"
     for what in ("fit", "holdout"):
         before, after = declared.get(what), getattr(found, what)

@@ -293,6 +293,8 @@ def predict(
         require_writable(folder, "predict", expected=FILES, inputs=inputs)
     with error_context("--without"):
         absent = left_out(without or ())
+    for record in loaded if revised is None else ():
+        record.require_ratio()
     models = [
         (point_of_record(record), None) if revised is None else point_with_vehicle_table(record, revised)
         for record in loaded

@@ -245,7 +245,7 @@ def _closure(
     faults += [fault for fault in [magnitude_fault(fitted.problem, fitted.fit.values)] if fault is not None]
     return Closure(
         record=result.record,
-        predicted=before.before[0],
+        predicted=None if result.record.lacks_ratio else before.before[0],
         before=declared.after[0],
         after=after,
         noise_floor_K=noise_floor_K(fitted) or float("nan"),

@@ -35,23 +35,24 @@ MAX_SIGMA_RATIO = 4.0
 MAX_PANELS, MAX_LOOPS = 6, 3
 
 
-def comparison_figure(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Figure:
+def comparison_figure(predicted: Prediction | None, before: Prediction, after: Prediction, effect: str) -> Figure:
     """Measured against predicted temperatures of each used sensor: declared model, the same fitted, with effect."""
     figure, axes = fit_figure(after.record, _compared(predicted, before, after, effect))
     add_grid_and_title(figure, "", axes)
     return figure
 
 
-def comparison_chart(predicted: Prediction, before: Prediction, after: Prediction, effect: str) -> Chart:
+def comparison_chart(predicted: Prediction | None, before: Prediction, after: Prediction, effect: str) -> Chart:
     """The chart of `comparison_figure`, which is the picture in its place."""
     picture = Picture(partial(comparison_figure, predicted, before, after, effect), COMPARED)
     return fit_chart(after.record, _compared(predicted, before, after, effect), picture)
 
 
 def _compared(
-    predicted: Prediction, before: Prediction, after: Prediction, effect: str
+    predicted: Prediction | None, before: Prediction, after: Prediction, effect: str
 ) -> list[tuple[Prediction, str, str]]:
-    curves = [(predicted, PREDICTED, "declared model"), (before, BEFORE, "declared model fitted")]
+    curves = [] if predicted is None else [(predicted, PREDICTED, "declared model")]
+    curves.append((before, BEFORE, "declared model fitted"))
     if after is not before:
         curves.append((after, AFTER, f"with {effect}"))
     return curves

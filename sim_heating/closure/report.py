@@ -118,7 +118,8 @@ class CandidateScore:
 class Closure:
     """The result of closing the loop on one record.
 
-    predicted, before, after : declared model; the same fitted; with effects added, `before` where none were
+    predicted, before, after : declared model, None where it lacks a heating ratio; the same fitted; with effects added,
+                               `before` where none were
     noise_floor_K : of the used sensors over the fit segments [K]
     reference     : the ratio variables that the derivatives refer to
     effects       : effects in the order in which they were added; a single "none" or "unknown" where there are none
@@ -135,7 +136,7 @@ class Closure:
     """
 
     record: Record
-    predicted: Prediction
+    predicted: Prediction | None
     before: Prediction
     after: Prediction
     noise_floor_K: float
@@ -213,7 +214,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "format": "closure-report/2",
         "records": [str(found.record.directory)],
         "sensors": [s.name for s in found.record.used_sensors],
-        "predicted": found.predicted.segment_errors(),
+        "predicted": None if found.predicted is None else found.predicted.segment_errors(),
         "before": found.before.segment_errors(),
         "after": found.after.segment_errors(),
         "noise_floor_K": finite(found.noise_floor_K),
@@ -388,7 +389,8 @@ def _adequacy_section(found: Closure) -> list[Section]:
 
 
 def _errors_section(found: Closure) -> Section:
-    stages = [("Declared model, nothing fitted", found.predicted), ("Declared model fitted (before)", found.before)]
+    stages = [] if found.predicted is None else [("Declared model, nothing fitted", found.predicted)]
+    stages.append(("Declared model fitted (before)", found.before))
     if found.compared:
         stages.append((f"With {found.fitted_with} (after)", found.after))
     rows = []

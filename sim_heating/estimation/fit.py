@@ -64,7 +64,7 @@ from sim_heating.estimation.record_fit import (
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.parameter_owners import Owners
-from sim_heating.inputs.points import undeclared_effects
+from sim_heating.inputs.points import point_of_record, undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
 from sim_heating.march.history import table_excursions
 from sim_heating.simulation.predict import Prediction
@@ -538,7 +538,7 @@ def _fit_result(
     # compared with
     flown = zip(problem.record_fits, problem.errors(fit.values), strict=True)
     after = tuple(predict_fit(record_fit, fit.values, u) for record_fit, u in flown)
-    before = tuple(predict_record(record_fit.record) for record_fit in problem.record_fits)
+    before = tuple(predict_record(r.record, point_of_record(r.record)) for r in problem.record_fits)
     undeclared = (undeclared_effects(r.record) for r in problem.record_fits)
     notes = (
         *notes,

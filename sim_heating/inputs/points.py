@@ -17,6 +17,7 @@ from sim_heating.heating.effects.transition import HYSTERESIS, held_past, past_o
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import reference_heating
+from sim_heating.heating.surroundings import surroundings_columns
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
@@ -74,7 +75,10 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
         ratio=_ratio_along(point.ratio, flown),
     )
     of_edge = edge_flow_columns(point.flow, flown)
-    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge)
+    around = {}
+    if vehicle.declared.surroundings == "by altitude":
+        around = surroundings_columns(flown, point.pressure.parameters())
+    return flown.with_columns(p_surface_Pa=point.surface_pressure(flown), **heating._asdict(), **of_edge, **around)
 
 
 def _ratio_along(table: RatioTable | None, flown: Conditions) -> FloatArray | None:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import BoolArray, FloatArray
-from sim_heating.base.conditions import DERIVED, HEATING, STATE, SURFACES, Conditions
+from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE, SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     CsvTable,
@@ -47,7 +47,14 @@ from sim_heating.base.files import (
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.ratio.table import RatioTable, depends_on, ratio_table_text, read_ratio_table
+from sim_heating.heating.ratio.table import (
+    LEAST_RATIO,
+    MOST_RATIO,
+    RatioTable,
+    depends_on,
+    ratio_table_text,
+    read_ratio_table,
+)
 from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
@@ -239,6 +246,9 @@ class Heating(Declared):
         Discriminator(_enthalpy_tag),
     ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
     ratio_table: FileOfRecord | None = Field(default=None, description="file of the declared heating ratio")
+    ratio: float | None = Field(
+        default=None, ge=LEAST_RATIO, le=MOST_RATIO, description="constant heating ratio, in place of a table"
+    )
     recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
     local_angle_deg: LocalAngle = None
     transition: RecordTransition | None = None
@@ -280,6 +290,22 @@ class Heating(Declared):
             rule = "needs the edge of the point: `recovery`, `local_angle_deg` and `running_length_m` in [heating]"
             raise LocatedError((("transition", "re_theta_over_m_e"), rule))
         return self
+
+    @model_validator(mode="after")
+    def _check_ratio(self) -> Heating:
+        if self.ratio is not None and self.ratio_table is not None:
+            raise LocatedError((("ratio",), "is a constant in place of `ratio_table`; remove one of the two"))
+        if self.ratio is not None and self.reference == "none":
+            raise LocatedError((("ratio",), 'is over a reference heating, and `reference` is "none"; remove it'))
+        return self
+
+    def constant_ratio(self) -> RatioTable | None:
+        """The declared constant ratio as a table of one node; None where none is declared."""
+        if self.ratio is None:
+            return None
+        node = np.zeros(1)
+        ratio = np.full((1,) * len(RATIO_VARIABLES), self.ratio)
+        return RatioTable((node,) * len(RATIO_VARIABLES), ratio, header={"source": "constant of the record"})
 
     @model_validator(mode="after")
     def _check_edge(self) -> Heating:
@@ -395,7 +421,7 @@ class RecordFile(Construction):
     def _check_record(self) -> RecordFile:
         problems: list[tuple[Location, str]] = [
             (("thermocouples", "sensor", *place), text)
-            for place, text in sensor_problems(self.stack, self.thermocouples.sensor)
+            for place, text in sensor_problems(self.stack, self.thermocouples.sensor, self.materials)
         ]
         heating = self.heating
         files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
@@ -494,6 +520,27 @@ class Record:
         """The record with other fit segments [[start_s, end_s], ...]."""
         other = Segments(fit=[list(s) for s in segments], holdout=self.declared.segments.holdout)
         return replace(self, declared=self.declared.model_copy(update={"segments": other}))
+
+    @property
+    def lacks_ratio(self) -> bool:
+        """Whether a reference heats the wall, and neither a table nor a constant states the ratio to it."""
+        heating = self.declared.heating
+        heats = heating.reference not in ("columns", "none") or (
+            heating.reference == "columns" and bool(np.any(self.conditions["h_ref_kg_m2_s"]))
+        )
+        return heats and self.ratio_table is None
+
+    def require_ratio(self) -> None:
+        """Refuse a record without a heating ratio where its declared model is to be marched.
+
+        raises : InputError, one line, with the options of `new record` that state one
+        """
+        if self.lacks_ratio:
+            raise InputError(
+                f"{display_path(self.directory / DECLARATION)}, [heating]: `ratio` is missing, and a reference "
+                "without a ratio heats nothing; give `ratio = 1.0` or a `ratio_table` (`new record` has --ratio, "
+                "--ratio-table and --like), or `estimate` ratio.d0"
+            )
 
     @property
     def has_flow(self) -> bool:
@@ -715,6 +762,8 @@ def make_record(
     measured = {name: np.asarray(values, dtype=float) for name, values in thermocouples.items()}
     raise_problems(_array_problems(measured, declared, display_path(home / declared.thermocouples.file)))
     heating = declared.heating
+    # The constant ratio of a record is a table in memory, and has no file.
+    ratio_table = None if heating.ratio is not None else ratio_table
     for key, file, table in (
         ("`ratio_table`", heating.ratio_table, ratio_table),
         ("`ratio_table_turbulent`", heating.turbulent_file, turbulent),
@@ -778,6 +827,7 @@ def _check_record(
             *_turbulent_problems(declared.heating, table, turbulent, home),
         ]
     )
+    table = declared.heating.constant_ratio() if table is None else table
     return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home, turbulent)
 
 

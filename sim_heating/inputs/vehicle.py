@@ -43,7 +43,7 @@ from sim_heating.heating.surface_pressure import ModifiedNewtonian, PressureMode
 from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_recovery
 from sim_heating.inputs.record import LINE, SWEPT, declared_recovery
 from sim_heating.inputs.vehicle_files import ControlPointFile, DerivedMaterial, Limits, ReferenceHeating, VehicleFile
-from sim_heating.thermal.stack import Construction, Material, Sensor, construct
+from sim_heating.thermal.stack import Construction, Material, Sensor, construct, sensor_problems
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -197,7 +197,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
 
     >>> import sim_heating as sh
     >>> len(sh.load_vehicle("orbiter").control_points)
-    18
+    19
     """
     if isinstance(vehicle, Vehicle):
         return vehicle
@@ -411,7 +411,7 @@ def _read_control_points(
                 problems.add(line)
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
-            construction = problems.attempt(construct, file.stack, materials, display_path(path))
+            construction = problems.attempt(_construct_wall, file, materials, display_path(path))
         if file.recovery == LINE and vehicle is not None and vehicle.heating.sweep_deg is None:
             rule = f'"{LINE}" needs the sweep of "{SWEPT}", which the [heating] of vehicle.toml does not have'
             problems.add(f"{display_path(path)}: `recovery`: {rule}")
@@ -467,6 +467,14 @@ def recovery_of(file: ControlPointFile, heating: ReferenceHeating | None) -> Rec
     reference, sweep_deg = ("none", None) if heating is None else (heating.reference, heating.sweep_deg)
     elevon, bodyflap = turns or (0.0, 0.0)
     return declared_recovery(file.recovery, file.local_angle_deg, reference, elevon, bodyflap, sweep_deg)
+
+
+def _construct_wall(file: ControlPointFile, materials: Mapping[str, Material], where: str) -> Construction:
+    """The wall of a control point; refuses a sensor within a layer of gas, which the file alone does not show."""
+    construction = construct(file.stack, materials, where)
+    for (i, key), text in sensor_problems(file.stack, file.sensor, construction.materials):
+        raise InputError(f"{where}: `sensor[{i}].{key}`: {text}")
+    return construction
 
 
 def _read_ratio(

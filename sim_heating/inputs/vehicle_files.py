@@ -62,6 +62,9 @@ class VehicleFile(Declared):
     reference_length_m: float = Field(gt=0.0, description="length of the Reynolds number in m")
     reference_area_m2: float = Field(gt=0.0, description="reference area in m2")
     heating: ReferenceHeating
+    surroundings: Literal["by stack", "by altitude"] = Field(
+        default="by stack", description="`surroundings_K` of the stacks, or sky, ground and air"
+    )
     transition: Transition | None = None
     catalysis: dict[str, Catalysis] = Field(default={}, description="by material of an outermost layer")
     source: str
@@ -156,7 +159,7 @@ class ControlPointFile(Declared):
     @model_validator(mode="after")
     def _check(self) -> ControlPointFile:
         problems: list[tuple[Location, str]] = [
-            (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor)
+            (("sensor", *location), text) for location, text in sensor_problems(self.stack, self.sensor, {})
         ]
         problems += edge_problems(self.recovery, self.local_angle_deg)
         if self.limits.bondline_K is not None and len(self.stack.layer) == 1:

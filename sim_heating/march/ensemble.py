@@ -48,6 +48,7 @@ from sim_heating.march.point import (
     stack_values,
 )
 from sim_heating.thermal.elements import Elements, set_lanes, set_point, set_temperatures
+from sim_heating.thermal.faces import SIGMA
 from sim_heating.thermal.frame import STEP_TOLERANCE_K, compiled
 from sim_heating.thermal.mesh import Mesh
 from sim_heating.thermal.stack import BackFace, Material
@@ -247,6 +248,10 @@ class Ensemble:
         nodes[:, block.MATERIAL_TABLE :][len(materials) :, lanes] = materials[-1]
         nodes[[0, mesh.nodes - 1], block.IS_FACE] = 1
         block.node_rows(B)[mesh.nodes :, block.M_RIGHT, lanes] = 1.0
+        for gas in model.construction.gas_layers:
+            J[block.IN_DEPTH] = 1
+            between = SIGMA * model.construction.faces_exchange(gas)
+            block.node_rows(B)[np.flatnonzero(mesh.layer == gas), block.BETWEEN_FACES, lanes] = between
         B[block.scalar_row(block.SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
         if model.construction.stack.venting_tau_s > 0.0:
             J[block.VENTS] = 1
@@ -432,11 +437,12 @@ class Ensemble:
         return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
 
     def heat_offsets(self) -> IntArray:
-        """(2, point) offsets in `state` of the heat that enters the wall [W/m2], and of T_sur^4 [K4], at the samples.
+        """(3, point) offsets in `state` of the heat that enters the wall and that leaves at the back [W/m2], and of
+        T_sur^4 [K4], at the samples.
 
         Source: docs/theory/equations_thermal_step.md, equations 14 and 30.
         """
-        rows = (block.STAGE_IN, block.STAGE_SURROUNDINGS4 + 2)
+        rows = (block.STAGE_IN, block.STAGE_OUT, block.STAGE_SURROUNDINGS4 + 2)
         return np.array([[place.scalar(row) for place in self.lane_offsets] for row in rows], dtype=np.int64)
 
     @property

@@ -116,14 +116,14 @@ def _point_histories(
     mesh_errors_K: Sequence[float | None],
 ) -> list[PointHistory]:
     points, column = [], 0
-    films, entering, surroundings = np.split(out[:, -3 * len(ensemble.models) :], 3, axis=1)
+    films, entering, leaving, surroundings = np.split(out[:, -4 * len(ensemble.models) :], 4, axis=1)
     for i, model in enumerate(ensemble.models):
         count = 2 + len(model.depths_m)
         own = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
         ratio = np.divide(films[:, i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
         sensed, nodes = _sensed(model, time, own[2:]), ensemble.meshes[i].nodes
-        heat = surface_heat(model, flown[i], own[0], entering[:, i], surroundings[:, i])
+        heat = surface_heat(model, flown[i], own[0], entering[:, i], leaving[:, i], surroundings[:, i])
         points.append(PointHistory(model.name, time, own[0], own[1], sensed, ratio, heat, nodes, mesh_errors_K[i]))
         column += count
     return points

@@ -1,6 +1,7 @@
 """Heat at the outer surface of a control point along its flight, from what its march keeps of every sample.
 
     convected - radiated - conducted + added = 0,    heat load = int convected dt
+    heat stored in the wall = int (conducted - back) dt
 
 The march keeps what enters the wall and the fourth power of the surroundings' temperature; the radiated flux follows
 from the wall's temperature and emittance, the convected one from the balance (docs/theory/equations.md, equation 1).
@@ -27,6 +28,7 @@ class SurfaceHeat:
 
     convected_W_m2 : r h_ref (H_r - H_w), into the wall;  radiated_W_m2 : eps sigma (T^4 - T_sur^4), away from it
     conducted_W_m2 : -k dT/dx at the surface, into the wall;  added_W_m2 : q_add, of a lamp or the sun, into the wall
+    back_W_m2      : that leaves at the back face, by convection and radiation
     heat_load_J_m2 : time integral of the convected flux since the start, linear between the samples
     """
 
@@ -34,6 +36,7 @@ class SurfaceHeat:
     radiated_W_m2: FloatArray
     conducted_W_m2: FloatArray
     added_W_m2: FloatArray
+    back_W_m2: FloatArray
     heat_load_J_m2: FloatArray
 
     def columns(self) -> dict[str, FloatArray]:
@@ -42,13 +45,19 @@ class SurfaceHeat:
 
 
 def surface_heat(
-    model: PointModel, flown: Conditions, surface_K: FloatArray, entering_W_m2: FloatArray, surroundings_K4: FloatArray
+    model: PointModel,
+    flown: Conditions,
+    surface_K: FloatArray,
+    entering_W_m2: FloatArray,
+    leaving_W_m2: FloatArray,
+    surroundings_K4: FloatArray,
 ) -> SurfaceHeat:
     """Heat at the surface of a control point.
 
     flown           : conditions on the samples of the march
     surface_K       : (time,) temperature of the surface [K]
     entering_W_m2   : (time,) heat that enters the wall [W/m2]
+    leaving_W_m2    : (time,) heat that leaves at the back [W/m2]
     surroundings_K4 : (time,) fourth power of the temperature of the surroundings [K4]
     returns         : fluxes [W/m2], the convected one from the balance of the others, and heat load [J/m2]
 
@@ -61,7 +70,7 @@ def surface_heat(
     added = flown["q_add_W_m2"] if "q_add_W_m2" in flown else np.zeros(len(flown))
     convected = entering_W_m2 + radiated - added
     load = np.append(0.0, np.cumsum(0.5 * (convected[1:] + convected[:-1]) * np.diff(flown.time_s)))
-    return SurfaceHeat(convected, radiated, entering_W_m2, added, load)
+    return SurfaceHeat(convected, radiated, entering_W_m2, added, leaving_W_m2, load)
 
 
 def _factor_of_effects(model: PointModel, flown: Conditions, surface_K: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ def with_soak(flown: Conditions, soak_s: float) -> Conditions:
     after = flown.time_s[-1] + np.append(np.arange(FIRST_S, soak_s, EVERY_S), soak_s)
     # Surroundings of 0 K are those that the stack declares; a schedule of the scenario's own goes on as it ended.
     soak = {**SOAK, "q_add_W_m2": 0.0}
-    if "T_surroundings_K" in flown:
+    if "T_surroundings_K" in flown and "still_air_W_m2K43" not in flown:
         del soak["T_surroundings_K"]
     columns = flown.columns if "T_surroundings_K" in flown else flown.with_columns(T_surroundings_K=0.0).columns
     return Conditions({

@@ -23,7 +23,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.kernels.block import N_CONDITIONS
-from sim_heating.base.limits import limit_message
+from sim_heating.base.limits import LIMITS, limit_message
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
@@ -33,6 +33,9 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.simulation import plugin_kernel as k
+
+AROUND = "T_surroundings_K"
+"""What a frame by name may state in addition to conditions.FRAME."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ class HeatingPlugin:
 
     def reset(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Start: initial temperatures of the stacks at the time and conditions of this frame."""
-        values = _values(frame, self._spared)
+        values = self._take_surroundings(frame)
         # Checked before anything changes: after a refused frame the plug-in is as it was.
         invalid = k.implausible(values)
         if invalid != k.GOOD:
@@ -164,14 +167,26 @@ class HeatingPlugin:
     def step(self, frame: FloatArray | Mapping[str, float]) -> None:
         """Advance to the time of a frame, conditions linear between thermal steps; the same time again is a pause.
 
-        frame  : values in the order of conditions.FRAME (the fast way), or by name
+        frame  : values in the order of conditions.FRAME (the fast way), or by name; by name it may state
+                 T_surroundings_K, which the surface radiates to, in place of what vehicle and stack declare
         raises : InputError for a value that is NaN or out of range, and for a clock that goes back or jumps; the state
                  is unchanged. RunError where a step did not converge: reset or restore
         """
-        values = _values(frame, self._spared)
+        values = self._take_surroundings(frame)
         outcome = self.watch(values)
         if outcome != k.GOOD:
             self.handle(values, outcome)
+
+    def _take_surroundings(self, frame: FloatArray | Mapping[str, float]) -> FloatArray:
+        """Values of a frame; `T_surroundings_K` of it, which an array does not have, holds until the next frame."""
+        if isinstance(frame, np.ndarray):
+            return _values(frame, self._spared)
+        values = _values({name: value for name, value in frame.items() if name != AROUND}, self._spared)
+        around, (lowest, highest, rule) = float(frame.get(AROUND, 0.0)), LIMITS[AROUND]
+        if AROUND in frame and not lowest <= around <= highest:
+            raise InputError(f"plug-in: `{AROUND}` {around:g} {rule}")
+        self._host[k.AROUND] = around
+        return values
 
     def handle(self, frame: FloatArray, outcome: int) -> None:
         """Take the thermal steps, or raise the error, that the outcome of `watch` for a frame asks for.
@@ -316,6 +331,7 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
         reference_model(vehicle.heating.reference).code, vehicle.reference_length_m,
         vehicle.heating.nose_radius_m or 1.0, vehicle.heating.sweep_deg or 0.0, longest_step_s, longest_wait_s,
         reference_model(vehicle.heating.reference).holds_m_s[1],
+        float(vehicle.declared.surroundings == "by altitude"), 0.0,
     )  # fmt: skip
     return host
 

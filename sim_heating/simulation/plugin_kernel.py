@@ -29,6 +29,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE
 from sim_heating.base.kernels.block import (
+    AIR_K,
     ALPHA,
     BETA,
     BODYFLAP,
@@ -47,6 +48,8 @@ from sim_heating.base.kernels.block import (
     RATE,
     RECOVERY_ENTHALPY,
     RECOVERY_RISE,
+    STILL_AIR,
+    SURROUNDINGS,
     TIME,
     TURBULENT_RATIO,
     T,
@@ -68,17 +71,19 @@ from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
+from sim_heating.heating.surroundings import ground_view, still_air_kernel, surroundings_kernel
 from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
-CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, FASTEST = range(7)
-STARTED, SPIKES, LAST_SPIKE, TOO_FAST, TOO_HIGH, LONGEST_FRAME, WAIT, LAST_FRAME = range(7, 15)
+CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, FASTEST, BY_ALTITUDE, AROUND = range(9)
+STARTED, SPIKES, LAST_SPIKE, TOO_FAST, TOO_HIGH, LONGEST_FRAME, WAIT, LAST_FRAME = range(9, 17)
 THERMAL_FRAME, SLOPE, AREA, HOST_SIZE = (LAST_FRAME + k * len(FRAME) for k in (1, 2, 3, 4))
 """Places in the host array. Constant: reference model, reference length [m], nose radius [m], sweep [deg], longest
-thermal step and longest wait for one [s], speed to which the reference heating holds [m/s]. Changing: 1 after the first
-frame, number of density spikes, time of the last one [s], frames above that speed and above the atmosphere's table, the
-longest frame [s], wait for the next thermal step [s], the last frame, the frame that the thermal model is at, the rates
-of change of the frame's values over the last thermal step [1/s], and their integrals over time since then [s]."""
+thermal step and longest wait for one [s], speed to which the reference heating holds [m/s], 1 where surroundings follow
+from altitude. Changing: surroundings that the host states [K], 0 without; 1 after the first frame, number of density
+spikes, time of the last one [s], frames above that speed and above the atmosphere's table, the longest frame [s], wait
+for the next thermal step [s], the last frame, the frame that the thermal model is at, the rates of change of the
+frame's values over the last thermal step [1/s], and their integrals over time since then [s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
@@ -275,6 +280,11 @@ def derive_conditions(
             H_0, V, alpha, frame[F_ELEVON], frame[F_BODYFLAP], point, RECOVERY_AT
         )
         vector[H_REF] = _film_at_point(code, h_ref, rho, V, T_inf, vector, host[SWEEP], point, pointer(points.tables))
+        vector[SURROUNDINGS] = host[AROUND]
+        if host[BY_ALTITUDE] > 0.0:
+            vector[STILL_AIR], vector[AIR_K] = still_air_kernel(V, p_inf), T_inf
+            if host[AROUND] == 0.0:
+                vector[SURROUNDINGS] = surroundings_kernel(T_inf, p_inf, ground_view(point[0], point[1]))
         vector[JETS], vector[MACH], vector[TIME] = frame[F_JETS], mach, frame[F_TIME]
         vector[TURBULENT_RATIO], vector[LOG10_RE_THETA_M], vector[DISSOCIATION], edge = edge_flow_kernel(
             state, V, vector, point, FLOW_AT, pointer(points.tables), edge

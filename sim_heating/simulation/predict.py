@@ -134,13 +134,16 @@ def predict(
     model  : another model than the declared one
     flow   : what its effects ask of the flow at the edge of the point; by default by what the record declares of it
     skew_s : by how much the thermocouples' clock lags [s];  errors : gain, bias, lag and drift of sensors, by name
-    raises : InputError where no sample lies within the conditions, RunError where a step did not converge
+    raises : InputError where no sample lies within the conditions, or the record's own model lacks a heating ratio;
+             RunError where a step did not converge
 
     >>> import sim_heating as sh
     >>> sh.predict("scenarios/records/practice/p06")
     <Prediction of p06: 2 sensors, RMSE 9.57 K>
     """
     record = load_record(record)
+    if model is None:
+        record.require_ratio()
     model, faults = point_of_record(record) if model is None else model, errors or {}
     model = model.with_lags(lags_s(record.sensors, faults))
     conditions = conditions_of_record(record, flow or flow_of_record(record, model.effects))

@@ -30,7 +30,8 @@ UNITS = {
     "p_inf_Pa": "Pa", "p_surface_Pa": "Pa", "h_ref_kg_m2_s": "kg m-2 s-1", "H_r_J_kg": "J kg-1", "q_add_W_m2": "W m-2",
     "jets": "1", "bank_deg": "degree", "gamma_deg": "degree", "heading_deg": "degree", "latitude_deg": "degree_north",
     "longitude_deg": "degree_east", "qbar_Pa": "Pa", "axial_accel_g": "1", "convected_W_m2": "W m-2",
-    "radiated_W_m2": "W m-2", "conducted_W_m2": "W m-2", "added_W_m2": "W m-2", "heat_load_J_m2": "J m-2",
+    "radiated_W_m2": "W m-2", "conducted_W_m2": "W m-2", "added_W_m2": "W m-2", "back_W_m2": "W m-2",
+    "heat_load_J_m2": "J m-2",
 }  # fmt: skip
 """Units of conditions and fluxes in the spelling of the CF conventions."""
 
@@ -42,6 +43,7 @@ LONG_NAMES = {
     "radiated_W_m2": "heat flux that the surface radiates",
     "conducted_W_m2": "heat flux conducted from the surface into the wall",
     "added_W_m2": "known additional heat flux into the surface",
+    "back_W_m2": "heat flux that leaves at the back face",
     "heat_load_J_m2": "time integral of the convected heat flux",
     "surface_limit_K": "limit of the surface temperature",
     "bondline_limit_K": "limit of the bondline temperature",

@@ -31,6 +31,7 @@ from sim_heating.base.files import (
     write_text_atomic,
 )
 from sim_heating.heating.atmosphere import R_AIR, us76
+from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.record import (
     DECLARATION,
     OPTIONAL_COLUMNS,
@@ -53,7 +54,7 @@ UNEVEN_K = 2.0
 FIRST_READINGS = 5
 SURFACE, BACK = "surface", "back"
 """Depths by name: the outer surface, and the inner face of the last layer."""
-COMMAND = "new record"
+COMMAND, RATIO_FILE = "new record", "ratio_table.csv"
 UNKNOWN = "unknown"
 """Word for a lamp whose flux is to be estimated."""
 UNIT_FLUX_W_M2, LAMP_ENTHALPY_J_KG = 1e4, 1e10
@@ -87,6 +88,7 @@ class RecordInput:
     back          : cooling of the back face, keys of `back`; None for an adiabatic one
     noise_K       : random error of all sensors [K]
     pressure_Pa   : of the air in the insulation [Pa]
+    ratio, ratio_table : heating ratio of a flight [-], or the file of its table; neither where it is to be estimated
     """
 
     layers: Sequence[LayerInput]
@@ -102,6 +104,8 @@ class RecordInput:
     noise_K: float | None = None
     pressure_Pa: float | None = None
     nose_radius_m: float | None = None
+    ratio: float | None = None
+    ratio_table: Path | None = None
     notes: tuple[str, ...] = field(default=())
 
 
@@ -247,7 +251,7 @@ def _unknown_flux(times: FloatArray, lit_s: tuple[float, float] | None) -> Heat:
     when = "throughout" if lit_s is None else f"from {lit_s[0]:g} to {lit_s[1]:g} s"
     note = (
         f"an unknown flux {when}: `estimate` finds ratio.d0, the absorbed flux in units of {UNIT_FLUX_W_M2 / 1e3:g} "
-        "kW/m2; heat capacity and emittance are then taken as declared; `predict` without it stays cold"
+        "kW/m2; heat capacity and emittance are then taken as declared; `predict` needs it"
     )
     return Heat(flux, constants, "columns", note)
 
@@ -280,6 +284,7 @@ def write_new_record(
     sensors = sensor_columns(measured)
     times = measured.of_kind(TIME)[0].si
     initial_K, notes = _initial(given, times, sensors)
+    notes += _ratio_notes(given)
     surroundings_K = given.surroundings_K
     lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]
     if surroundings_K is not None:
@@ -323,12 +328,14 @@ def write_new_record(
         lamp=lamp,
         unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
         nose_radius_m=given.nose_radius_m,
+        ratio=given.ratio,
+        ratio_table=None if given.ratio_table is None else RATIO_FILE,
         first_s=float(times[0]),
         last_s=float(times[-1]),
         hold_s=[float(f"{x:.4g}") for x in hold],
     )
     readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
-    inputs = [measured.path]
+    inputs = [measured.path, *([] if given.ratio_table is None else [given.ratio_table])]
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
         said_of_options(out), shown_at(folder, out),
@@ -336,8 +343,27 @@ def write_new_record(
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
         write_csv(folder / "thermocouples.csv", readings)
+        if given.ratio_table is not None:
+            write_ratio_table(folder / RATIO_FILE, read_ratio_table(given.ratio_table))
         record = load_record(folder)
     return record, [f"heated by {given.heat.note}", *notes, *given.notes]
+
+
+def _ratio_notes(given: RecordInput) -> list[str]:
+    """What is said of the heating ratio of a flight.
+
+    raises : InputError where there are two ratios, or one without a flight
+    """
+    if given.ratio is not None and given.ratio_table is not None:
+        raise InputError("--ratio: is a constant in place of --ratio-table; give one of the two")
+    if given.heat.reference == "none" or LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]:
+        option = "--ratio" if given.ratio is not None else "--ratio-table"
+        if given.ratio is not None or given.ratio_table is not None:
+            raise InputError(f"{option}: is over the reference heating of a flight; give --conditions, or leave it out")
+        return []
+    if given.ratio is None and given.ratio_table is None:
+        return ["no heating ratio: `estimate` finds ratio.d0, `predict` needs one (--ratio, --ratio-table, --like)"]
+    return []
 
 
 OPTIONS = {
@@ -346,6 +372,7 @@ OPTIONS = {
     ", [conditions]: `p_surface_Pa`:": "--pressure:",
     ", [heating]: `reference`:": "--reference:",
     ", [heating]: `nose_radius_m`:": "--nose-radius:",
+    ", [heating]: `ratio`:": "--ratio:",
 }
 """Place in record.toml -> the option that states what is there."""
 

@@ -14,7 +14,9 @@ matrix (equation 4),
 whose second-order errors cancel where elements are equal (Goudreau and Taylor, Comp. Meth. Appl. Mech. Eng. 2 (1973)
 69). The sum over the nodes is the heat in the stack for any SHARE.
 
-Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity (equation 11); moisture adds
+Radiation through a porous material adds k_r (T / 1000 K)^3 to its conductivity (equation 11). A gas layer is one
+element, through which its two faces radiate at each other as well: sigma (T_i^4 - T_(i+1)^4) / (1/eps_o + 1/eps_i - 1)
+joins q_i (equation 11a). Moisture adds
 
     h_m(T) = L S((T - T_boil) / w) - D S((T - T_cond) / w),    S the logistic function,
 
@@ -37,6 +39,7 @@ from sim_heating.base.kernels.block import (
     BEND_C,
     BEND_K,
     BEND_P,
+    BETWEEN_FACES,
     BOIL,
     C_LEFT,
     C_RIGHT,
@@ -310,10 +313,10 @@ def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties,
 
 @force_inline
 def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
-    """Add moisture, vapour and radiation in depth to the row of a node whose left neighbour has them already.
+    """Add moisture, vapour and radiation to the row of a node whose left neighbour has them already.
 
     Separate from the row itself, as most walls have none of them; dry lanes of the group go through the same arithmetic
-    (docs/theory/equations_thermal_step.md, equations 11 to 13).
+    (docs/theory/equations_thermal_step.md, equations 11 to 13 and 11a).
     """
     left = a - NODE_ROWS * LANES
     t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
@@ -327,10 +330,13 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     vapour_left, vapour_right = B[left + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
     wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
     g_left = ddt * B[left + G * LANES + lane]
+    t_left, cube = B[left + T * LANES + lane], t * t * t
+    faces_left, faces_right = ddt * B[left + BETWEEN_FACES * LANES + lane], ddt * B[a + BETWEEN_FACES * LANES + lane]
     across = SHARE * wet_left * h - g_left * (k_1_left * theta_rad + vapour_left * up)
-    entry = SHARE * wet_left * c - g_left * (k_1_left * k_rad + vapour_left * rising)
+    across += faces_left * (t_left * t_left * t_left * t_left - cube * t)
+    entry = SHARE * wet_left * c - g_left * (k_1_left * k_rad + vapour_left * rising) - 4.0 * faces_left * cube
     k_right = k_1_right * k_rad + vapour_right * rising
-    lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right
+    lower = SHARE * wet_right * c - ddt * B[a + G * LANES + lane] * k_right - 4.0 * faces_right * cube
     B[a + E_LEFT * LANES + lane] += wet_left * h
     B[a + C_LEFT * LANES + lane] += wet_left * c
     B[a + E_RIGHT * LANES + lane] += wet_right * h

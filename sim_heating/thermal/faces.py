@@ -15,6 +15,7 @@ from sim_heating.base.kernels.block import (
     ADDED,
     AIR,
     AIR_FOOT,
+    AIR_K,
     AIR_PLACE,
     BACK_EPS,
     BACK_H,
@@ -47,6 +48,7 @@ from sim_heating.base.kernels.block import (
     STAGE_BACK_T,
     STAGE_NATURAL,
     STAGE_SURROUNDINGS4,
+    STILL_AIR,
     SURFACE_SHARE,
     WALL_COLUMN,
     WALL_HIGH,
@@ -196,6 +198,7 @@ def evaluate_perturbed_faces(B: FloatArray, J: IntArray, table: FloatArray, disp
             wall, film = B[(HEAD_ROWS + T) * LANES + lane], B[(FILM + stage) * LANES + lane]
             eps = _emittance(B, lane) * emittance_factor(B, J, dispatcher, lane, stage, wall)
             _write_surface_balance(B, lane, stage, eps, B[EPS_SLOPE * LANES + lane], film, 0.0)
+    _add_still_air(B, stage)
     evaluate_back(B, J, stage)
     if J[GAPS] == 1:
         _evaluate_gaps(B, J, table, stage)
@@ -304,6 +307,26 @@ def evaluate_surface(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, 
     if affected > 0:
         for lane in range(LANES):
             _balance_with_effects(B, J, dispatcher, lane, stage)
+    _add_still_air(B, stage)
+
+
+@inline_always
+def _add_still_air(B: FloatArray, stage: int) -> None:
+    """Add natural convection of all lanes at rest to the heat at the surface and its slope.
+
+        s_0 -= C |T - T_air|^(1/3) (T - T_air)
+
+    docs/theory/equations.md, section 4a.
+    """
+    for lane in range(LANES):
+        c = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+        # In flight, and in a record, there is none.
+        if B[c + STILL_AIR] > 0.0:
+            a = HEAD_ROWS * LANES + lane
+            above = B[a + T * LANES] - B[c + AIR_K]
+            film = B[c + STILL_AIR] * exp(LN_10 / 3.0 * log10(max(abs(above), 1e-30)))
+            B[a + SOURCE * LANES] -= film * above
+            B[a + SLOPE * LANES] -= 4.0 / 3.0 * film
 
 
 @inline_always

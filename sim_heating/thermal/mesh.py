@@ -43,6 +43,7 @@ class Mesh:
     depth_m  : (n,) depth of a node [m]; equal on both sides of a contact
     sensors  : node at each depth of a sensor
     bondline : node at the outer face of the last layer
+    gas      : layers of gas: each is one element, whose two nodes are the faces that radiate at each other
     """
 
     length_m: FloatArray
@@ -50,6 +51,7 @@ class Mesh:
     depth_m: FloatArray
     sensors: tuple[int, ...]
     bondline: int
+    gas: tuple[int, ...] = ()
 
     @property
     def nodes(self) -> int:
@@ -151,7 +153,8 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     contacts = [layer.contact_m2K_W for layer in construction.stack.layer]
     s = np.concatenate(([0.0], np.cumsum([seg.length_m / seg.root_a for seg in segments])))
     measure = _node_measure(s, s[-1], step_s)
-    share = np.diff(measure)
+    # A gas layer stays one element: its faces are the two nodes between which it radiates.
+    share = np.where([seg.layer in construction.gas_layers for seg in segments], 0.0, np.diff(measure))
     counts = _element_counts(share, nodes - 1 - sum(r > 0.0 for r in contacts))
     # A coating of one element would have no node between its faces.
     if counts[0] < 2:
@@ -179,20 +182,20 @@ def _place_nodes(
     sensors = tuple(int(np.argmin(np.abs(depth - d))) for d in depths_m)
     last = len(construction.stack.layer) - 1
     bondline = int(np.flatnonzero(layer == last)[0])
-    return Mesh(length_m, layer.astype(np.int64), depth, sensors, bondline)
+    return Mesh(length_m, layer.astype(np.int64), depth, sensors, bondline, construction.gas_layers)
 
 
 def halve_elements(mesh: Mesh) -> Mesh:
-    """Mesh with every element halved; contacts, and the depths of sensors and bondline, are unchanged.
+    """Mesh with every element halved; contacts, gas layers, and the depths of sensors and bondline, are unchanged.
 
     Two such meshes give the error estimate [K] of docs/theory/equations_thermal_step.md, equation 40.
     """
-    times = np.where(mesh.layer < 0, 1, 2)
+    times = np.where((mesh.layer < 0) | np.isin(mesh.layer, mesh.gas), 1, 2)
     first = np.concatenate(([0], np.cumsum(times)))
     length = np.repeat(mesh.length_m / times, times)
     layer = np.repeat(mesh.layer, times)
     depth = np.concatenate(([0.0], np.cumsum(np.where(layer < 0, 0.0, length))))
-    return Mesh(length, layer, depth, tuple(int(first[i]) for i in mesh.sensors), int(first[mesh.bondline]))
+    return Mesh(length, layer, depth, tuple(int(first[i]) for i in mesh.sensors), int(first[mesh.bondline]), mesh.gas)
 
 
 def interpolate_profile(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatArray:

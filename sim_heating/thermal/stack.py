@@ -133,9 +133,10 @@ class PressureTable(Declared):
 class Material(Declared):
     """A material of a layer: density [kg/m3], specific heat [J/(kg K)], conductivity [W/(m K)], emissivity [-].
 
-    Only the outermost layer needs an emissivity. `conductivity_sigma` and `heat_capacity_sigma` are relative standard
-    deviations from one part to another, that of the heat capacity with density. `source` and `confidence` are kept with
-    the values. The limits of a solid are not those of a gas: a layer of gas, such as a gap, declares kind = "gas".
+    Only the outermost layer, and faces of a gas layer, need an emissivity. `conductivity_sigma` and
+    `heat_capacity_sigma` are relative standard deviations from one part to another, that of the heat capacity with
+    density. `source` and `confidence` are kept with the values. The limits of a solid are not those of a gas: a layer
+    of gas, such as a gap, declares kind = "gas".
 
     kind : "solid", or "gas" for a layer of gas
     """
@@ -247,13 +248,23 @@ class Layer(Declared):
 
     name : in `stack.NAME.conductivity_factor`; that of its material where absent
     thickness_sigma_m : standard deviation of the thickness from one part to another
+    emissivity_outer, emissivity_inner : emittance of the two solid faces that a layer of gas lies between [-]; that of
+        the neighbouring material where absent (docs/theory/equations_thermal_step.md, equation 11a)
     """
+
+    quantities: ClassVar = {"emissivity_outer": "emissivity", "emissivity_inner": "emissivity"}
 
     material: str = Field(description="name of a material")
     name: str | None = Field(default=None, min_length=1, description="name in parameters, else its material")
     thickness_m: float = Field(gt=0.0, description="thickness in m, above 0; omit a layer that is absent")
     thickness_sigma_m: float | None = Field(default=None, gt=0.0, description="its standard deviation in m, above 0")
     contact_m2K_W: float = Field(default=0.0, ge=0.0, le=MOST, description="contact resistance in m2 K/W")
+    emissivity_outer: float | None = Field(
+        default=None, ge=LEAST, le=1.0, description="of the outer face of a gas layer, else that of its material"
+    )
+    emissivity_inner: float | None = Field(
+        default=None, ge=LEAST, le=1.0, description="of the inner face of a gas layer, else that of its material"
+    )
 
     @field_validator("thickness_m")
     @classmethod
@@ -494,9 +505,71 @@ class Construction(Declared):
         """The material of each layer, outermost first."""
         return [self.materials[layer.material] for layer in self.stack.layer]
 
+    @property
+    def gas_layers(self) -> tuple[int, ...]:
+        """Indices of the layers of gas."""
+        return tuple(i for i, material in enumerate(self.layer_materials()) if material.kind == "gas")
+
+    def faces_exchange(self, gas: int) -> float:
+        """Exchange factor of the two faces of a gas layer [-], 1 / (1/eps_o + 1/eps_i - 1).
+
+        gas : index of the layer
+
+        Two grey, diffuse, parallel plates: Siegel and Howell, Thermal Radiation Heat Transfer, infinite parallel plates
+        (docs/theory/equations_thermal_step.md, equation 11a).
+        """
+        outer, inner = (face_emittance(self.stack, self.materials, gas, face) for face in FACES)
+        return 1.0 / (1.0 / (outer or 1.0) + 1.0 / (inner or 1.0) - 1.0)
+
+
+FACES = {"emissivity_outer": -1, "emissivity_inner": 1}
+"""Keys of a gas layer, and the way to the neighbour whose face each is about."""
+
+
+def face_emittance(stack: Stack, materials: Mapping[str, Material], gas: int, face: str) -> float | None:
+    """Emittance [-] of a face of a gas layer: as the layer states it, else that of the neighbouring material.
+
+    stack, materials : of a wall;  gas : index of the layer;  face : "emissivity_outer" or "emissivity_inner"
+    returns          : None where neither states one, or that of the material changes with temperature
+
+    What it is for: docs/theory/equations_thermal_step.md, equation 11a.
+    """
+    stated: float | None = getattr(stack.layer[gas], face)
+    if stated is not None:
+        return stated
+    neighbour = materials.get(stack.layer[gas + FACES[face]].material)
+    values = {value for _, value in neighbour.emissivity or []} if neighbour is not None else set()
+    return values.pop() if len(values) == 1 else None
+
+
+def _gas_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
+    """Layers of gas without two solid faces of known emittance, and emittances of faces that no gas layer has."""
+    kinds = [materials[layer.material].kind if layer.material in materials else "solid" for layer in stack.layer]
+    problems: list[tuple[Location, str]] = []
+    for i, layer in enumerate(stack.layer):
+        where: Location = ("stack", "layer", i)
+        if kinds[i] == "solid":
+            stated = [face for face in FACES if getattr(layer, face) is not None]
+            problems += [((*where, f), "is of a layer of gas, and this one is solid; remove it") for f in stated]
+            continue
+        beside = kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2]
+        if beside != ["solid", "solid"]:
+            problems.append(((*where, "material"), "a layer of gas lies between two solid ones; add the one it lacks"))
+            continue
+        if layer.contact_m2K_W > 0.0 or stack.layer[i - 1].contact_m2K_W > 0.0:
+            rule = "a layer of gas has no contact resistance at its faces; remove it"
+            problems.append(((*where, "contact_m2K_W"), rule))
+        for face, side in FACES.items():
+            if face_emittance(stack, materials, i, face) is None:
+                material = stack.layer[i + side].material
+                why = "changes with temperature" if materials[material].emissivity else "is not stated"
+                rule = f"is missing: the faces of a gas layer radiate, and the emittance of `{material}` {why}; add it"
+                problems.append(((*where, face), rule))
+    return problems
+
 
 def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple[Location, str]]:
-    """Layers whose material is not declared, and an outermost layer without emissivity.
+    """Layers whose material is not declared, an outermost layer and faces of a gas layer without emissivity.
 
     stack     : layers, outermost first
     materials : declared materials by name
@@ -511,12 +584,16 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
     if outer is not None and outer.emissivity is None:
         rule = "the outermost layer radiates; add `emissivity` = [[T_K, value], ...]"
         problems.append((("materials", stack.layer[0].material), rule))
-    return problems
+    # The faces of an unknown material are none to ask for.
+    return problems or _gas_problems(stack, materials)
 
 
-def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
-    """Sensors outside the stack, and names or columns used twice.
+def sensor_problems(
+    stack: Stack, sensors: Sequence[Sensor], materials: Mapping[str, Material]
+) -> list[tuple[Location, str]]:
+    """Sensors outside the stack or within a layer of gas, and names or columns used twice.
 
+    materials : of the layers, as far as known
     returns : ((index of the sensor, key), text) of each problem
     """
     problems: list[tuple[Location, str]] = []
@@ -524,6 +601,13 @@ def sensor_problems(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Locat
         if not stack.holds(sensor.depth_m):
             rule = f"{sensor.depth_m:g} m is outside the stack (0 to {stack.thickness_m:g} m)"
             problems.append(((i, "depth_m"), rule))
+        for k, layer in enumerate(stack.layer):
+            gas = layer.material in materials and materials[layer.material].kind == "gas"
+            top, bottom = stack.interfaces_m[k : k + 2]
+            slack = 1e-6 * stack.thickness_m
+            if gas and top + slack < sensor.depth_m < bottom - slack:
+                rule = f"{sensor.depth_m:g} m is within a layer of gas; give the depth of a face, {top:g} or {bottom:g}"
+                problems.append(((i, "depth_m"), rule))
         for key in ("name", "column"):
             value = getattr(sensor, key)
             if value in [getattr(other, key) for other in sensors[:i]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.verification.inside import back_losses
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating.effects import use
 from sim_heating.inputs.points import conditions_of_record
@@ -65,3 +66,8 @@ def test_heat_load_is_what_is_convected_and_nothing_under_a_lamp_alone():
     lamp = march_points([model], [still])[0].heat
     assert np.max(np.abs(lamp.heat_load_J_m2)) < 1e-3 * LAMP_W_M2
     np.testing.assert_allclose(lamp.conducted_W_m2 + lamp.radiated_W_m2, LAMP_W_M2, rtol=1e-9)
+
+
+def test_what_is_conducted_in_steadily_leaves_at_the_back():
+    for row in back_losses():
+        assert row.kept, row

@@ -83,7 +83,7 @@ def test_the_summary_agrees_with_the_histories(out: Path, result: RunResult) -> 
 
 def test_heating_csv_and_netcdf_hold_fluxes_heat_load_and_margins(out: Path, result: RunResult) -> None:
     table = pd.read_csv(out / "V09T9527" / "heating.csv")
-    fluxes = ["convected_W_m2", "radiated_W_m2", "conducted_W_m2", "added_W_m2", "heat_load_J_m2"]
+    fluxes = ["convected_W_m2", "radiated_W_m2", "conducted_W_m2", "added_W_m2", "back_W_m2", "heat_load_J_m2"]
     assert table.columns.tolist() == ["time_s", "ratio", *fluxes, "surface_margin_K", "bondline_margin_K"]
     limits = result.scenario.vehicle.control_point("V09T9527").limits
     with xr.open_dataset(out / "flight.nc", decode_timedelta=False) as data:

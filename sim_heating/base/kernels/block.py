@@ -26,11 +26,13 @@ would be compiled a second time."""
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
 P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
 TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION, SURROUNDINGS, BEHIND = 13, 14, 15, 16, 17
-N_CONDITIONS = 18
+STILL_AIR, AIR_K = 18, 19
+N_CONDITIONS = 20
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
     "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
+    "still_air_W_m2K43", "T_inf_K",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/theory/equations.md, section 2: 5
@@ -129,19 +131,22 @@ RADIATES_FROM, LATENT, BOIL, DEPOSIT, CONDENSE, PHASE_RATE, VAPOUR = 48, 49, 50,
 CURVE = 55
 # E* of the stage [J/m2], and its copy while the error of a step is found.
 E_STAR, STAR_COPY = 56, 57
-NODE_ROWS = 58
+# Radiation between the two faces of a gas layer, which is one element: Stefan-Boltzmann constant over the resistance of
+# the faces, of the element to the right [W/(m2 K4)] (docs/theory/equations_thermal_step.md, equation 11a).
+BETWEEN_FACES = 58
+NODE_ROWS = 59
 HEAD_ROWS = SCALAR_ROWS + NODE_ROWS
 """A ghost node of zeros before the first and one behind the last end the recurrences along the nodes."""
 INVALID_HIGH_K = -1e30
 """A HIGH [K] below every temperature: the polynomials have to be gathered."""
 
-# Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of their
-# pressures, of its emissivity, wall-enthalpy and ratio tables, number of its effects that add and of all on the ratio,
-# the first of those that are evaluated again at each wall temperature, the code of each, the node at the back face
-# (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat), number of
-# effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of transition,
-# or NONE; then four flags of the group, whether any lane has moisture or radiation in depth, gaps, natural convection
-# behind, or a venting lag.
+# Integers of a group: node count; then one a lane: number of pressure columns of its property tables, offsets of
+# their pressures, of its emissivity, wall-enthalpy and ratio tables, number of its effects that add and of all on the
+# ratio, the first of those that are evaluated again at each wall temperature, the code of each, the node at the back
+# face (nodes behind it are padding, to the node count of the group: they have heat capacity and exchange no heat),
+# number of effects on the emittance (their codes follow those of the ratio), the slots of the effect that lags and of
+# transition, or NONE; then four flags of the group, whether any lane has moisture or radiation in depth or between
+# faces, gaps, natural convection behind, or a venting lag.
 # Then for each node two flags, whether its two elements differ in material in any lane and whether heat enters it from
 # outside in any lane, and the material-table offset of the element to its right in each lane.
 N_NODES = 0

@@ -71,6 +71,8 @@ if TYPE_CHECKING:
 @click.option(
     "--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg"
 )
+@click.option("--ratio", type=float, help="constant heating ratio of that flight, over its reference heating")
+@click.option("--ratio-table", "ratio_table", type=PATH, help="CSV file of its heating ratio, copied into the record")
 @quantity_option("--nose-radius", "m", "nose_radius_m", "0.3m", "R", "radius of the reference sphere")
 @click.option(
     "--like",
@@ -150,17 +152,22 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
                 noise_K=given["noise"],
                 pressure_Pa=given["pressure"],
                 nose_radius_m=given["nose_radius"],
+                ratio=given["ratio"],
+                ratio_table=given["ratio_table"],
             ),
         )
     print_notes(notes)
     commands = (
-        f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}" for c in ("predict", "estimate", "close-loop")
+        f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}"
+        for c in (*(() if made.lacks_ratio else ("predict",)), "estimate", "close-loop")
     )
     print_made(describe_record(made), out, *commands, notes=notes)
 
 
 def _refuse_with_like(layers: Sequence[str], given: dict[str, Any]) -> None:
-    for option, value in (("--layer", layers), ("--lamp", given["lamp"]), ("--conditions", given["flight"])):
+    for option, value in (("--layer", layers), ("--lamp", given["lamp"]), ("--conditions", given["flight"]),
+        ("--ratio", given["ratio"]), ("--ratio-table", given["ratio_table"]),
+    ):  # fmt: skip
         if value:
             raise InputError(f"{option}: comes from the record of --like; leave one of the two out")
 

@@ -209,7 +209,8 @@ def summary_row(report: Any) -> dict[str, Any]:
         "fault_messages": [f.message for f in report.faults],
     }
     for name, prediction in (("predicted", report.predicted), ("before", report.before), ("after", report.after)):
-        for what, errors in prediction.segment_errors().items():
+        none = dict.fromkeys(("fit", "holdout"))
+        for what, errors in (none if prediction is None else prediction.segment_errors()).items():
             row[f"{name}_{what}_rmse_K"] = None if errors is None else errors["rmse_K"]
     return row
 

@@ -170,6 +170,12 @@ def _alone(e: Evidence) -> str:
 # Files ----------------------------------------------------------------------------------------------------------------
 
 
+def _pooled_predictions(found: JointClosure) -> dict[str, Any] | None:
+    """Errors of the declared models; None where one of them lacks a heating ratio."""
+    predicted = [c.predicted for c in found.closures if c.predicted is not None]
+    return found.pooled(predicted) if len(predicted) == len(found.closures) else None
+
+
 def joint_closure_json(found: JointClosure) -> dict[str, Any]:
     """The contents of closure.json."""
     effects = [e.as_json() for e in found.effects]
@@ -180,7 +186,7 @@ def joint_closure_json(found: JointClosure) -> dict[str, Any]:
         "format": "closure-report/2",
         "records": [str(c.record.directory) for c in found.closures],
         "sensors": list(dict.fromkeys(s.name for c in found.closures for s in c.record.used_sensors)),
-        "predicted": found.pooled([c.predicted for c in found.closures]),
+        "predicted": _pooled_predictions(found),
         "before": found.pooled([c.before for c in found.closures]),
         "after": found.pooled(found.after),
         "noise_floor_K": finite(floor),

@@ -303,7 +303,7 @@ def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:
     still = [k for k, sensor in enumerate(record.sensors) if sensor.used and _is_still(readings[k])]
     if not still:  # the usual case, which needs no march
         return record, []
-    indicated = predict(record).indicated_K[:, mask]
+    indicated = predict(record, point_of_record(record)).indicated_K[:, mask]
     stuck = []
     for k in still:
         sensor, read, expected = record.sensors[k], readings[k], indicated[k]

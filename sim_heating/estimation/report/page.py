@@ -67,7 +67,7 @@ def _headline(fitted: FitResult, found: Estimate) -> tuple[str, str]:
 
 def _declared(found: Estimate, segments: str) -> FitErrors | None:
     """Errors of the declared model over fit or holdout segments."""
-    errors = (found.model_extra or {}).get("predicted", {}).get(segments)
+    errors = ((found.model_extra or {}).get("predicted") or {}).get(segments)
     return None if errors is None else FitErrors.model_validate(errors, from_attributes=True)
 
 

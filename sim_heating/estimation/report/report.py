@@ -76,7 +76,9 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "noise_floor_K": noise_floor_K(fitted),
             "fit": _errors(fitted.after, "fit"),
             "holdout": _errors(fitted.after, "holdout"),
-            "predicted": {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "predicted": None
+            if any(r.lacks_ratio for r in records)
+            else {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
             "innovations": _innovations(fitted),
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,

@@ -39,8 +39,9 @@ from sim_heating.heating.reference.recovery import RECOVERIES
 
 LARGEST_SIGMA, SMALLEST_SIGMA = 10.0, 1e-5
 """Largest sigma over the largest ratio of a table, and smallest median of sigma over ratio."""
-LEAST_RATIO = 1e-5
-"""Largest ratio of a table, at least: sheltered places have 1e-3 of the stagnation point's."""
+LEAST_RATIO, MOST_RATIO = 1e-5, 1e3
+"""Largest ratio of a table, at least: sheltered places have 1e-3 of the stagnation point's. Largest constant ratio of a
+record: shocks that meet give 20, and a reference of a few metres is a tenth of one of centimetres."""
 TABLES_KEPT = 256
 """Tables that stay in memory once read: planning and joint fits read those of a vehicle again and again."""
 SPIKE = 100.0

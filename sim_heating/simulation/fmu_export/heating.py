@@ -76,7 +76,7 @@ from sim_heating.simulation.fmu_export.parts.library import (
 )
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin
-from sim_heating.simulation.plugin_kernel import SWEEP
+from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
 
@@ -93,6 +93,7 @@ INPUT_TEXTS = {
     "rho_kg_m3": ("kg/m3", 1e-4, "density of the air"),
     "jets": ("1", 1.0, "share of the reaction jets that fire"),
     "q_add_W_m2": ("W/m2", 1e4, "known additional flux absorbed by every surface"),
+    "T_surroundings_K": ("K", 300.0, "temperature that surfaces radiate to; 0: as the vehicle declares"),
     "h_ref_kg_m2_s": ("kg/(m2 s)", 0.05, "reference film coefficient"),
     "H_r_J_kg": ("J/kg", 2e7, "total enthalpy; a point with a declared edge recovers less of it"),
 }
@@ -260,6 +261,12 @@ def quoted(part: str) -> str:
     return part if plain else "'" + re.sub(r"(['\\])", r"\\\1", part) + "'"
 
 
+def _range(name: str) -> tuple[float, float]:
+    """Lowest and highest value of an input; surroundings of 0 K stand for what the vehicle and its stacks declare."""
+    lowest, highest = LIMITS[name][:2]
+    return (0.0 if name == "T_surroundings_K" else lowest), highest
+
+
 class _HeatingPacker(ImagePacker):
     """Packs the arrays of a plug-in into an image."""
 
@@ -268,7 +275,8 @@ class _HeatingPacker(ImagePacker):
         super().__init__(image, k.N_MODEL)
         self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, known, columns, timing
         self.ensemble: Ensemble = plugin.ensemble
-        self.inputs = [*FRAME[1:], "q_add_W_m2", *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
+        added = ("q_add_W_m2", "T_surroundings_K")
+        self.inputs = [*FRAME[1:], *added, *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
 
     def pack(self) -> None:
         image, e = self.image, self.ensemble
@@ -333,8 +341,8 @@ class _HeatingPacker(ImagePacker):
         # A density of 0, the default of an input, would be out of range at the start of every host.
         density = float(us76(START_ALTITUDE_M)[2])
         starts = [({**INPUT_STARTS, "rho_kg_m3": density}).get(name, 0.0) for name in self.inputs]
-        self.add_inputs([Input(name, *INPUT_TEXTS[name], *LIMITS[name][:2]) for name in self.inputs], starts)
-        self.head[k.RANGES] = self.image.add_numbers([LIMITS[name][:2] for name in self.inputs])
+        self.add_inputs([Input(name, *INPUT_TEXTS[name], *_range(name)) for name in self.inputs], starts)
+        self.head[k.RANGES] = self.image.add_numbers([_range(name) for name in self.inputs])
         self.head[k.INPUTS_AT_STATE] = self.image.keep_numbers(np.zeros(len(self.inputs)))
 
     def _pack_options(self) -> None:
@@ -349,6 +357,7 @@ class _HeatingPacker(ImagePacker):
     def _pack_host(self) -> None:
         host = np.zeros(k.HOST_WIDTH)
         host[: SWEEP + 1] = self.plugin._host[: SWEEP + 1]
+        host[BY_ALTITUDE] = self.plugin._host[BY_ALTITUDE]
         if self.columns:
             host[k.CODE] = COLUMNS
         numbers, tables = self.plugin.constants
@@ -454,7 +463,9 @@ class _HeatingPacker(ImagePacker):
         for i, v in enumerate(variables[first:], start=first):
             if v.role is Role.OUTPUT and ".heating." in v.name:
                 inside = v.name.endswith(".radiated_W_m2") and not emitting
-                inputs = () if inside else ("time", *self.inputs)
+                # Surroundings by altitude follow from altitude and density.
+                around = ("altitude_m", "rho_kg_m3") if self.plugin._host[BY_ALTITUDE] else ()
+                inputs = (*around, "T_surroundings_K") if inside else ("time", *self.inputs)
                 variables[i] = replace(v, depends=inputs, parameters=parameters)
 
     def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], place: int) -> None:

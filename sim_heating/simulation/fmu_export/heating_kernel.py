@@ -89,6 +89,7 @@ from sim_heating.simulation.fmu_export.parts.library import (
     at,
 )
 from sim_heating.simulation.plugin_kernel import (
+    AROUND,
     CODE,
     F_ALPHA,
     F_BODYFLAP,
@@ -114,8 +115,8 @@ from sim_heating.thermal.frame import STAGE_ROWS
 N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
-F_Q_ADD, F_H_REF, F_H_R = len(FRAME), len(FRAME) + 1, len(FRAME) + 2
-FRAME_WIDTH = len(FRAME) + 3
+F_Q_ADD, F_AROUND, F_H_REF, F_H_R = (len(FRAME) + k for k in range(4))
+FRAME_WIDTH = len(FRAME) + 4
 HOST_WIDTH = 16
 
 # A point's integers: its group, first lane, number of lanes, number of elements, place of their layers in N, places of
@@ -200,6 +201,7 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
     numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
     points = PointConstants(numbers, carray(at(R, N[FLOW_TABLES]), N[N_FLOW_TABLES]))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
+    host[AROUND] = inputs[F_AROUND - 1]
     derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
     for i in range(n):
         vectors[i, Q_ADD] = inputs[F_Q_ADD - 1]
