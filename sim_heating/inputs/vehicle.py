@@ -423,9 +423,35 @@ def _read_control_points(
             if flow is not None:
                 declared = (_transition(file, vehicle), _catalysis(file, vehicle))
                 points[file.name] = _control_point(file, construction, ratio, effects, flow, *declared)
+    if len(points) == len(list(directory.glob("control_points/*.toml"))):
+        for line in _interface_problems(directory, points):
+            problems.add(line)
     for line in (*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)):
         problems.add(line)
     return points
+
+
+def _interface_problems(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:
+    """Interfaces whose wall upstream is no control point, or in the end the point itself; transition that is not
+    there."""
+    problems = []
+    for name, point in points.items():
+        if (interface := point.declared.interface) is None:
+            continue
+        where = f"{display_path(directory / 'control_points' / name)}.toml, [interface]"
+        upstream, passed = interface.upstream, [name]
+        while upstream in points and upstream not in passed:
+            passed.append(upstream)
+            above = points[upstream].declared.interface
+            upstream = "" if above is None else above.upstream
+        if upstream in passed:
+            problems.append(f"{where}: `upstream`: `{interface.upstream}` leads back to {upstream}; name another wall")
+        elif interface.upstream not in points:
+            hint = suggestion(interface.upstream, points)
+            problems.append(f"{where}: `upstream`: there is no control point `{interface.upstream}`{hint}")
+        if interface.flow == "declared transition" and point.transition is None:
+            problems.append(f"{where}: `flow`: the point declares no transition; give laminar or turbulent")
+    return problems
 
 
 def _tables_of_others(directory: Path, tables: Sequence[tuple[str, str, RatioTable]]) -> list[str]:

@@ -47,6 +47,7 @@ from sim_heating.base.kernels.block import (
     RECOVERY_RISE,
     TIME,
     TURBULENT_RATIO,
+    UPSTREAM,
     T,
 )
 from sim_heating.base.kernels.jit import njit
@@ -55,6 +56,7 @@ from sim_heating.base.kernels.operations import pointer
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import free_stream_kernel
 from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, NO_EDGE, edge_flow_kernel
+from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.reference.models import reference_film_kernel, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
@@ -71,9 +73,12 @@ change of the frame's values over the last thermal step [1/s]."""
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
-POINT_WIDTH = FLOW_AT + FLOW_WIDTH
+UPSTREAM_PLACE = FLOW_AT + FLOW_WIDTH
+UPSTREAM_CP = UPSTREAM_PLACE + 1
+POINT_WIDTH = UPSTREAM_CP + 1
 """Numbers of a control point: its pressure model, the running length of its reference heating [m], what its declared
-effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy."""
+effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy; place in
+the state of the wall upstream of its interface, below 0 without one, and cp of its enthalpy [J/(kg K)], 0 for air."""
 
 
 class PointConstants(NamedTuple):
@@ -237,6 +242,25 @@ def derive_conditions(
 
 
 @njit
+def follow_upstream_walls(
+    state: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray, dt: float
+) -> None:
+    """Write the enthalpy of air at the walls upstream of interfaces into the conditions of the lanes behind them.
+
+    state   : of the ensemble, before the step
+    vectors : (lane, condition) at the end of the step
+    dt      : length of the step [s]; the wall upstream, which takes the same step, is extrapolated along its parabola
+    """
+    for i in range(len(lanes)):
+        place = int(points.numbers[lanes[i], UPSTREAM_PLACE])
+        if place >= 0:
+            wall = state[place] + dt * (state[place + (RATE - T) * LANES] + dt * state[place + (CURVE - T) * LANES])
+            vectors[i, UPSTREAM] = upstream_enthalpy(
+                max(wall, 1.0), vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
+            )
+
+
+@njit
 def derive_history(
     frames: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, histories: FloatArray
 ) -> None:
@@ -279,6 +303,7 @@ def _heat_to(
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, vectors)
     e = all_lanes
+    follow_upstream_walls(e.state, points, lanes, vectors, dt)
     advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
@@ -307,6 +332,7 @@ def heat_points(
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
         e = all_lanes
+        follow_upstream_walls(e.state, points, lanes, vectors, 0.0)
         begin_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors)
         host[STARTED] = 1.0
         for i in range(len(frame)):

@@ -18,7 +18,7 @@ from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, finished
 from sim_heating.campaign.figures.flown import FlownData, LeftOut
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import march_points
 
@@ -187,5 +187,5 @@ def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:
 def _walls(vehicle: Vehicle, points: Sequence[ControlPoint], flown: Conditions) -> dict[str, FloatArray]:
     """Predicted wall temperatures of control points along a flight [K], with the declared tables."""
     models = [point_of_vehicle(vehicle, point) for point in points]
-    histories = march_points(models, [conditions_at_point(vehicle, point, flown) for point in points])
+    histories = march_points(models, conditions_behind_walls(vehicle, points, flown))
     return {h.name: h.surface_K for h in histories}

@@ -20,7 +20,7 @@ from sim_heating.estimation.problem import SKEW_SPAN_S
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
 from sim_heating.estimation.starts import free_start
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, point_of_vehicle
 from sim_heating.inputs.record import Record, Segments, make_record
 from sim_heating.inputs.scenario import Design, Scenario
 from sim_heating.inputs.sensor_model import indicated_temperature, sample_times
@@ -148,7 +148,7 @@ class Planner:
         return PlannedFlight(
             flown,
             flight,
-            conditions_at_point(self.scenario.vehicle, self.point, flight.conditions),
+            conditions_behind_walls(self.scenario.vehicle, [self.point], flight.conditions)[0],
             self._margins(flown, flight),
         )
 
@@ -162,7 +162,7 @@ class Planner:
         """Highest surface and bondline temperatures [K] of the control points that have limits."""
         ensemble, vehicle = self._ensemble, self.scenario.vehicle
         points = [vehicle.control_point(name) for name in self.scenario.names]
-        flown = histories([conditions_at_point(vehicle, p, flight.conditions) for p in points])
+        flown = histories(conditions_behind_walls(vehicle, points, flight.conditions))
         ensemble.reset()
         nodes = [(0, mesh.bondline) for mesh in ensemble.meshes]
         faces = np.transpose([ensemble.node_offsets(i, n) for i, n in enumerate(nodes)])
