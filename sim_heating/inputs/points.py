@@ -18,7 +18,7 @@ from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point, upstream_point
 from sim_heating.march.ensemble import condition_history
 from sim_heating.march.history import march_points
 from sim_heating.march.point import PointModel
@@ -111,10 +111,9 @@ def conditions_behind_walls(
 def _behind_wall(
     vehicle: Vehicle, point: ControlPoint, flown: Conditions, models: Mapping[str, PointModel], longest_step_s: float
 ) -> Conditions:
-    conditions, interface = conditions_at_point(vehicle, point, flown), point.declared.interface
-    if interface is None:
+    conditions, upstream = conditions_at_point(vehicle, point, flown), upstream_point(vehicle, point)
+    if upstream is None:
         return conditions
-    upstream = vehicle.control_point(interface.upstream)
     model = models.get(upstream.name) or point_of_vehicle(vehicle, upstream)
     along = _behind_wall(vehicle, upstream, flown, models, longest_step_s)
     (history,) = march_points([model], [along], longest_step_s=longest_step_s)
@@ -185,6 +184,11 @@ def _heated_conditions(record: Record) -> Conditions:
         sweep_deg=heating.sweep_deg or 0.0,
     )
     heated = record.conditions.with_columns(**columns._asdict())
+    if record.upstream is not None:
+        along = heated.with_columns(**edge_flow_columns(flow_of_record(record), record.conditions))
+        wall = replace(_declared_point(record), construction=record.upstream, depths_m=(), lags_s=(), interface=None)
+        (history,) = march_points([wall], [along])
+        heated = heated.with_columns(T_upstream_K=history.surface_K)
     return with_upstream_wall(heated, wall_enthalpy_of(heating.wall_enthalpy))
 
 

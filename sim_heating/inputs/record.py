@@ -52,7 +52,7 @@ from sim_heating.heating.recorded_columns import implausible_values, with_densit
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
-from sim_heating.thermal.stack import Construction, PressureTable, Sensor, sensor_problems
+from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
 LEAST_DEFECT = 0.3
@@ -436,6 +436,14 @@ class Record:
     def construction(self) -> Construction:
         """Stack and materials, as the thermal model takes them."""
         return Construction(stack=self.declared.stack, materials=self.declared.materials)
+
+    @property
+    def upstream(self) -> Construction | None:
+        """Layers of the wall upstream of its interface; None without one, or where its temperature is a column."""
+        interface = self.declared.heating.interface
+        if interface is None or interface.stack is None:
+            return None
+        return construct(interface.stack, self.declared.materials, f"{self.name}, [heating.interface]")
 
     def temperatures_K(self, sensors: Sequence[Sensor] | None = None) -> FloatArray:
         """(sensor, sample) measurements of the given sensors, all by default; NaN is a lost sample."""
@@ -823,8 +831,12 @@ def _interface_problems(table: CsvTable, declared: RecordFile) -> list[str]:
     if interface is None:
         rule = "has no effect without [heating.interface]; declare it, or remove the column"
         return [f"{path}, column T_upstream_K: {rule}"] if column else []
-    if not column:
-        return [f"{path}: there is no column `T_upstream_K`, the wall upstream of [heating.interface]; add it"]
+    if column and interface.stack is not None:
+        return [f"{path}, column T_upstream_K: [heating.interface] has a `stack` as well; remove one of the two"]
+    if not column and interface.stack is None:
+        return [
+            f"{path}: there is no column `T_upstream_K`, the wall upstream of [heating.interface]; add it, or its `stack`"
+        ]
     if interface.flow == "declared transition" and declared.heating.transition is None:
         return ["[heating.interface]: `flow`: needs [heating.transition]; declare it, or give laminar or turbulent"]
     return []

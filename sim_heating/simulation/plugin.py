@@ -28,7 +28,7 @@ from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
 from sim_heating.inputs.points import point_of_vehicle, wall_enthalpy_code, wall_enthalpy_of
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.simulation import plugin_kernel as k
@@ -288,14 +288,15 @@ def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.Point
 
 def walls_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> list[ControlPoint]:
     """Control points upstream of the interfaces of others, which are not among these, nearest first."""
-    marched, added = {p.name for p in points}, []
+    marched: set[str] = {p.name for p in points}
+    added: list[ControlPoint] = []
     waiting = list(points)
     while waiting:
-        interface = waiting.pop(0).declared.interface
-        if interface is not None and interface.upstream not in marched:
-            marched.add(interface.upstream)
-            added.append(vehicle.control_point(interface.upstream))
-            waiting.append(added[-1])
+        upstream = upstream_point(vehicle, waiting.pop(0))
+        if upstream is not None and upstream.name not in marched:
+            marched.add(upstream.name)
+            added.append(upstream)
+            waiting.append(upstream)
     return added
 
 

@@ -299,7 +299,7 @@ def record_declaration(
         **_declared_effects(point),
     }
     if point.declared.interface is not None:
-        heating["interface"] = point.declared.interface.model_dump(exclude_unset=True)
+        heating["interface"] = point.declared.interface.model_dump(exclude_unset=True, exclude={"stack"})
     data |= {
         "conditions": {"file": CONDITIONS},
         "thermocouples": {"file": THERMOCOUPLES} | data["thermocouples"],

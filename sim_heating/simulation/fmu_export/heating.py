@@ -153,7 +153,8 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
         raise InputError(f"fmu: input_timing = `{input_timing}`{suggestion(input_timing, known_timings)}")
     # Walls upstream of an interface are points of the FMU as well.
     names = list(vehicle.control_points) if control_points is None else list(control_points)
-    names += [p.name for p in walls_upstream(vehicle, [vehicle.control_point(name) for name in names])]
+    upstream = {p.name: p for p in walls_upstream(vehicle, [vehicle.control_point(name) for name in names])}
+    vehicle, names = replace(vehicle, control_points=vehicle.control_points | upstream), [*names, *upstream]
     plugin = HeatingPlugin(vehicle, names, nodes=nodes)
     known = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
