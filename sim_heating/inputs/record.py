@@ -834,9 +834,8 @@ def _interface_problems(table: CsvTable, declared: RecordFile) -> list[str]:
     if column and interface.stack is not None:
         return [f"{path}, column T_upstream_K: [heating.interface] has a `stack` as well; remove one of the two"]
     if not column and interface.stack is None:
-        return [
-            f"{path}: there is no column `T_upstream_K`, the wall upstream of [heating.interface]; add it, or its `stack`"
-        ]
+        rule = "the wall upstream of [heating.interface]; add it, or the `stack` of that wall"
+        return [f"{path}: there is no column `T_upstream_K`, {rule}"]
     if interface.flow == "declared transition" and declared.heating.transition is None:
         return ["[heating.interface]: `flow`: needs [heating.transition]; declare it, or give laminar or turbulent"]
     return []

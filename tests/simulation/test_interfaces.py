@@ -120,8 +120,13 @@ def test_the_plugin_follows_the_wall_upstream_as_the_march_does(orbiter: Vehicle
     for row in rows[1:]:
         plugin.step(row)
         read.append(plugin.surface_temperatures())
-    marched = np.array([h.surface_K for h in march(orbiter, points, flown)])
-    np.testing.assert_allclose(np.transpose(read), marched, rtol=0.0, atol=0.2)
+    # on the plug-in's meshes: a march may refine them for this flight, which begins at once with full heating
+    nodes = {m.name: mesh.nodes for m, mesh in zip(plugin.ensemble.models, plugin.ensemble.meshes, strict=True)}
+    models = {n: replace(point_of_vehicle(orbiter, orbiter.control_point(n)), nodes=nodes[n]) for n in nodes}
+    flights = conditions_behind_walls(orbiter, points, flown, models)
+    marched = [h.surface_K for h in march_points([models[name] for name in names], flights)]
+    # the wall upstream is extrapolated over each step of 0.5 s, in which it warms by up to 20 K at first
+    np.testing.assert_allclose(np.transpose(read), marched, rtol=0.0, atol=0.1)
 
 
 def record_of(vehicle: Vehicle, point: ControlPoint, flown: Conditions) -> Record:
