@@ -1,7 +1,8 @@
 """Figures 15 and 16: where control points and interfaces of the heat shield are, and the wall temperatures across them.
 
 An interface is one that a point declares, or else lies between a point and the nearest one upstream of it on the same
-side, where their heat shields are of different kinds. There the wall is not isothermal: the film coefficient downstream differs from that of the tables.
+side, where their heat shields are of different kinds. There the wall is not isothermal: the film coefficient downstream
+differs from that of the tables.
 """
 
 from __future__ import annotations

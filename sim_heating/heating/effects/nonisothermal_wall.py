@@ -10,7 +10,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.elementary import exp
 from sim_heating.base.kernels.jit import njit
-from sim_heating.base.kernels.lag import lag_step
+from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.base.parameters import Parameter
 from sim_heating.heating.effects import Effect, SearchStart, flight
 
@@ -44,14 +44,12 @@ def lag_of_wall(time_s: FloatArray, heating: FloatArray, wall_K: FloatArray) -> 
     radiation = wall_K**4 - np.mean(wall_K**4)
 
     def distance(lag_s: float) -> float:
-        lagged = heating.copy()
-        for i, steps in enumerate(np.diff(time_s) / lag_s):
-            lagged[i + 1] = lag_step(lagged[i], heating[i], heating[i + 1], steps)
+        lagged = lag_columns(time_s, heating[:, np.newaxis], lag_s, True)[:, 0]
         lagged -= np.mean(lagged)
         line = lagged * (lagged @ radiation) / max(lagged @ lagged, 1e-300)
         return float(np.sum((radiation - line) ** 2))
 
-    return min(LAGS_S, key=distance)
+    return LAGS_S[int(np.argmin([distance(lag_s) for lag_s in LAGS_S]))]
 
 
 def search_starts(flown: Conditions) -> Sequence[SearchStart]:
@@ -59,8 +57,8 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
     yet.
 
     flown   : conditions of the flight
-    returns : lags of 1.5, 3 and 6 [s], and first that of the wall upstream where an interface is declared; excesses that decay in 60, 200 or 500 [s] from where h_ref H_r first reaches
-              0.1, or 0.5, of its maximum
+    returns : lags of 1.5, 3 and 6 [s], before them that of the wall upstream where an interface is declared; excesses
+              that decay in 60, 200 or 500 [s] from where h_ref H_r first reaches 0.1, or 0.5, of its maximum
     """
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
