@@ -51,7 +51,8 @@ class Interface:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Film factor F [-] of the laminar and of the turbulent boundary layer, equal where the flow is declared."""
+        """Film factor F [-] of the laminar and of the turbulent boundary layer, equal where the flow is declared:
+        docs/theory/interfaces.md, equations 2 and 3."""
         laminar, turbulent = (
             film_factor(kind, self.step_m, self.point_m, self.footprint_m) for kind in ("laminar", "turbulent")
         )
@@ -83,7 +84,7 @@ def film_factor(flow: str, step_m: float, point_m: float, footprint_m: float = 0
     1.3512
 
     The singularity at x = s is integrable; with x = s + u^3 the integrand is smooth.
-    Source: Kays and Crawford, Convective Heat and Mass Transfer, equations of the unheated starting length.
+    Source: docs/theory/interfaces.md, equations 2 and 3, there after Kays and Crawford.
     """
     if not 0.0 <= step_m < point_m:
         raise InputError(f"interface: step_m is {step_m:g} and point_m {point_m:g}; the point lies behind the step")

@@ -40,6 +40,8 @@ def lag_of_wall(time_s: FloatArray, heating: FloatArray, wall_K: FloatArray) -> 
 
     time_s  : (time,) [s];  heating : (time,) in any unit;  wall_K : (time,) temperature of the wall [K]
     returns : that whose lagged heating is nearest to a straight line in T^4
+
+    Lag: docs/theory/equations.md, equation 8.
     """
     radiation = wall_K**4 - np.mean(wall_K**4)
 
