@@ -30,6 +30,7 @@ from sim_heating.base.kernels.block import (
     ALPHA,
     BETA,
     BODYFLAP,
+    C_STAGES,
     CURVE,
     DISSOCIATION,
     ELEVON,
@@ -303,8 +304,20 @@ def _heat_to(
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     derive_conditions(frame, host, points, lanes, vectors)
     e = all_lanes
-    follow_upstream_walls(e.state, points, lanes, vectors, dt)
-    advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
+    if steps == 1 or np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
+        follow_upstream_walls(e.state, points, lanes, vectors, dt)
+        advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
+    else:
+        # Step by step: a wall upstream is extrapolated over one step, not over the frame.
+        now, then = np.empty_like(vectors), vectors.copy()
+        for i in range(len(lanes)):
+            first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
+            first += i % LANES * N_CONDITIONS
+            now[i] = e.state[first : first + N_CONDITIONS]
+        for k in range(steps):
+            vectors[:] = now + (then - now) * ((k + 1) / steps)
+            follow_upstream_walls(e.state, points, lanes, vectors, dt / steps)
+            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt / steps, 1)
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
