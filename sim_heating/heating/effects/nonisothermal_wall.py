@@ -48,7 +48,7 @@ def lag_of_wall(time_s: FloatArray, heating: FloatArray, wall_K: FloatArray) -> 
     def distance(lag_s: float) -> float:
         lagged = lag_columns(time_s, heating[:, np.newaxis], lag_s, True)[:, 0]
         lagged -= np.mean(lagged)
-        line = lagged * (lagged @ radiation) / max(lagged @ lagged, 1e-300)
+        line = lagged * (lagged @ radiation) / max(float(lagged @ lagged), 1e-300)
         return float(np.sum((radiation - line) ** 2))
 
     return LAGS_S[int(np.argmin([distance(lag_s) for lag_s in LAGS_S]))]
