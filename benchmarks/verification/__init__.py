@@ -33,6 +33,7 @@ from benchmarks.verification import (
     surface,
     trajectories,
     trim,
+    wall_steps,
 )
 from benchmarks.verification.row import Row, cells, text_table
 
@@ -50,6 +51,7 @@ SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Atmosphere": atmosphere.rows,
     "Equilibrium air and shocks": gas.rows,
     "Reference heating": heating.rows,
+    "Behind a step of wall temperature": wall_steps.rows,
     "Trajectories": trajectories.rows,
     "Trim": trim.rows,
     "Optimal entry": optimum.rows,

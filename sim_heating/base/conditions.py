@@ -40,6 +40,7 @@ DESCRIPTIONS = {
     "jets": "reaction jets that fire, 0 to 1",
     "T_surroundings_K": "temperature that the surface radiates to in K",
     "T_back_K": "temperature behind the wall in K",
+    "T_upstream_K": "temperature of the wall upstream of an interface in K",
     "q_Pa": "dynamic pressure in Pa, in place of `rho_kg_m3`",
     "qbar_Pa": "dynamic pressure in Pa",
     "bank_deg": "bank angle of the velocity relative to the air in degrees",
@@ -51,7 +52,9 @@ DESCRIPTIONS = {
 }
 """What each column of a file of conditions holds, for pages and schemas."""
 
-DERIVED = ("H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "still_air_W_m2K43")
+DERIVED = (
+    "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "still_air_W_m2K43", "H_upstream_J_kg",
+)  # fmt: skip
 """Columns of one control point that follow from the others and from its declaration; no file holds them."""
 
 SURFACES = ("elevon_deg", "bodyflap_deg")

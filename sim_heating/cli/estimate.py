@@ -363,6 +363,11 @@ def design(
     for line in changes(found):
         CONSOLE.print(line)
     _print_checks(found)
+    for face in found["interfaces"]:
+        CONSOLE.print(
+            f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
+            f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
+        )
     for line in notes(designed):
         CONSOLE.print(line)
     print_outputs(out, names, "design.json")

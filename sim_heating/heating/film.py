@@ -102,6 +102,19 @@ def _recovery_rise(B: FloatArray, J: IntArray, lane: int, c: int, p: int) -> flo
 
 
 @inline_always
+def _step_factor(B: FloatArray, J: IntArray, lane: int, c: int, p: int) -> float:
+    """Factor F of the film of a lane behind a step of wall temperature [-], by intermittency between its two flows.
+
+    c, p : where the conditions of the stage and the parameters of the lane begin. Source: heating/interface.py.
+    """
+    laminar, turbulent = B[k.STEP_LAMINAR * LANES + lane], B[k.STEP_TURBULENT * LANES + lane]
+    slot = J[k.TRANSITION_SLOT + lane]
+    if slot == k.NONE or laminar == turbulent:
+        return laminar
+    return laminar + (turbulent - laminar) * intermittency(B, c, p + k.EFFECT_PARAMETERS + slot * k.EFFECT_WIDTH)
+
+
+@inline_always
 def _keep_past_onset(B: FloatArray, J: IntArray, lane: int, stage: int, c: int, p: int) -> None:
     """Write the distance past the onset of transition at a stage, which hysteresis needs at the next step."""
     slot = J[k.TRANSITION_SLOT + lane]
@@ -234,7 +247,13 @@ def heat_perturbed_lanes(B: FloatArray, J: IntArray, table: FloatArray, dispatch
             r = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, J[k.N_EFFECTS + lane])
             H_r += _recovery_rise(B, J, lane, c, p)
             _keep_past_onset(B, J, lane, stage, c, p)
-        B[(k.FILM + stage) * LANES + lane] = r * B[c + k.H_REF]
+        film, factor, upstream = r * B[c + k.H_REF], 1.0, B[c + k.UPSTREAM]
+        if upstream > 0.0:
+            factor = _step_factor(B, J, lane, c, p)
+            film *= factor
+            H_r = upstream + (H_r - upstream) / factor
+        B[(k.STEP_FACTOR + stage) * LANES + lane] = factor
+        B[(k.FILM + stage) * LANES + lane] = film
         B[(k.RECOVERY + stage) * LANES + lane] = H_r
         B[(k.ADDED + stage) * LANES + lane] = B[c + k.Q_ADD]
         # 0 stands for what the stack declares: no surroundings are that cold, and none are the coldest declared.

@@ -48,3 +48,5 @@ T_surroundings_K = block.SURROUNDINGS
 """Temperature that the surface radiates to [K]; 0 where it is the one that the stack declares."""
 T_back_K = block.BEHIND
 """Temperature behind the wall [K]; 0 where it is the one that the stack declares."""
+H_upstream_J_kg = block.UPSTREAM
+"""Enthalpy of air at the wall upstream of a declared interface [J/kg]; 0 without one."""

@@ -37,12 +37,37 @@ from sim_heating.heating.edge_flow import Atoms
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.interface import Interface, InterfaceFlow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.recovery import RecoveryName
+from sim_heating.thermal.stack import Stack
 
 Wall = Literal["finite-rate", "fully-catalytic", "noncatalytic"]
 SIGMA = "_sigma"
 """What the name of a number's standard deviation adds to its own."""
+
+
+class InterfaceDeclaration(Declared):
+    """Declared interface: a step of wall temperature upstream, at which the material of the wall changes."""
+
+    upstream: str = Field(min_length=1, description="control point upstream of the step, or the name of `stack`")
+    step_m: float = Field(ge=0.0, description="running length of the step from the leading edge in m")
+    point_m: float = Field(gt=0.0, description="running length of the control point in m")
+    footprint_m: float = Field(gt=0.0, description="length along the flow over which the heating is averaged in m")
+    flow: InterfaceFlow = Field(description='"laminar", "turbulent" or "declared transition"')
+    stack: Stack | None = Field(default=None, description="wall upstream that is no control point, heated alike")
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> InterfaceDeclaration:
+        if not self.step_m < self.point_m:
+            raise LocatedError((("point_m",), f"{self.point_m:g} is not behind step_m, {self.step_m:g}"))
+        return self
+
+    @property
+    def interface(self) -> Interface:
+        """The interface that it declares."""
+        return Interface(self.step_m, self.point_m, self.footprint_m, self.flow)
 
 
 class Transition(Declared):

@@ -13,15 +13,17 @@ from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
-from sim_heating.heating.effects.transition import HYSTERESIS, held_past, past_onset_now, turbulent_part
+from sim_heating.heating.effects.transition import HYSTERESIS, TRANSITION, held_past, past_onset_now, turbulent_part
+from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surroundings import surroundings_columns
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import ConstantHeat, Record
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, known_control_point, upstream_point
 from sim_heating.march.ensemble import condition_history
+from sim_heating.march.history import march_points
 from sim_heating.march.point import PointModel
 from sim_heating.thermal.tables import WallEnthalpy
 
@@ -34,6 +36,11 @@ RECORDS_KEPT = 8
 def wall_enthalpy_of(declared: ConstantHeat | str) -> WallEnthalpy:
     """A declared wall enthalpy for the property tables: cp [J/(kg K)] or the name of a gas model."""
     return declared if isinstance(declared, str) else declared.cp_J_kgK
+
+
+def wall_enthalpy_code(declared: WallEnthalpy) -> float:
+    """A wall enthalpy as `upstream_enthalpy` takes it: cp [J/(kg K)], 0 for equilibrium air."""
+    return 0.0 if isinstance(declared, str) else float(declared)
 
 
 def mean_condition(conditions: Conditions) -> tuple[float, ...]:
@@ -60,6 +67,7 @@ def point_of_vehicle(
         parameters=dict(parameters or {}),
         reference=reference,
         effects=combined_uses(point.effects, effects),
+        interface=None if point.declared.interface is None else point.declared.interface.interface,
     )
 
 
@@ -84,6 +92,68 @@ def conditions_at_point(vehicle: Vehicle, point: ControlPoint, flown: Conditions
 def _ratio_along(table: RatioTable | None, flown: Conditions) -> FloatArray | None:
     """(time,) tabulated heating ratio [-] along a flight, None without a table."""
     return None if table is None else table_ratios_at(table, np.column_stack([flown[v] for v in RATIO_VARIABLES]))
+
+
+def with_upstream_wall(conditions: Conditions, wall_enthalpy: WallEnthalpy) -> Conditions:
+    """Conditions with the enthalpy of air at the wall upstream of an interface, from the column `T_upstream_K`.
+
+    returns : the same conditions where they have no such column
+    """
+    if "T_upstream_K" not in conditions:
+        return conditions
+    cp = wall_enthalpy_code(wall_enthalpy)
+    rows = zip(conditions["T_upstream_K"], conditions["p_surface_Pa"], strict=True)
+    return conditions.with_columns(H_upstream_J_kg=[upstream_enthalpy(T, p, cp) for T, p in rows])
+
+
+def conditions_behind_walls(
+    vehicle: Vehicle,
+    points: Sequence[ControlPoint],
+    flown: Conditions,
+    models: Mapping[str, PointModel] | None = None,
+    longest_step_s: float = 1.0,
+) -> list[Conditions]:
+    """Conditions at control points along a flight, those behind an interface with the wall upstream, marched first.
+
+    models : of points by name, in place of the vehicle's declared ones
+    """
+    return [_behind_wall(vehicle, point, flown, models or {}, longest_step_s) for point in points]
+
+
+def _behind_wall(
+    vehicle: Vehicle, point: ControlPoint, flown: Conditions, models: Mapping[str, PointModel], longest_step_s: float
+) -> Conditions:
+    conditions, upstream = conditions_at_point(vehicle, point, flown), upstream_point(vehicle, point)
+    if upstream is None:
+        return conditions
+    model = models.get(upstream.name) or point_of_vehicle(vehicle, upstream)
+    along = _behind_wall(vehicle, upstream, flown, models, longest_step_s)
+    (history,) = march_points([model], [along], longest_step_s=longest_step_s)
+    columns = conditions.with_columns(T_upstream_K=history.surface_K)
+    return with_upstream_wall(columns, wall_enthalpy_of(vehicle.heating.wall_enthalpy))
+
+
+def excess_behind_interface(
+    vehicle: Vehicle, point: ControlPoint, conditions: Conditions, surface_K: FloatArray
+) -> FloatArray:
+    """(time,) heating behind the interface of a control point over that of a wall of one temperature, less 1 [-].
+
+        (F - 1) (H_w1 - H_w2) / (H_r - H_w2)
+
+    conditions : of `conditions_behind_walls`;  surface_K : (time,) temperature of its wall [K]
+    returns    : 0 without an interface. Source: docs/theory/interfaces.md, equation 1.
+    """
+    declared = point.declared.interface
+    if declared is None:
+        return np.zeros(len(conditions))
+    laminar, turbulent = declared.interface.factors
+    turning = [used for used in point.effects if used.effect.name == TRANSITION]
+    share = intermittency_along(turning[0], conditions) if turning else 0.0
+    cp = wall_enthalpy_code(wall_enthalpy_of(vehicle.heating.wall_enthalpy))
+    at_wall = [upstream_enthalpy(T, p, cp) for T, p in zip(surface_K, conditions["p_surface_Pa"], strict=True)]
+    step, driving = conditions["H_upstream_J_kg"] - at_wall, conditions["H_r_J_kg"] - at_wall
+    factor = laminar + share * (turbulent - laminar)
+    return np.asarray((factor - 1.0) * step / driving)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -123,6 +193,7 @@ def _declared_point(record: Record) -> PointModel:
         nodes=record.declared.stack.nodes,
         reference=reference_of_record(record),
         effects=combined_uses(record.declared.heating.effects, ()),
+        interface=None if record.declared.heating.interface is None else record.declared.heating.interface.interface,
     )
 
 
@@ -154,7 +225,13 @@ def _heated_with(record: Record, table: RatioTable | None) -> Conditions:
         sweep_deg=heating.sweep_deg or 0.0,
         ratio=_ratio_along(table, record.conditions),
     )
-    return record.conditions.with_columns(**columns._asdict())
+    heated = record.conditions.with_columns(**columns._asdict())
+    if record.upstream is not None:
+        along = heated.with_columns(**edge_flow_columns(flow_of_record(record), record.conditions))
+        wall = replace(_declared_point(record), construction=record.upstream, depths_m=(), lags_s=(), interface=None)
+        (history,) = march_points([wall], [along])
+        heated = heated.with_columns(T_upstream_K=history.surface_K)
+    return with_upstream_wall(heated, wall_enthalpy_of(heating.wall_enthalpy))
 
 
 def flow_of_record(record: Record, effects: Sequence[EffectUse] = ()) -> EdgeFlow:

@@ -58,13 +58,13 @@ from sim_heating.heating.ratio.table import (
 from sim_heating.heating.recorded_columns import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
-from sim_heating.inputs.declared_effects import Catalysis, Transition, turbulent_problems
-from sim_heating.thermal.stack import Construction, PressureTable, Sensor, sensor_problems
+from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
+from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
 LEAST_DEFECT = 0.3
 """Part of the difference of total and recovery enthalpy that a column of the latter shows at least."""
-OPTIONAL_COLUMNS = ("q_add_W_m2", "jets", "T_surroundings_K", "T_back_K", "q_Pa")
+OPTIONAL_COLUMNS = ("q_add_W_m2", "jets", "T_surroundings_K", "T_back_K", "T_upstream_K", "q_Pa")
 DECLARATION = "record.toml"
 
 
@@ -146,6 +146,7 @@ class ConditionsFile(FileReference):
     jets: float | None = None
     T_surroundings_K: float | None = None
     T_back_K: float | None = None
+    T_upstream_K: float | None = None
 
     @property
     def constants(self) -> dict[str, float]:
@@ -253,6 +254,7 @@ class Heating(Declared):
     local_angle_deg: LocalAngle = None
     transition: RecordTransition | None = None
     catalysis: Catalysis | None = None
+    interface: InterfaceDeclaration | None = None
     uncertainty: HeatingUncertainty | None = Field(
         default=None, description="[heating.uncertainty]; 0.05 for a measured record that has none"
     )
@@ -495,6 +497,14 @@ class Record:
     def construction(self) -> Construction:
         """Stack and materials, as the thermal model takes them."""
         return Construction(stack=self.declared.stack, materials=self.declared.materials)
+
+    @property
+    def upstream(self) -> Construction | None:
+        """Layers of the wall upstream of its interface; None without one, or where its temperature is a column."""
+        interface = self.declared.heating.interface
+        if interface is None or interface.stack is None:
+            return None
+        return construct(interface.stack, self.declared.materials, f"{self.name}, [heating.interface]")
 
     def temperatures_K(self, sensors: Sequence[Sensor] | None = None) -> FloatArray:
         """(sensor, sample) measurements of the given sensors, all by default; NaN is a lost sample."""
@@ -834,7 +844,11 @@ def _check_record(
 def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:
     """Time that does not increase, impossible values, values in another unit or at odds with what is declared."""
     problems = table.order_problems() + implausible_values(table)
-    return problems or [*_recovery_problems(table, declared.heating), *_back_problems(table, declared)]
+    return problems or [
+        *_recovery_problems(table, declared.heating),
+        *_back_problems(table, declared),
+        *_interface_problems(table, declared),
+    ]
 
 
 def _recovery_problems(table: CsvTable, heating: Heating) -> list[str]:
@@ -893,6 +907,23 @@ def _back_problems(table: CsvTable, declared: RecordFile) -> list[str]:
         return []
     rule = "has no effect behind an adiabatic wall; declare `back = { h_W_m2K, T_K, emissivity }` in [stack]"
     return [f"{display_path(table.path)}, column T_back_K: {rule}"]
+
+
+def _interface_problems(table: CsvTable, declared: RecordFile) -> list[str]:
+    """A declared interface without the temperature of its wall upstream, or that temperature without an interface; a
+    declared transition that is not there."""
+    path, interface, column = display_path(table.path), declared.heating.interface, "T_upstream_K" in table.columns
+    if interface is None:
+        rule = "has no effect without [heating.interface]; declare it, or remove the column"
+        return [f"{path}, column T_upstream_K: {rule}"] if column else []
+    if column and interface.stack is not None:
+        return [f"{path}, column T_upstream_K: [heating.interface] has a `stack` as well; remove one of the two"]
+    if not column and interface.stack is None:
+        rule = "the wall upstream of [heating.interface]; add it, or the `stack` of that wall"
+        return [f"{path}: there is no column `T_upstream_K`, {rule}"]
+    if interface.flow == "declared transition" and declared.heating.transition is None:
+        return ["[heating.interface]: `flow`: needs [heating.transition]; declare it, or give laminar or turbulent"]
+    return []
 
 
 def _missing_columns(table: CsvTable, declared: RecordFile) -> list[str]:

@@ -76,6 +76,7 @@ class ControlPoint:
     transition       : declaration of its transition, of its own file or of the vehicle's; None without
     catalysis        : declaration of its recombination, likewise
     declared         : contents of the file, with sources and notes
+    upstream         : layers of the wall upstream that its interface declares; None where that is a control point
     """
 
     name: str
@@ -95,6 +96,16 @@ class ControlPoint:
     transition: Transition | None
     catalysis: Catalysis | None
     declared: ControlPointFile
+    upstream: Construction | None = None
+
+    @property
+    def wall_upstream(self) -> ControlPoint | None:
+        """The wall of the stack that its interface declares upstream, heated as the point is; None without one."""
+        if self.upstream is None or self.declared.interface is None:
+            return None
+        declared = self.declared.model_copy(update={"interface": None})
+        name = self.declared.interface.upstream
+        return replace(self, name=name, construction=self.upstream, sensors=(), declared=declared, upstream=None)
 
     def surface_pressure(self, conditions: Conditions) -> FloatArray:
         """Pressure at the surface of the point along a flight [Pa], one value a sample."""
@@ -251,6 +262,14 @@ def _load(directory: Path) -> Vehicle:
         materials=materials,
         declared=file,
     )
+
+
+def upstream_point(vehicle: Vehicle, point: ControlPoint) -> ControlPoint | None:
+    """The wall upstream of the interface of a control point, as a control point; None without an interface."""
+    interface = point.declared.interface
+    if interface is None:
+        return None
+    return point.wall_upstream or vehicle.control_point(interface.upstream)
 
 
 def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
@@ -425,10 +444,41 @@ def _read_control_points(
             flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
             if flow is not None:
                 declared = (_transition(file, vehicle), _catalysis(file, vehicle))
-                points[file.name] = _control_point(file, construction, ratio, effects, flow, *declared)
+                made = _control_point(file, construction, ratio, effects, flow, *declared)
+                stack = None if file.interface is None else file.interface.stack
+                if stack is not None and invalid.isdisjoint(layer.material for layer in stack.layer):
+                    where = f"{display_path(path)}, [interface]"
+                    made = replace(made, upstream=problems.attempt(construct, stack, materials, where))
+                points[file.name] = made
+    if len(points) == len(list(directory.glob("control_points/*.toml"))):
+        for line in _interface_problems(directory, points):
+            problems.add(line)
     for line in (*_repeated_sensors(directory, points), *_tables_of_others(directory, tables)):
         problems.add(line)
     return points
+
+
+def _interface_problems(directory: Path, points: Mapping[str, ControlPoint]) -> list[str]:
+    """Interfaces whose wall upstream is no control point, or in the end the point itself; transition that is not
+    there."""
+    problems = []
+    for name, point in points.items():
+        if (interface := point.declared.interface) is None or point.upstream is not None:
+            continue
+        where = f"{display_path(directory / 'control_points' / name)}.toml, [interface]"
+        upstream, passed = interface.upstream, [name]
+        while upstream in points and upstream not in passed:
+            passed.append(upstream)
+            above = points[upstream].declared.interface
+            upstream = "" if above is None else above.upstream
+        if upstream in passed:
+            problems.append(f"{where}: `upstream`: `{interface.upstream}` leads back to {upstream}; name another wall")
+        elif interface.upstream not in points:
+            hint = suggestion(interface.upstream, points)
+            problems.append(f"{where}: `upstream`: there is no control point `{interface.upstream}`{hint}")
+        if interface.flow == "declared transition" and point.transition is None:
+            problems.append(f"{where}: `flow`: the point declares no transition; give laminar or turbulent")
+    return problems
 
 
 def _tables_of_others(directory: Path, tables: Sequence[tuple[str, str, RatioTable]]) -> list[str]:

@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from sim_heating.base.files import Declared, LocatedError, Location, path_below
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
-from sim_heating.inputs.declared_effects import Catalysis, Transition
+from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition
 from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems, sweep_problems
 from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
 
@@ -154,6 +154,7 @@ class ControlPointFile(Declared):
     turbulent: Turbulent | None = None
     transition: Transition | None = None
     catalysis: Catalysis | None = None
+    interface: InterfaceDeclaration | None = None
     effect: list[DeclaredEffect] = Field(default=[])
 
     @model_validator(mode="after")

@@ -253,6 +253,9 @@ class Ensemble:
             between = SIGMA * model.construction.faces_exchange(gas)
             block.node_rows(B)[np.flatnonzero(mesh.layer == gas), block.BETWEEN_FACES, lanes] = between
         B[block.scalar_row(block.SURROUNDINGS4)][lanes] = model.construction.stack.surroundings_K**4
+        factors = (1.0, 1.0) if model.interface is None else model.interface.factors
+        for row, factor in zip((block.STEP_LAMINAR, block.STEP_TURBULENT), factors, strict=True):
+            B[block.scalar_row(row)][lanes] = factor
         if model.construction.stack.venting_tau_s > 0.0:
             J[block.VENTS] = 1
             B[block.scalar_row(block.VENTING_TAU)][lanes] = model.construction.stack.venting_tau_s

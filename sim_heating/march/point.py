@@ -29,6 +29,7 @@ from sim_heating.base.parameters import (
     layer_parameter,
 )
 from sim_heating.heating.effects import EffectUse, ModelParameter, check_count
+from sim_heating.heating.interface import Interface
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.thermal.elements import (
     BOILS,
@@ -82,6 +83,7 @@ class PointModel:
     reference     : values of the five ratio variables about which derivatives are defined [deg, deg, -, deg, deg]
     effects       : effects with their parameters
     lags_s        : time constants of the sensors' first-order lags [s], in the order of the depths; empty for none
+    interface     : step of wall temperature upstream; its wall is the column H_upstream_J_kg of the conditions
     raises        : InputError for unknown parameters and values out of bounds, sensors outside the stack, cp not above
                     0, two effects with a lag, ratio.d0 with a table, moisture without a unique temperature
 
@@ -98,6 +100,7 @@ class PointModel:
     reference: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     effects: tuple[EffectUse, ...] = ()
     lags_s: tuple[float, ...] = ()
+    interface: Interface | None = None
 
     def __post_init__(self) -> None:
         check_count(self.effects, self.name)

@@ -20,7 +20,7 @@ import numpy as np
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, output_directory, repeated_name
-from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.points import conditions_behind_walls
 from sim_heating.inputs.record import Record, make_record, write_record
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario
 from sim_heating.simulation.run import fly_scenario
@@ -75,7 +75,7 @@ def _record(scenario: Scenario, measured: MeasuredHistory, flown: Conditions) ->
     # the flight is one like that of the measurement, and not reconstructed from it
     declared = declared.model_copy(update={"conditions": declared.conditions.model_copy(update={"confidence": "C"})})
     columns = {"time_s": measured.time_s, sensor.column: measured.temperature_K, "sigma_K": measured.sigma_K}
-    conditions = conditions_at_point(scenario.vehicle, point, flown)
+    conditions = conditions_behind_walls(scenario.vehicle, [point], flown)[0]
     table, turbulent = ratio_table_of(point), turbulent_table_of(point)
     return make_record(declared, flown_columns(conditions), columns, table, point.name, turbulent)
 

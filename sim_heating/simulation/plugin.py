@@ -28,14 +28,16 @@ from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.reference.models import reference_model
-from sim_heating.inputs.points import point_of_vehicle
-from sim_heating.inputs.vehicle import ControlPoint, Vehicle
+from sim_heating.inputs.points import point_of_vehicle, wall_enthalpy_code, wall_enthalpy_of
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.mesh_choice import pack
 from sim_heating.simulation import plugin_kernel as k
 
 AROUND = "T_surroundings_K"
 """What a frame by name may state in addition to conditions.FRAME."""
+NO_WALL = -1.0
+"""Place of the wall upstream of a point without an interface."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +125,14 @@ class HeatingPlugin:
         # A frame of a vehicle without control surfaces needs no deflections.
         self._spared = ("jets", *(s for s in SURFACES if s not in vehicle.surfaces))
         self.longest_step_s = longest_step_s
-        models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in self.points]
+        # Walls upstream of an interface are stepped as well, and not published.
+        stepped = [*self.points, *walls_upstream(vehicle, self.points)]
+        models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in stepped]
         if nodes is not None:
             models = [replace(model, nodes=nodes) for model in models]
         self.ensemble = e = pack(models, longest_step_s)
-        self.constants = point_constants(vehicle, self.points)
+        self.constants = point_constants(vehicle, stepped)
+        place_upstream_walls(self.constants.numbers, stepped, e)
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
         self.outputs = tuple((point, what) for point, what, _ in outputs)
@@ -317,8 +322,32 @@ def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.Point
     # Without a flat plate all points get one length, so that the kernel computes the reference heating once a frame.
     lengths = [p.running_length_m or 1.0 if on_plate else 1.0 for p in points]
     flows, tables = pack_flows([p.flow for p in points])
+    cp = wall_enthalpy_code(wall_enthalpy_of(vehicle.heating.wall_enthalpy))
     rows = zip(points, lengths, flows, strict=True)
-    return k.PointConstants(np.array([[*p.pressure.parameters(), x, *flow] for p, x, flow in rows]), tables)
+    numbers = np.array([[*p.pressure.parameters(), x, *flow, NO_WALL, cp] for p, x, flow in rows])
+    return k.PointConstants(numbers, tables)
+
+
+def walls_upstream(vehicle: Vehicle, points: Sequence[ControlPoint]) -> list[ControlPoint]:
+    """Control points upstream of the interfaces of others, which are not among these, nearest first."""
+    marched: set[str] = {p.name for p in points}
+    added: list[ControlPoint] = []
+    waiting = list(points)
+    while waiting:
+        upstream = upstream_point(vehicle, waiting.pop(0))
+        if upstream is not None and upstream.name not in marched:
+            marched.add(upstream.name)
+            added.append(upstream)
+            waiting.append(upstream)
+    return added
+
+
+def place_upstream_walls(numbers: FloatArray, points: Sequence[ControlPoint], ensemble: Ensemble) -> None:
+    """Write where in the state of an ensemble the walls upstream of interfaces are, in the constants of its points."""
+    surfaces = {p.name: o.temperature(0) for p, o in zip(points, ensemble.lane_offsets, strict=True)}
+    for row, point in zip(numbers, points, strict=True):
+        if point.declared.interface is not None:
+            row[k.UPSTREAM_PLACE] = surfaces[point.declared.interface.upstream]
 
 
 def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: float = 0.0) -> FloatArray:
@@ -337,13 +366,13 @@ def host_array(vehicle: Vehicle, longest_step_s: float = 0.0, longest_wait_s: fl
 
 
 def _counted(names: Sequence[str], counts: FloatArray) -> dict[str, int]:
-    return {name: int(count) for name, count in zip(names, counts, strict=True) if count > 0}
+    return {name: int(count) for name, count in zip(names, counts, strict=False) if count > 0}
 
 
 def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[str, str, int]]:
     """(control point, `surface`, `bondline` or sensor, place in the state): all surfaces, all bondlines, all
     sensors."""
-    packed = list(zip(points, ensemble.meshes, ensemble.lane_offsets, strict=True))
+    packed = list(zip(points, ensemble.meshes, ensemble.lane_offsets, strict=False))
     surfaces = [(point.name, "surface", place.temperature(0)) for point, _, place in packed]
     bondlines = [(point.name, "bondline", place.temperature(mesh.bondline)) for point, mesh, place in packed]
     sensors = [

@@ -33,6 +33,7 @@ from sim_heating.base.kernels.block import (
     ALPHA,
     BETA,
     BODYFLAP,
+    C_STAGES,
     CURVE,
     DISSOCIATION,
     ELEVON,
@@ -52,6 +53,7 @@ from sim_heating.base.kernels.block import (
     SURROUNDINGS,
     TIME,
     TURBULENT_RATIO,
+    UPSTREAM,
     T,
 )
 from sim_heating.base.kernels.jit import njit
@@ -60,6 +62,7 @@ from sim_heating.base.kernels.operations import pointer
 from sim_heating.base.limits import LIMITS
 from sim_heating.heating.atmosphere import HIGHEST_M, free_stream_kernel
 from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, LAMINAR_AT, LARGEST, NO_EDGE, edge_flow_kernel
+from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.ratio.lookup import table_ratio
 from sim_heating.heating.reference.models import (
     is_dense,
@@ -87,9 +90,12 @@ frame's values over the last thermal step [1/s], and their integrals over time s
 RUNNING_LENGTH = PRESSURE_WIDTH
 FLOW_AT = RUNNING_LENGTH + 1
 RECOVERY_AT = FLOW_AT + KIND
-POINT_WIDTH = FLOW_AT + FLOW_WIDTH
+UPSTREAM_PLACE = FLOW_AT + FLOW_WIDTH
+UPSTREAM_CP = UPSTREAM_PLACE + 1
+POINT_WIDTH = UPSTREAM_CP + 1
 """Numbers of a control point: its pressure model, the running length of its reference heating [m], what its declared
-effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy."""
+effects ask of the flow at its edge, of which the last ones, from RECOVERY_AT on, are its recovery enthalpy; place in
+the state of the wall upstream of its interface, below 0 without one, and cp of its enthalpy [J/(kg K)], 0 for air."""
 
 
 class PointConstants(NamedTuple):
@@ -292,6 +298,25 @@ def derive_conditions(
 
 
 @njit
+def follow_upstream_walls(
+    state: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray, dt: float
+) -> None:
+    """Write the enthalpy of air at the walls upstream of interfaces into the conditions of the lanes behind them.
+
+    state   : of the ensemble, before the step
+    vectors : (lane, condition) at the end of the step
+    dt      : length of the step [s]; the wall upstream, which takes the same step, is extrapolated along its parabola
+    """
+    for i in range(len(lanes)):
+        place = int(points.numbers[lanes[i], UPSTREAM_PLACE])
+        if place >= 0:
+            wall = state[place] + dt * (state[place + (RATE - T) * LANES] + dt * state[place + (CURVE - T) * LANES])
+            vectors[i, UPSTREAM] = upstream_enthalpy(
+                max(wall, 1.0), vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
+            )
+
+
+@njit
 def derive_history(
     frames: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, histories: FloatArray
 ) -> None:
@@ -338,7 +363,20 @@ def _heat_to(
         end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
     derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
-    advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
+    if steps == 1 or np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
+        follow_upstream_walls(e.state, points, lanes, vectors, dt)
+        advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
+    else:
+        # Step by step: a wall upstream is extrapolated over one step, not over the frame.
+        now, then = np.empty_like(vectors), vectors.copy()
+        for i in range(len(lanes)):
+            first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
+            first += i % LANES * N_CONDITIONS
+            now[i] = e.state[first : first + N_CONDITIONS]
+        for k in range(steps):
+            vectors[:] = now + (then - now) * ((k + 1) / steps)
+            follow_upstream_walls(e.state, points, lanes, vectors, dt / steps)
+            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt / steps, 1)
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
@@ -388,6 +426,7 @@ def heat_points(
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
         e = all_lanes
+        follow_upstream_walls(e.state, points, lanes, vectors, 0.0)
         begin_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors)
         host[STARTED] = 1.0
         _count_beyond(host, frame)

@@ -24,7 +24,7 @@ from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.reference.models import beyond_range
-from sim_heating.inputs.points import conditions_at_point, mean_condition, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
@@ -257,7 +257,9 @@ def models_of(
     ]
     scheduled = {name: np.interp(flown.time_s, *rows.T) for name, rows in scenario.declared.heating.schedules.items()}
     flown = flown.with_columns(**scheduled)
-    return models, [conditions_at_point(scenario.vehicle, p, flown) for p in points]
+    marched = {model.name: model for model in models}
+    step_s = scenario.declared.heating.longest_step_s
+    return models, conditions_behind_walls(scenario.vehicle, points, flown, marched, step_s)
 
 
 def run(

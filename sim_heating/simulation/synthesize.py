@@ -300,6 +300,8 @@ def record_declaration(
         **_recovery_keys(point),
         **_declared_effects(point),
     }
+    if point.declared.interface is not None:
+        heating["interface"] = point.declared.interface.model_dump(exclude_unset=True, exclude={"stack"})
     data |= {
         "conditions": {"file": CONDITIONS},
         "thermocouples": {"file": THERMOCOUPLES} | data["thermocouples"],

@@ -48,6 +48,7 @@ from sim_heating.base.kernels.block import (
     STAGE_BACK_T,
     STAGE_NATURAL,
     STAGE_SURROUNDINGS4,
+    STEP_FACTOR,
     STILL_AIR,
     SURFACE_SHARE,
     WALL_COLUMN,
@@ -77,6 +78,7 @@ reported as a failure since its update is NaN too."""
 def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: int, wall: float) -> tuple[float, float]:  # type: ignore[no-untyped-def]
     """Film coefficient [kg/(m2 s)] of a lane whose effects depend on the wall temperature, and its slope against it."""
     h_ref = B[C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS + H_REF]
+    h_ref *= B[(STEP_FACTOR + stage) * LANES + lane]
     r = B[(R_BASE + stage) * LANES + lane]
     first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
     above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)

@@ -64,6 +64,7 @@ from sim_heating.base.kernels.block import (
     STAGE_RIGHT,
     STAGE_SURROUNDINGS4,
     STAR_COPY,
+    STEP_FACTOR,
     STEPPING,
     STEPS,
     T_START,
@@ -92,7 +93,7 @@ EVALUATE_START = 0.0
 """Length [s] of a frame that only evaluates the start."""
 STAGE_ROWS = (
     FILM, RECOVERY, ADDED, PCOL, PFRAC, AIR_PLACE, R_BASE, LAG_VALUE, LAG_INPUT, STAGE_SURROUNDINGS4, STAGE_BACK_T,
-    STAGE_NATURAL, VENTED, PAST_ONSET,
+    STAGE_NATURAL, VENTED, PAST_ONSET, STEP_FACTOR,
 )  # fmt: skip
 """First rows of the quantities that have one row for each of the three stages."""
 STEP_TOLERANCE_K = 0.02

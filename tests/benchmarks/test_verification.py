@@ -8,12 +8,25 @@ import math
 import pytest
 
 from benchmarks.measure import RESULTS
-from benchmarks.verification import LEAST_ROWS, PAGE, atmosphere, effects, gas, heating, inside, sensors, surface, trim
+from benchmarks.verification import (
+    LEAST_ROWS,
+    PAGE,
+    atmosphere,
+    effects,
+    gas,
+    heating,
+    inside,
+    sensors,
+    surface,
+    trim,
+    wall_steps,
+)
 from benchmarks.verification.row import Row, number, text_table
 
 SAMPLE = (
     atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas,
     effects.rows, gas.partition_functions, heating.rows, inside.rows, surface.lumped, trim.rows, sensors.rows,
+    wall_steps.laminar_rows, wall_steps.turbulent_rows,
 )  # fmt: skip
 
 

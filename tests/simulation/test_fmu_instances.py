@@ -185,7 +185,7 @@ def test_reading_a_table_gives_what_was_set_in_this_instance_alone(fmus):
         host.drop(then)
 
 
-def test_an_instance_and_its_state_of_19_points_take_less_than_64_KiB(vehicle, tmp_path):
+def test_an_instance_and_its_state_of_20_points_take_less_than_64_KiB(vehicle, tmp_path):
     folder, made, _ = link_model(vehicle, tmp_path)
     program, source = tmp_path / "instances", ROOT / "benchmarks" / "c_peer" / "instances.c"
     subprocess.run(["gcc", "-std=gnu11", "-O1", f"-I{SOURCES}", "-o", program, *made, source, "-lm"], check=True)

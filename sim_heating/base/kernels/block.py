@@ -26,13 +26,13 @@ would be compiled a second time."""
 ALPHA, BETA, LOG10_RE, ELEVON, BODYFLAP = 0, 1, 2, 3, 4
 P_SURFACE, H_REF, RECOVERY_ENTHALPY, Q_ADD, JETS, MACH, TIME, RECOVERY_RISE = 5, 6, 7, 8, 9, 10, 11, 12
 TURBULENT_RATIO, LOG10_RE_THETA_M, DISSOCIATION, SURROUNDINGS, BEHIND = 13, 14, 15, 16, 17
-STILL_AIR, AIR_K = 18, 19
-N_CONDITIONS = 20
+STILL_AIR, AIR_K, UPSTREAM = 18, 19, 20
+N_CONDITIONS = 21
 CONDITION_COLUMNS = (
     "alpha_deg", "beta_deg", "log10_re", "elevon_deg", "bodyflap_deg",
     "p_surface_Pa", "h_ref_kg_m2_s", "H_r_J_kg", "q_add_W_m2", "jets", "mach", "time_s",
     "H_r_rise_J_kg", "turbulent_ratio", "log10_re_theta_m", "dissociation_J_kg", "T_surroundings_K", "T_back_K",
-    "still_air_W_m2K43", "T_inf_K",
+    "still_air_W_m2K43", "T_inf_K", "H_upstream_J_kg",
 )  # fmt: skip
 
 # Heating parameters of a lane: the linear model about a reference condition (docs/theory/equations.md, section 2: 5
@@ -75,7 +75,10 @@ PAST_ONSET = 75
 # Change of the insulation's tables: conductivity with temperature [1/K] and with a decade of pressure [-], specific
 # heat with temperature [1/K] (docs/theory/equations_thermal_step.md, equation 10b).
 BEND_K, BEND_P, BEND_C = 78, 79, 80
-C_STAGES = 81
+# Factor F of the film behind a step of wall temperature [-], one row a stage, 1 without one; F of the laminar and of
+# the turbulent boundary layer (heating/interface.py).
+STEP_FACTOR, STEP_LAMINAR, STEP_TURBULENT = 81, 84, 85
+C_STAGES = 86
 # After the conditions of the three stages those at the start and at the end of a frame that is divided.
 FRAME_START, FRAME_END = 3, 4
 PARAMETERS = C_STAGES + 5 * N_CONDITIONS

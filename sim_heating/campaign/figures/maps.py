@@ -1,7 +1,8 @@
 """Figures 15 and 16: where control points and interfaces of the heat shield are, and the wall temperatures across them.
 
-An interface lies between a point and the nearest one upstream of it on the same side, where their heat shields are
-of different kinds. There the wall is not isothermal: the film coefficient downstream differs from that of the tables.
+An interface is one that a point declares, or else lies between a point and the nearest one upstream of it on the same
+side, where their heat shields are of different kinds. There the wall is not isothermal: the film coefficient downstream
+differs from that of the tables.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, finished
 from sim_heating.campaign.figures.flown import FlownData, LeftOut
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import march_points
 
@@ -48,8 +49,12 @@ class Interface:
 
 def interfaces(points: Sequence[ControlPoint]) -> list[Interface]:
     """Interfaces between neighbouring control points, in the order of distance from the nose."""
-    found = []
+    found, named = [], {p.name: p for p in points}
     for point in sorted(points, key=lambda p: p.position_m[0]):
+        declared = point.declared.interface
+        if declared is not None and declared.upstream in named:
+            found.append(Interface(named[declared.upstream], point))
+            continue
         upstream = [q for q in points if q.position_m[0] < point.position_m[0] and _same_side(point, q)]
         if not upstream:
             continue
@@ -170,6 +175,15 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
             f"{mach[peak]:.1f}, {walls[face.upstream.name][peak]:.0f} K; it is hotter by {step[largest]:.0f} K at "
             f"most, at Mach {mach[largest]:.1f}"
         )
+        if face.downstream.declared.interface is not None:
+            (behind,) = conditions_behind_walls(vehicle, [face.downstream], flown)
+            excess = excess_behind_interface(vehicle, face.downstream, behind, walls[face.downstream.name])[shown]
+            columns[f"{face.downstream.name}_excess"] = excess
+            most = int(np.argmax(excess))
+            notes.append(
+                f"{face.downstream.name}: heating behind the interface {excess[most]:+.1%} at most, at Mach "
+                f"{mach[shown][most]:.1f}"
+            )
         lower.set_xlabel("speed, 1000 ft/s")
     drawn[1][0, 0].set_ylabel("wall temperature, K")
     drawn[1][1, 0].set_ylabel("upstream -\ndownstream, K")
@@ -187,5 +201,5 @@ def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:
 def _walls(vehicle: Vehicle, points: Sequence[ControlPoint], flown: Conditions) -> dict[str, FloatArray]:
     """Predicted wall temperatures of control points along a flight [K], with the declared tables."""
     models = [point_of_vehicle(vehicle, point) for point in points]
-    histories = march_points(models, [conditions_at_point(vehicle, point, flown) for point in points])
+    histories = march_points(models, conditions_behind_walls(vehicle, points, flown))
     return {h.name: h.surface_K for h in histories}

@@ -20,12 +20,13 @@ from sim_heating.estimation.problem import SKEW_SPAN_S
 from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
 from sim_heating.estimation.starts import free_start
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
-from sim_heating.inputs.points import conditions_at_point, point_of_vehicle
+from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.record import Record, Segments, make_record
 from sim_heating.inputs.scenario import Design, Scenario
 from sim_heating.inputs.sensor_model import indicated_temperature, sample_times
 from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.ensemble import Ensemble, condition_history, histories
+from sim_heating.march.history import march_points
 from sim_heating.march.linearised import LinearMarch, Track
 from sim_heating.march.mesh_choice import choose_meshes, pack
 from sim_heating.simulation.run import SOURCES, models_of
@@ -148,9 +149,36 @@ class Planner:
         return PlannedFlight(
             flown,
             flight,
-            conditions_at_point(self.scenario.vehicle, self.point, flight.conditions),
+            conditions_behind_walls(self.scenario.vehicle, [self.point], flight.conditions)[0],
             self._margins(flown, flight),
         )
+
+    def interfaces(self, flight: Flight) -> list[dict[str, object]]:
+        """Interfaces that the scenario's control points declare, with the largest predicted excess of heating [-]
+        behind them along a flight, and in its manoeuvres; the largest first."""
+        vehicle = self.scenario.vehicle
+        points = [p for n in self.scenario.names if (p := vehicle.control_point(n)).declared.interface is not None]
+        flights = conditions_behind_walls(vehicle, points, flight.conditions)
+        histories = march_points([point_of_vehicle(vehicle, p) for p in points], flights) if points else []
+        during = np.zeros(len(flight.conditions), dtype=bool)
+        for w in flight.windows:
+            during |= (flight.conditions.time_s >= w.start_s) & (flight.conditions.time_s <= w.end_s)
+        rows: list[dict[str, object]] = []
+        for p, flown, history in zip(points, flights, histories, strict=True):
+            excess = excess_behind_interface(vehicle, p, flown, history.surface_K)
+            declared = p.declared.interface
+            assert declared is not None
+            most = int(np.argmax(np.abs(excess)))
+            rows.append(
+                {
+                    "control_point": p.name,
+                    "upstream": declared.upstream,
+                    "largest_excess": float(excess[most]),
+                    "largest_at_s": float(flown.time_s[most]),
+                    "largest_in_manoeuvres": float(np.max(np.abs(excess[during]), initial=0.0)),
+                }
+            )
+        return sorted(rows, key=lambda row: -abs(float(str(row["largest_excess"]))))
 
     # Limits ----------------------------------------------------------------------------------------------------------
 
@@ -162,7 +190,7 @@ class Planner:
         """Highest surface and bondline temperatures [K] of the control points that have limits."""
         ensemble, vehicle = self._ensemble, self.scenario.vehicle
         points = [vehicle.control_point(name) for name in self.scenario.names]
-        flown = histories([conditions_at_point(vehicle, p, flight.conditions) for p in points])
+        flown = histories(conditions_behind_walls(vehicle, points, flight.conditions))
         ensemble.reset()
         nodes = [(0, mesh.bondline) for mesh in ensemble.meshes]
         faces = np.transpose([ensemble.node_offsets(i, n) for i, n in enumerate(nodes)])

@@ -176,6 +176,7 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "instruments": [
             {"kind": v.kind, "what": v.what, "sigma": _by_name(wanted, v.sigma)} for v in designed.instruments
         ],
+        "interfaces": designed.planner.interfaces(found.best.flight),
         "checked": _check_summary(designed),
         "fitted": _fit_summary(designed),
         "notes": notes(designed),

@@ -18,7 +18,7 @@ from sim_heating.base.conditions import DESCRIPTIONS, SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, output_directory
 from sim_heating.heating.atmosphere import free_stream
-from sim_heating.inputs.points import conditions_at_point
+from sim_heating.inputs.points import conditions_behind_walls
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
 from sim_heating.live.filtering.estimator import BRIDGED_S
 from sim_heating.live.filtering.timeline import Placed, Timeline
@@ -160,7 +160,7 @@ def _record(
     own = vehicle.control_point(point.name)
     given = {name: np.zeros(len(flown["time_s"])) for name in SURFACES} | dict(flown)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], vehicle.reference_length_m)
-    conditions = conditions_at_point(vehicle, own, Conditions(derived | given))
+    conditions = conditions_behind_walls(vehicle, [own], Conditions(derived | given))[0]
     declared = record_declaration(vehicle, own, sensors, link.title, link.path.stem, measured=True)
     table, turbulent = ratio_table_of(own), turbulent_table_of(own)
     return make_record(declared, flown_columns(conditions), measured, table, point.name, turbulent)

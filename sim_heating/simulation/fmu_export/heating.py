@@ -75,7 +75,7 @@ from sim_heating.simulation.fmu_export.parts.library import (
     wrapper_objects,
 )
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
-from sim_heating.simulation.plugin import HeatingPlugin
+from sim_heating.simulation.plugin import HeatingPlugin, walls_upstream
 from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
@@ -152,7 +152,11 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
     known_timings = [name for name, _ in TIMINGS]
     if input_timing not in known_timings:
         raise InputError(f"fmu: input_timing = `{input_timing}`{suggestion(input_timing, known_timings)}")
-    plugin = HeatingPlugin(vehicle, control_points, nodes=nodes)
+    # Walls upstream of an interface are points of the FMU as well.
+    names = list(vehicle.control_points) if control_points is None else list(control_points)
+    upstream = {p.name: p for p in walls_upstream(vehicle, [vehicle.control_point(name) for name in names])}
+    vehicle, names = replace(vehicle, control_points=vehicle.control_points | upstream), [*names, *upstream]
+    plugin = HeatingPlugin(vehicle, names, nodes=nodes)
     known = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
     _HeatingPacker(image, vehicle, plugin, known, columns, known_timings.index(input_timing) + 1).pack()

@@ -99,6 +99,7 @@ from sim_heating.simulation.plugin_kernel import (
     RECOVERY_AT,
     PointConstants,
     derive_conditions,
+    follow_upstream_walls,
 )
 from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
 from sim_heating.thermal.elements import STACK_WIDTH, Elements, set_point
@@ -214,9 +215,21 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
             )  # fmt: skip
 
 
+@inline_always
+def _follow_upstream_walls(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """Write the walls upstream of interfaces into the condition vectors at the end of a step of dt [s]."""
+    n = N[N_ROWS]
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points = PointConstants(numbers, carray(at(R, N[FLOW_TABLES]), N[N_FLOW_TABLES]))
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    state = carray(at(R, N[STATE]), N[N_STATE])
+    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, dt)
+
+
 @njit
 def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     _derive_vectors(R, N, inputs, time)
+    _follow_upstream_walls(R, N, 0.0)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
@@ -227,6 +240,7 @@ def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-
 @inline_always
 def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     _derive_vectors(R, N, inputs, time)
+    _follow_upstream_walls(R, N, dt)
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
     vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
