@@ -163,7 +163,7 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
 
     Derived in docs/theory/equations_march.md, equations 19 and 20.
     """
-    if model.ratio is None:
+    if model.ratio is None or model.ratio.ratio.size == 1:  # a constant has no outside
         return []
     span = flown.duration_s if len(flown) > 1 else np.zeros(1)
     found = []

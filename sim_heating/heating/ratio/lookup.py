@@ -214,14 +214,17 @@ def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: 
 @inline_always
 def _cache_cell(B: FloatArray, table: FloatArray, offset: int, lane: int) -> None:
     """Cache the cell that contains a lane's variables, and the ratios at its 32 corners, 0 for a lane without table."""
-    first, node = offset + VARIABLES, 0
+    first, node, constant = offset + VARIABLES, 0, 0
+    for a in range(VARIABLES):
+        constant += 1 if offset == k.NO_TABLE or table[offset + a] == 1.0 else 0
     for a in range(VARIABLES):
         n = 1 if offset == k.NO_TABLE else int(table[offset + a])
         node = node * n + cache_axis_cell(B, table, lane, a, first, n)
         if n == 1 and offset != k.NO_TABLE:
             # Both corners are this node: the fraction says only whether the flight is at it.
             B[(k.CELL_FOOT + a) * LANES + lane] = table[first] - NODE_SLACK
-            B[(k.CELL_INVERSE + a) * LANES + lane] = 0.5 / NODE_SLACK
+            # A table of one node in all is a constant, which has no outside.
+            B[(k.CELL_INVERSE + a) * LANES + lane] = 0.5 / NODE_SLACK if constant < VARIABLES else 0.0
         first += n
     for corner in range(32):
         at, stride = first + node, 1
