@@ -39,9 +39,9 @@ def clear_sky_balance_K(emittance: float) -> float:
 
 def rows() -> list[Row]:
     """All of this subject."""
-    emittance = float(
-        load_vehicle("orbiter").control_points["LEE_UPPER"].construction.layer_materials()[0].emissivity[0][1]
-    )
+    coating = load_vehicle("orbiter").control_points["LEE_UPPER"].construction.layer_materials()[0]
+    assert coating.emissivity is not None  # the outermost layer states one
+    emittance = float(coating.emissivity[0][1])
     clear, overcast = soaked_K(1.0), soaked_K(1.0, SEA_LEVEL_K)
     settled = soaked_K(8.0)["LEE_UPPER"]
     lower, source = "at rest on the runway for 1 h", "air of the standard atmosphere at sea level"

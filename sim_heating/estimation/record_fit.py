@@ -167,7 +167,7 @@ class RecordFit:
         """
         assert self.error_root_K is not None  # asked for with an error only
         scaled = self.error_root_K / self.reading_noise_K[:, np.newaxis]
-        root = np.linalg.cholesky(np.eye(scaled.shape[1]) + scaled.T @ scaled)
+        root: FloatArray = np.asarray(np.linalg.cholesky(np.eye(scaled.shape[1]) + scaled.T @ scaled))
         return root, -float(np.sum(np.log(np.diag(root))))
 
     @cached_property

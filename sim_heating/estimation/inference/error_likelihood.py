@@ -163,7 +163,7 @@ def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float
     """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels."""
     pairs = zip(record_fit.channels, means_K, strict=True)
     found = [scores(c.intervals, m, record_fit.sigma_K[c.number]) for c, m in pairs]
-    return sum(s[0] for s in found), *(np.concatenate([s[k] for s in found]) for k in (1, 2))
+    return sum(s[0] for s in found), np.concatenate([s[1] for s in found]), np.concatenate([s[2] for s in found])
 
 
 @dataclass(frozen=True, eq=False)
