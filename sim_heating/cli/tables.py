@@ -24,6 +24,7 @@ from sim_heating.cli.output import report_files, report_results
 )
 @click.option("--point", help="the control point, where the estimate has several")
 @click.option("--check", "checked", type=PATH, multiple=True, help="another record to predict before and after")
+@click.option("--accept-partly", is_flag=True, help="take what a closed loop only resembles as its cause")
 @click.option("--dry-run", is_flag=True, help="show what would change and write nothing")
 @click.option("--revert", metavar="POINT", help="put table and effects of this point back to the parent revision")
 @ROOT
@@ -34,6 +35,7 @@ def update_tables(
     records: tuple[Path, ...],
     point: str | None,
     checked: tuple[Path, ...],
+    accept_partly: bool,
     dry_run: bool,
     revert: str | None,
     root: Path | None,
@@ -56,6 +58,7 @@ def update_tables(
             point=point,
             checks=checked,
             dry_run=dry_run,
+            accept_partly=accept_partly,
             root=root,
             progress=progress,
         )

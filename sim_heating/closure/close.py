@@ -47,7 +47,7 @@ from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffe
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.problem import FitOptions, FitProblem
-from sim_heating.estimation.report.estimate_file import NAME
+from sim_heating.estimation.report.estimate_file import NAME, Estimate
 from sim_heating.estimation.report.remarks import remarks
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
 from sim_heating.heating.effects import effects
@@ -553,6 +553,11 @@ def rmse_K(trial: TrialFit, problem: FitProblem) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
 
 
+def _contents(closed: ClosedLoop) -> Estimate:
+    """The contents of estimate.json: of the last fit, with the finding that its model has."""
+    return estimate_contents(closed.fitted).model_copy(update={"finding": closed.report.statement.finding})
+
+
 def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[str]:
     """Write all files of a closed loop into a folder, or none.
 
@@ -561,7 +566,7 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         no_draws: list[Callable[[], object]] = []
         draws = or_left_out(
-            lambda: write_fit_data(closed.fitted, estimate_contents(closed.fitted), folder), no_draws, NAME
+            lambda: write_fit_data(closed.fitted, _contents(closed), folder), no_draws, NAME
         )
         write_closure(closed.report, folder, draws)
     return sorted(files_written(out))

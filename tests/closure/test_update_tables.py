@@ -368,6 +368,13 @@ def test_an_update_interrupted_while_it_writes_leaves_the_vehicle_as_it_was(
     assert read_ratio_table(table_of(workdir / "orbiter")).header["revision"] == "2"
 
 
+def test_what_a_closed_loop_only_resembles_is_written_when_it_is_accepted(workdir: Path) -> None:
+    edit(workdir / "first.json", lambda text: text.replace("{", '{"finding": "partly", ', 1))
+    with pytest.raises(InputError, match="first.json: its closed loop ends with `partly`.*--accept-partly"):
+        prepare_update("first.json", "./orbiter")
+    assert prepare_update("first.json", "./orbiter", accept_partly=True).changes
+
+
 def test_a_dry_run_writes_nothing(workdir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = contents(workdir)
     printed = run_json(capsys, "update-tables", "first.json", "--vehicle", "./orbiter", "--dry-run")

@@ -94,6 +94,7 @@ def update_tables(
     point: str | None = None,
     checks: Sequence[Record | str | os.PathLike[str]] = (),
     dry_run: bool = False,
+    accept_partly: bool = False,
     root: str | os.PathLike[str] | None = None,
     progress: Progress = no_progress,
 ) -> UpdatedTables:
@@ -106,6 +107,7 @@ def update_tables(
     point   : the control point, where the estimate is of several
     checks  : further records to predict before and after
     dry_run : work everything out and write nothing
+    accept_partly : take the fit of a closed loop that ends with `partly` or `unknown`
     root    : folder that the estimate may name records in, as `load_scenario` takes it; records elsewhere are read
               where they have the digest that the estimate states
     progress: called with the stage of the work, and where another process that revises the vehicle is waited for
@@ -129,7 +131,7 @@ def update_tables(
     in_place = not dry_run and target is None
     # Locked from the reading of the tables on: whoever comes second starts from what the first one has written.
     with revising(vehicle_directory(vehicle), progress) if in_place else nullcontext():
-        update = prepare_update(fit, vehicle, records, point, root)
+        update = prepare_update(fit, vehicle, records, point, root, accept_partly=accept_partly)
         progress(0.1, "predicting with the table before and after")
         errors = errors_before_and_after(update, load_records([*update.records, *checks], root=root))
         held = held_fits(update)

@@ -45,6 +45,7 @@ from sim_heating.closure.revise.revisions import (
     revision_path,
     write_revision,
 )
+from sim_heating.closure.statement import PARTLY, UNKNOWN
 from sim_heating.estimation.report.estimate_file import (
     NAME,
     Estimate,
@@ -206,6 +207,8 @@ def prepare_update(
     records: Sequence[str | os.PathLike[str]] = (),
     point_name: str | None = None,
     root: str | os.PathLike[str] | None = None,
+    *,
+    accept_partly: bool = False,
 ) -> TableUpdate:
     """The next revision of a vehicle's table and effects from an estimate.
 
@@ -214,11 +217,17 @@ def prepare_update(
     records    : directories of the estimate's records, where they are not where the estimate states
     point_name : the control point, where the estimate is of several
     root       : folder that the estimate may name records in, as `load_scenario` takes it
+    accept_partly : take what a closed loop only resembles as if it were its cause
     raises     : InputError where the two do not belong together or the estimate is already in the table
     """
     file = Path(fit) / NAME if os.path.isdir(fit) else Path(fit)
     whole = read_estimate(file)
     check_estimate(whole, display_path(file))
+    if whole.finding in (PARTLY, UNKNOWN) and not accept_partly:
+        raise InputError(
+            f"{display_path(file)}: its closed loop ends with `{whole.finding}`: what its model has is not stated as "
+            "the cause of the residual; give --accept-partly to write it nevertheless"
+        )
     loaded_vehicle = load_vehicle(vehicle, root=root)
     roots = roots_of(file, root, loaded_vehicle.directory)
     estimate, loaded = _select_point(whole, _records(whole, roots, records, root), point_name)

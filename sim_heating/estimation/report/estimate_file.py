@@ -220,6 +220,7 @@ class Estimate(Extensible):
     program             : name and version
     record_names        : of each record, as in the names of its parameters; None: those of the directories
     remarks             : on estimates that nature does not have, or that mean less than their sigma says
+    finding             : of the closed loop whose best model this is the fit of; None for an estimate by itself
     """
 
     format: Literal["estimate/1"]
@@ -246,6 +247,7 @@ class Estimate(Extensible):
     program: str | None = None
     record_names: list[str] | None = None
     remarks: list[Remark] = Field(default=[])
+    finding: str | None = None
 
     def __repr__(self) -> str:
         values = ", ".join(f"{n}={p.value:.5g} +- {p.sigma:.2g} {p.unit}" for n, p in self.parameters.items())
