@@ -369,8 +369,8 @@ def test_an_update_interrupted_while_it_writes_leaves_the_vehicle_as_it_was(
 
 
 def test_what_a_closed_loop_only_resembles_is_written_when_it_is_accepted(workdir: Path) -> None:
-    edit(workdir / "first.json", lambda text: json.dumps(json.loads(text) | {"finding": "partly"}))
-    with pytest.raises(InputError, match=r"first.json: its closed loop ends with `partly`.*--accept-partly"):
+    write_estimate("first.json", read_estimate("first.json").model_copy(update={"finding": "partly"}))
+    with pytest.raises(InputError, match=r"its closed loop ends with `partly`.*--accept-partly"):
         prepare_update("first.json", "./orbiter")
     assert prepare_update("first.json", "./orbiter", accept_partly=True).changes
 

@@ -393,7 +393,7 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
     optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "fixed", "ties",
-                "record_names", "remarks")  # fmt: skip
+                "record_names", "remarks", "finding")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
     write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
 
