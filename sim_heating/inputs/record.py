@@ -248,7 +248,7 @@ class Heating(Declared):
     ] = Field(description='{ cp_J_kgK = ... } or "equilibrium-air"')
     ratio_table: FileOfRecord | None = Field(default=None, description="file of the declared heating ratio")
     ratio: float | None = Field(
-        default=None, ge=LEAST_RATIO, le=MOST_RATIO, description="constant heating ratio, in place of a table"
+        default=None, ge=0.0, le=MOST_RATIO, description="constant heating ratio, in place of a table; 0: no heating"
     )
     recovery: RecoveryName | None = Field(default=None, description="enthalpy that the ratio is reduced with")
     local_angle_deg: LocalAngle = None
@@ -297,13 +297,15 @@ class Heating(Declared):
     def _check_ratio(self) -> Heating:
         if self.ratio is not None and self.ratio_table is not None:
             raise LocatedError((("ratio",), "is a constant in place of `ratio_table`; remove one of the two"))
+        if self.ratio is not None and 0.0 < self.ratio < LEAST_RATIO:
+            raise LocatedError((("ratio",), f"{self.ratio:g} is above 0 and below {LEAST_RATIO:g}; give 0 for no heating"))
         if self.ratio is not None and self.reference == "none":
             raise LocatedError((("ratio",), 'is over a reference heating, and `reference` is "none"; remove it'))
         return self
 
     def constant_ratio(self) -> RatioTable | None:
-        """The declared constant ratio as a table of one node; None where none is declared."""
-        if self.ratio is None:
+        """The declared constant ratio as a table of one node; None where none is declared, or no heating is."""
+        if not self.ratio:
             return None
         node = np.zeros(1)
         ratio = np.full((1,) * len(RATIO_VARIABLES), self.ratio)
@@ -538,7 +540,7 @@ class Record:
         heats = heating.reference not in ("columns", "none") or (
             heating.reference == "columns" and bool(np.any(self.conditions["h_ref_kg_m2_s"]))
         )
-        return heats and self.ratio_table is None
+        return heats and self.ratio_table is None and heating.ratio is None
 
     def require_ratio(self) -> None:
         """Refuse a record without a heating ratio where its declared model is to be marched.
