@@ -31,6 +31,7 @@ from sim_heating.closure.search.calibration import Stated, false_alarm_statement
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.tell_apart import tell_apart
@@ -44,16 +45,18 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
 )
 from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
-from sim_heating.estimation.fit import FitResult, estimate, fit_problem
+from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.estimate_file import NAME, Estimate
 from sim_heating.estimation.report.remarks import remarks
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
+from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.heating.effects.curve import FIRST, LABELS, UNITS, VALUES, CurveBand
 from sim_heating.inputs.record import Record, load_record
+from sim_heating.simulation.predict import Prediction
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,16 +141,38 @@ def close_loop(
     result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
-        partial(_refitted, result), partial(_residual_after, result.before), partial(_declared, result),
+        partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
     ]  # fmt: skip
-    (fitted, after), residual, before = in_processes(tasks)
-    return ClosedLoop(result, fitted, _closure(result, before, fitted, (residual, after), of_noise))
+    (fitted, after, residual_after), residual, before = in_processes(tasks)
+    compared = before, before if result.compared is result.none else after
+    return ClosedLoop(result, fitted, _closure(result, fitted, compared, (residual, residual_after), of_noise))
 
 
-def _refitted(result: SearchResult) -> tuple[FitResult, ResidualHeating | None]:
-    """The last fit, and where a cause was found what is missing after it."""
+def _refitted(result: SearchResult) -> tuple[FitResult, Prediction, ResidualHeating | None]:
+    """The last fit, its plain prediction, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    return fitted, _residual_after(fitted) if result.explained else None
+    return fitted, _plain(fitted), _residual_after(fitted) if result.explained else None
+
+
+def _before(result: SearchResult) -> Prediction:
+    """The plain prediction of the declared model, as that of the last fit is made."""
+    return _plain(_declared(result))
+
+
+def _plain(fitted: FitResult) -> Prediction:
+    """The plain march of a fit, whose model has no smooth error of the heating.
+
+    Where the fit has one, the model is fitted once more without it: its parameters, the flight and slow noise are free
+    as before. What errors are told of is then not left to an error that no march has.
+    """
+    error = fitted.problem.record_fits[0].model_error
+    if error is None:
+        return fitted.after[0]
+    problem = fitted.problem.with_model_error(error.of_size(0.0, error.correlation_s))
+    fit = maximise_together([problem], [fitted.fit.values], CONVERGE)[0]
+    if not np.isfinite(fit.log_likelihood):
+        return fitted.after[0]
+    return predict_fit(problem.record_fits[0], fit.values, problem.errors(fit.values)[0])
 
 
 def _declared(result: SearchResult) -> FitResult:
@@ -223,19 +248,18 @@ def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
 
 def _closure(
     result: SearchResult,
-    declared: FitResult,
     fitted: FitResult,
+    compared: tuple[Prediction, Prediction],
     residuals: tuple[ResidualHeating, ResidualHeating | None],
     notes: Sequence[str] = (),
 ) -> Closure:
     """The results of a search and its refit, for the report.
 
-    declared  : the declared model, as it is compared with the last fit
+    compared  : plain predictions of the declared model and of the best that may be named
     residuals : as heating, of the declared model and, where a cause was found, after the last fit
     notes     : on the record; they come first of its warnings
     """
     before, (residual, residual_after) = result.before, residuals
-    after = declared.after[0] if result.compared is result.none else fitted.after[0]
     estimated = {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
@@ -246,8 +270,8 @@ def _closure(
     return Closure(
         record=result.record,
         predicted=None if result.record.lacks_ratio else before.before[0],
-        before=declared.after[0],
-        after=after,
+        before=compared[0],
+        after=compared[1],
         noise_floor_K=noise_floor_K(fitted) or float("nan"),
         reference=before.problem.reference,
         effects=_findings(result, estimated),

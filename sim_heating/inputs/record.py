@@ -298,7 +298,8 @@ class Heating(Declared):
         if self.ratio is not None and self.ratio_table is not None:
             raise LocatedError((("ratio",), "is a constant in place of `ratio_table`; remove one of the two"))
         if self.ratio is not None and 0.0 < self.ratio < LEAST_RATIO:
-            raise LocatedError((("ratio",), f"{self.ratio:g} is above 0 and below {LEAST_RATIO:g}; give 0 for no heating"))
+            rule = f"{self.ratio:g} is above 0 and below {LEAST_RATIO:g}; give 0 for no heating"
+            raise LocatedError((("ratio",), rule))
         if self.ratio is not None and self.reference == "none":
             raise LocatedError((("ratio",), 'is over a reference heating, and `reference` is "none"; remove it'))
         return self

@@ -239,4 +239,6 @@ class ErrorSize:
 
     def limit(self, probability: float = 0.95) -> float:
         """Limit that the standard deviation is below with a probability [-]: docs/theory/model_error.md, equation 5."""
-        return float(np.interp(probability, np.cumsum(self.posterior.sum(axis=0)), self.sizes))
+        upper = np.append(0.5 * (self.sizes[1:] + self.sizes[:-1]), 1.5 * self.sizes[-1])
+        below = np.append(0.0, np.cumsum(self.posterior.sum(axis=0)))
+        return float(np.interp(probability, below, np.append(0.0, upper)))
