@@ -50,3 +50,8 @@ T_back_K = block.BEHIND
 """Temperature behind the wall [K]; 0 where it is the one that the stack declares."""
 H_upstream_J_kg = block.UPSTREAM
 """Enthalpy of air at the wall upstream of a declared interface [J/kg]; 0 without one."""
+still_air_W_m2K43 = block.STILL_AIR
+"""Coefficient of natural convection at rest [W/(m2 K^(4/3))]; 0 in flight, and where surroundings do not follow from
+altitude."""
+T_inf_K = block.AIR_K
+"""Temperature of the air around [K], where surroundings follow from altitude; else 0."""

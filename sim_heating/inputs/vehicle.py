@@ -208,7 +208,7 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
 
     >>> import sim_heating as sh
     >>> len(sh.load_vehicle("orbiter").control_points)
-    19
+    20
     """
     if isinstance(vehicle, Vehicle):
         return vehicle

@@ -105,7 +105,7 @@ class HeatingPlugin:
     >>> for i in range(1, 601):  # ten seconds at 60 Hz
     ...     plugin.step(frame | {"time_s": i / 60.0})
     >>> round(plugin.surface_K["V09T9527"])
-    906
+    908
     """
 
     def __init__(

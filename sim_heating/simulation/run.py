@@ -276,9 +276,9 @@ def run(
     >>> import sim_heating as sh
     >>> flown = sh.run("scenarios/recorded_sts107.toml")
     >>> flown
-    <RunResult 'Recorded trajectory: STS-107 early entry': 4 control points, peak 1544 K>
+    <RunResult 'Recorded trajectory: STS-107 early entry': 4 control points, peak 1545 K>
     >>> round(float(flown.points["V09T9527"].history.surface_K.max()))
-    1180
+    1181
     """
     scenario = load_scenario(scenario)
     heating = scenario.declared.heating

@@ -153,7 +153,7 @@ def test_the_record_of_a_vehicle_s_link_is_estimated(tmp_path, capsys):
     run_json(capsys, "live", str(link), "--headless", "--out", str(tmp_path / "o"))
     fit = ["estimate", str(tmp_path / "o" / "records" / POINT), "--parameters", "ratio.scale"]
     found = run_json(capsys, *fit, "--out", str(tmp_path / "f"))["results"]["parameters"]["ratio.scale"]
-    assert found["value"] == pytest.approx(SCALE, abs=2.0 * found["sigma"])
+    assert found["value"] == pytest.approx(SCALE, abs=3.0 * found["sigma"])
 
 
 def test_a_port_in_use_is_one_line(tmp_path, capsys):

@@ -24,7 +24,8 @@ from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import FlightUncertainty, Record
 
 RELATIVE = 0.05
-"""Scale of the half-normal prior of the error of the heating, for a measured record that states none [-]."""
+"""Scale of the half-normal prior of the error of the heating, for a measured flight that states none [-]. The flux of a
+lamp is what its record states."""
 SHORTEST_S, LONGEST_S = 60.0, 600.0
 """Limits of the log-uniform prior of its correlation time [s]."""
 BY_CONFIDENCE = {
@@ -55,7 +56,7 @@ def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
     model is exact."""
     stated = record.declared.heating.uncertainty
     slow = any(s.noise_sigma_K and s.noise_correlation_s for s in record.used_sensors)
-    if stated is None and record.declared.measured:
+    if stated is None and record.declared.measured and record.has_flow:
         return HeatingErrorPrior(RELATIVE, SHORTEST_S, LONGEST_S)
     if stated is None or stated.relative == 0.0:
         other = slow or flight_error(record) is not None

@@ -123,7 +123,7 @@ def update_tables(
     ...     files = sh.write_fit(fit, f"{folder}/fit")
     ...     updated = sh.update_tables(f"{folder}/fit", "orbiter", f"{folder}/vehicles")
     >>> updated
-    <UpdatedTables of V09T9527: 81 nodes changed, revision 2>
+    <UpdatedTables of V09T9527: 80 nodes changed, revision 2>
     """
     target = None if out is None else Path(out)
     if not dry_run:
