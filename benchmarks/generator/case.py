@@ -154,7 +154,9 @@ def draw_case(rng: Generator, kind: str, sensors: int, manoeuvres: Sequence[str]
     named = str(rng.choice(["columns", "sutton-graves", "detra-kemp-riddell", "fay-riddell"], p=[0.7, 0.1, 0.1, 0.1]))
     model = "fay-riddell" if named == "columns" and rng.random() < 0.3 else "sutton-graves"
     of = model if named == "columns" else named
-    h_ref, H_r, _ = reference_heating(of, Conditions(recorded), nose_radius_m=NOSE_RADIUS_M)
+    # Thin air is bridged at the point, whose ratio is that of the table.
+    r = point.ratio.declared(np.array([recorded[v] for v in VARIABLES]))
+    h_ref, H_r, _ = reference_heating(of, Conditions(recorded), nose_radius_m=NOSE_RADIUS_M, ratio=r)
     reference = {"h_ref_kg_m2_s": h_ref, "H_r_J_kg": H_r}
     if named == "columns":
         reference = _as_written(reference)

@@ -231,7 +231,7 @@ class HeatingPlugin:
             lines.append(f"{flags.too_fast} frames above {fastest:g} km/s, to which the reference heating holds")
         if flags.too_high:
             lines.append(f"{flags.too_high} frames above {HIGHEST_M / 1e3:g} km, where the atmosphere ends")
-        if flags.longest_frame_s > k.LONGEST_PART_S:
+        if flags.longest_frame_s > k.LONGEST_LINE_S:
             lines.append(
                 f"the longest frame has {flags.longest_frame_s:g} s: heated in parts of {k.LONGEST_PART_S:g} s, the "
                 "flight between frames linear in time, ln(rho) for the density"

@@ -135,8 +135,14 @@ GOOD, HEAT, BEND, CLOCK, NOT_CONVERGED, NOT_STARTED = -1, -2, -3, -4, -5, -6
 thermal step did not converge; `reset` was not called. 0 and above: the column whose value is out of range."""
 LONGEST_FRAME_S = 60.0
 """A longer step forward is a jump of the host's clock, not a frame."""
-LONGEST_PART_S = 1.0
-"""Longest part of a frame [s] over which derived conditions are linear."""
+LONGEST_LINE_S = 1.0
+"""Longest frame [s] over which derived conditions are linear; a longer one is heated in parts."""
+LONGEST_PART_S = 0.5
+"""Longest part [s] of a frame that is heated in parts."""
+MISSED_WALL_J_S_KG = 500.0
+"""Tolerated miss of the extrapolation of a wall upstream, enthalpy of air by time [J s/kg]: 0.5 K over 1 s."""
+MOST_STEPS = 64
+"""Steps of a frame above which the extrapolation of walls upstream is taken as it is."""
 CLOCK_ROUNDING_S = 1e-9
 """Tolerance of times: three frames of 1/60 s count as 0.05 s although the difference of their times is rounded."""
 SPIKE = 0.5
@@ -317,6 +323,40 @@ def follow_upstream_walls(
 
 
 @njit
+def _advance_behind_walls(
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, dt: float, steps: int
+) -> int:
+    """Advance by a frame with walls upstream of interfaces, each extrapolated over one step; the number of steps.
+
+    vectors : (lane, condition) at the end of the frame
+    steps   : least number of steps. Where a wall upstream comes out off its extrapolation, as a cold wall in full
+              heating does, the frame is repeated in twice as many: points behind it were heated over a wrong wall.
+    """
+    e = all_lanes
+    now, then, expected = np.empty_like(vectors), vectors.copy(), np.empty(len(lanes))
+    for i in range(len(lanes)):
+        first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
+        first += i % LANES * N_CONDITIONS
+        now[i] = e.state[first : first + N_CONDITIONS]
+    state, ints = e.state.copy(), e.ints.copy()
+    while True:
+        part, missed = dt / steps, 0.0
+        for k in range(steps):
+            vectors[:] = then if k + 1 == steps else now + (then - now) * ((k + 1) / steps)
+            follow_upstream_walls(e.state, points, lanes, vectors, part)
+            expected[:] = vectors[:, UPSTREAM]
+            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, part, 1)
+            follow_upstream_walls(e.state, points, lanes, vectors, 0.0)
+            missed = max(missed, part * np.max(np.abs(vectors[:, UPSTREAM] - expected)))
+            if missed > MISSED_WALL_J_S_KG and steps < MOST_STEPS:
+                break
+        if missed <= MISSED_WALL_J_S_KG or steps >= MOST_STEPS:
+            return steps
+        e.state[:], e.ints[:] = state, ints
+        steps *= 2
+
+
+@njit
 def derive_history(
     frames: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, histories: FloatArray
 ) -> None:
@@ -363,20 +403,10 @@ def _heat_to(
         end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
     derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
-    if steps == 1 or np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
-        follow_upstream_walls(e.state, points, lanes, vectors, dt)
+    if np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
         advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
     else:
-        # Step by step: a wall upstream is extrapolated over one step, not over the frame.
-        now, then = np.empty_like(vectors), vectors.copy()
-        for i in range(len(lanes)):
-            first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
-            first += i % LANES * N_CONDITIONS
-            now[i] = e.state[first : first + N_CONDITIONS]
-        for k in range(steps):
-            vectors[:] = now + (then - now) * ((k + 1) / steps)
-            follow_upstream_walls(e.state, points, lanes, vectors, dt / steps)
-            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt / steps, 1)
+        steps = _advance_behind_walls(e, points, lanes, vectors, dt, steps)
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
@@ -397,10 +427,16 @@ def _heat_through(
 ) -> None:  # fmt: skip
     """Advance to a frame, a long one in parts: values of the frame are linear in time, ln(rho) for the density.
 
-    Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off.
+    Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off, and in ten
+    parts 0.25 K. Frames of a wait are known: the model goes to the last of them first, with their mean, and the parts
+    begin there.
     """
-    first = host[THERMAL_FRAME : THERMAL_FRAME + len(frame)].copy()
-    parts = math.ceil((frame[F_TIME] - first[F_TIME]) / LONGEST_PART_S - 1e-9)
+    first = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
+    elapsed = frame[F_TIME] - first[F_TIME]
+    long = elapsed > LONGEST_LINE_S + CLOCK_ROUNDING_S
+    if long and first[F_TIME] > host[THERMAL_FRAME + F_TIME]:
+        _heat_to(all_lanes, points, lanes, vectors, places, host, published, first)
+    parts = math.ceil(elapsed / LONGEST_PART_S - 1e-9) if long else 1
     between = frame.copy()
     for k in range(1, parts):
         share = k / parts
