@@ -45,6 +45,7 @@ from sim_heating.base.kernels.block import (
     LOG10_RE_THETA_M,
     MACH,
     N_CONDITIONS,
+    NO_TABLE,
     P_SURFACE,
     RATE,
     RECOVERY_ENTHALPY,
@@ -243,7 +244,7 @@ def _film_at_point(
     if h_ref == 0.0 or is_dense(rho, V, angle, point[FLOW_AT + LARGEST] * h_ref):
         return h_ref
     at = int(point[FLOW_AT + LAMINAR_AT])
-    ratio = table_ratio(tables, at, x, 0) if at >= 0 else 1.0
+    ratio = table_ratio(tables, at, x, 0) if at != NO_TABLE else 1.0
     speed = max(V, SLOWEST_M_S)
     return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[RECOVERY_ENTHALPY]), ratio)
 
@@ -358,9 +359,11 @@ def _heat_to(
     # Without the 1e-9, rounding would add a step to a wait that is a multiple of the longest one.
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     elapsed, end = frame[F_TIME] - host[LAST_FRAME + F_TIME], frame.copy()
-    for i in range(F_TIME + 1, len(frame)):
-        area = host[AREA + i] + 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
-        end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
+    # Without a frame between there is no distance from the chord, where rounding would leave one.
+    if host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
+        for i in range(F_TIME + 1, len(frame)):
+            area = host[AREA + i] + 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
+            end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
     derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
     if steps == 1 or np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
@@ -391,22 +394,36 @@ def _heat_to(
 
 
 @njit
+def parts_of_frame(dt: float) -> int:
+    """Number of parts [-] in which a frame of dt [s] is heated, at least 1."""
+    return max(int(math.ceil(dt / LONGEST_PART_S - 1e-9)), 1)
+
+
+@njit
+def write_frame_between(first: FloatArray, frame: FloatArray, share: float, between: FloatArray) -> None:
+    """Write the frame a share [-] of the way from one to another: linear in time, ln(rho) for the density.
+
+    first, frame, between : (len(FRAME),) values in the order of conditions.FRAME
+    """
+    for i in range(len(FRAME)):
+        between[i] = first[i] + share * (frame[i] - first[i])
+    between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+
+
+@njit
 def _heat_through(
     all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
-    """Advance to a frame, a long one in parts: values of the frame are linear in time, ln(rho) for the density.
+    """Advance to a frame, a long one in parts.
 
     Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off.
     """
     first = host[THERMAL_FRAME : THERMAL_FRAME + len(frame)].copy()
-    parts = math.ceil((frame[F_TIME] - first[F_TIME]) / LONGEST_PART_S - 1e-9)
+    parts = parts_of_frame(frame[F_TIME] - first[F_TIME])
     between = frame.copy()
     for k in range(1, parts):
-        share = k / parts
-        for i in range(len(frame)):
-            between[i] = first[i] + share * (frame[i] - first[i])
-        between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+        write_frame_between(first, frame, k / parts, between)
         _heat_to(all_lanes, points, lanes, vectors, places, host, published, between)
     _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
 
