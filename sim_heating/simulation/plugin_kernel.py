@@ -33,7 +33,6 @@ from sim_heating.base.kernels.block import (
     ALPHA,
     BETA,
     BODYFLAP,
-    C_STAGES,
     CURVE,
     DISSOCIATION,
     ELEVON,
@@ -76,7 +75,7 @@ from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
 from sim_heating.heating.surroundings import ground_view, still_air_kernel, surroundings_kernel
-from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
+from sim_heating.march.frames import BLOCK_START, END_STAGE, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, FASTEST, BY_ALTITUDE, AROUND = range(9)
@@ -318,6 +317,34 @@ def follow_upstream_walls(
 
 
 @njit
+def advance_behind_walls(
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,  # type: ignore[no-untyped-def]
+    points: PointConstants, lanes: IntArray, vectors: FloatArray, then: FloatArray, dt: float, steps: int,
+) -> None:  # fmt: skip
+    """Advance all lane groups by dt [s], those behind interfaces with the walls upstream; as `advance_groups`.
+
+    vectors : (lane, condition) at the end, overwritten;  then : a copy of them, of the same shape
+    """
+    behind = False
+    for i in range(len(lanes)):
+        behind = behind or points.numbers[lanes[i], UPSTREAM_PLACE] >= 0.0
+    if steps == 1 or not behind:
+        follow_upstream_walls(state, points, lanes, vectors, dt)
+        advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
+        return
+    # Step by step: a wall upstream is extrapolated over one step, not over the frame.
+    for k in range(steps):
+        share = 1.0 / (steps - k)
+        for i in range(len(lanes)):
+            now = groups[i // LANES, BLOCK_START] + END_STAGE + i % LANES * N_CONDITIONS
+            for c in range(N_CONDITIONS):
+                # c + 1 (then - c) need not be `then` in floating point.
+                vectors[i, c] = state[now + c] + share * (then[i, c] - state[now + c]) if share < 1.0 else then[i, c]
+        follow_upstream_walls(state, points, lanes, vectors, dt / steps)
+        advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt / steps, 1)
+
+
+@njit
 def derive_history(
     frames: FloatArray, host: FloatArray, points: PointConstants, lanes: IntArray, histories: FloatArray
 ) -> None:
@@ -366,20 +393,9 @@ def _heat_to(
             end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
     derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
-    if steps == 1 or np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
-        follow_upstream_walls(e.state, points, lanes, vectors, dt)
-        advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
-    else:
-        # Step by step: a wall upstream is extrapolated over one step, not over the frame.
-        now, then = np.empty_like(vectors), vectors.copy()
-        for i in range(len(lanes)):
-            first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
-            first += i % LANES * N_CONDITIONS
-            now[i] = e.state[first : first + N_CONDITIONS]
-        for k in range(steps):
-            vectors[:] = now + (then - now) * ((k + 1) / steps)
-            follow_upstream_walls(e.state, points, lanes, vectors, dt / steps)
-            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt / steps, 1)
+    advance_behind_walls(
+        e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, points, lanes, vectors, vectors.copy(), dt, steps
+    )
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
@@ -396,7 +412,7 @@ def _heat_to(
 @njit
 def parts_of_frame(dt: float) -> int:
     """Number of parts [-] in which a frame of dt [s] is heated, at least 1."""
-    return max(int(math.ceil(dt / LONGEST_PART_S - 1e-9)), 1)
+    return max(math.ceil(dt / LONGEST_PART_S - 1e-9), 1)
 
 
 @njit

@@ -294,6 +294,7 @@ class _HeatingPacker(ImagePacker):
             k.INTS: image.add_integers(self._integers()),
             k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_tables(e.table),
             k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
+            k.VECTORS_THEN: image.add_numbers(np.zeros((len(e.lanes), N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
             k.STARTED_FROM: image.add_numbers(np.zeros(len(FRAME))),
             k.BETWEEN: image.add_numbers(np.zeros(1 + len(self.inputs))),

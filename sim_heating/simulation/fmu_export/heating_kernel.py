@@ -61,8 +61,8 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.block import T as TEMPERATURE
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
-from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.edge_flow import LAMINAR_AT, LARGEST
+from sim_heating.heating.film import emittance_factor
 from sim_heating.heating.ratio.lookup import invalidate_cells, largest_ratio
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.heating.reference.recovery import point_recovery_kernel
@@ -73,7 +73,6 @@ from sim_heating.march.frames import (
     END_STAGE,
     INTS_END,
     INTS_START,
-    advance_groups,
     begin_groups,
 )
 from sim_heating.simulation.fmu_export.parts.library import (
@@ -102,6 +101,7 @@ from sim_heating.simulation.plugin_kernel import (
     FLOW_AT,
     RECOVERY_AT,
     PointConstants,
+    advance_behind_walls,
     derive_conditions,
     follow_upstream_walls,
     parts_of_frame,
@@ -117,8 +117,8 @@ from sim_heating.thermal.frame import STAGE_ROWS
     N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
     STATE, TABLE, VECTORS, CONSTANTS, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
-    N_TABLES, STARTED_FROM, BETWEEN,
-) = range(I_HEAD, I_HEAD + 26)  # fmt: skip
+    N_TABLES, STARTED_FROM, BETWEEN, VECTORS_THEN,
+) = range(I_HEAD, I_HEAD + 27)  # fmt: skip
 N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
@@ -221,38 +221,37 @@ def _derive_vectors(R, N, T, inputs, time: float) -> None:  # type: ignore[no-un
             )  # fmt: skip
 
 
-@inline_always
-def _follow_upstream_walls(R, N, T, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Write the walls upstream of interfaces into the condition vectors at the end of a step of dt [s]."""
-    n = N[N_ROWS]
-    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points = PointConstants(numbers, carray(T, N[N_TABLES]))
-    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    state = carray(at(R, N[STATE]), N[N_STATE])
-    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, dt)
-
-
 @njit
 def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     _derive_vectors(R, N, T, inputs, time)
-    _follow_upstream_walls(R, N, T, 0.0)
+    n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points = PointConstants(numbers, carray(T, N[N_TABLES]))
+    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0.0)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
     begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 
 
 @njit
 def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """Advance to the conditions of inputs at a time, over dt [s], in thermal steps of at most LONGEST_STEP."""
     _derive_vectors(R, N, T, inputs, time)
-    _follow_upstream_walls(R, N, T, dt)
+    n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    then = carray(at(R, N[VECTORS_THEN]), (n, N_CONDITIONS))
+    for i in range(n):
+        for c in range(N_CONDITIONS):
+            then[i, c] = vectors[i, c]
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
-    advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points, lanes = PointConstants(numbers, carray(T, N[N_TABLES])), carray(at(N, N[LANE_POINTS]), n)
+    advance_behind_walls(state, ints, table, A[0], A[1], groups, points, lanes, vectors, then, dt, steps)
 
 
 @njit
@@ -265,8 +264,7 @@ def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
 
 @njit
 def _lag_sensors(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Advance the temperatures behind the lags of the sensors by dt [s]; at 0, the start, they are those of the places.
-    """
+    """Advance the temperatures behind the lags of the sensors by dt [s]; at 0, the start, they are those in front."""
     for s in range(N[N_SENSORS]):
         sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
         numbers, sensed = at(R, sensor[S_NUMBERS]), R[N[STATE] + sensor[S_PLACE]]
