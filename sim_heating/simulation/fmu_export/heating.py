@@ -324,11 +324,11 @@ class _HeatingPacker(ImagePacker):
         for g, (first, _, ints, _) in enumerate(e.groups):
             state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
             n = int(e.integers(g)[N_NODES])
-            image.kept_numbers += [(state + row * LANES, LANES) for row in k.KEPT_ROWS]
             points = len(np.unique(e.lanes[g * LANES : (g + 1) * LANES]))
+            image.kept_numbers += [(state + row * LANES, points) for row in k.KEPT_ROWS]
             image.kept_numbers.append((state + conditions_at(END, 0), points * N_CONDITIONS))
             image.kept_numbers += [
-                (state + node_row(i, row).start, LANES) for i in range(n) for row in k.KEPT_NODE_ROWS
+                (state + node_row(i, row).start, points) for i in range(n) for row in k.KEPT_NODE_ROWS
             ]
             image.kept_integers += [(integers + flag, 1) for flag in (IN_DEPTH, GAPS)]
             image.kept_integers += [(integers + NODE_INTS + i * INTS_PER_NODE + IS_FACE, 1) for i in range(n)]

@@ -154,7 +154,7 @@ KEPT_ROWS = (
     STEPS,
 )  # fmt: skip
 """Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
-conditions of that stage are kept as well, of the first lane of each point."""
+conditions of that stage are kept as well; all of them of the first lane of each point."""
 KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)
 """Rows of a node that belong to the state. All others follow from parameters, or are written in a step before they are
 read, or are caches with bounds."""
@@ -433,12 +433,19 @@ def _resume(R, N, T) -> int:  # type: ignore[no-untyped-def]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = carray(at(R, N[STATE] + groups[g, BLOCK_START]), groups[g, BLOCK_END] - groups[g, BLOCK_START])
+        J = at(N, N[INTS] + groups[g, INTS_START])
+        # Of lanes that repeat a point the first one is kept.
         for lane in range(1, LANES):
             if lanes[g * LANES + lane] == lanes[g * LANES + lane - 1]:
                 last = END_STAGE + lane * N_CONDITIONS
                 for c in range(last, last + N_CONDITIONS):
                     B[c] = B[c - N_CONDITIONS]
-        J = at(N, N[INTS] + groups[g, INTS_START])
+                for row in KEPT_ROWS:
+                    B[row * LANES + lane] = B[row * LANES + lane - 1]
+                for i in range(J[N_NODES]):
+                    for row in KEPT_NODE_ROWS:
+                        a = (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
+                        B[a] = B[a - 1]
         # The instances may have different ratio tables.
         invalidate_cells(B)
         # Without gaps nobody writes the sources of inner nodes: they would remain those of an instance with gaps.
