@@ -114,6 +114,20 @@ def test_whole_entry_with_a_popu_has_the_bits_of_the_simulator(fmus, vehicle, fl
         np.testing.assert_array_equal(fmu_temperatures(host, given), plugin_temperatures(vehicle, given))
 
 
+@pytest.mark.parametrize("step_s", [1.0, 3.0])
+def test_a_point_behind_an_interface_has_the_bits_of_the_simulator(vehicle, flown, tmp_path, step_s):
+    given, name = frames(flown, step_s, 500.0), "NOSE_HRSI"
+    plugin = HeatingPlugin(vehicle, [name], longest_wait_s=0.0)
+    plugin.reset(given[0])
+    export_fmu(vehicle, tmp_path / "behind.fmu", [name])
+    with Host(tmp_path / "behind.fmu") as host:
+        host.start(given[0])
+        for frame in given[1:]:
+            plugin.step(frame)
+            host.step(frame)
+            assert host.get(f"{name}.surface_K")[0] == plugin.surface_K[name]
+
+
 @pytest.mark.parametrize("timing", ["reached", "updated"])
 def test_plain_c_host_has_the_same_bits(fmus, vehicle, flown, tmp_path, timing):
     given = frames(flown, 1.0, 500.0)
