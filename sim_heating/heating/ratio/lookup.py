@@ -109,6 +109,7 @@ def largest_ratio(table: FloatArray, offset: int) -> float:
     """Largest heating ratio [-] at the nodes of a packed table, which its interpolation does not exceed.
 
     table : flat array of tables as `pack_table` makes them;  offset : where this one begins
+    Source: docs/theory/equations.md, equation 7.
     """
     nodes, first = 1, offset + VARIABLES
     for a in range(VARIABLES):
