@@ -33,7 +33,6 @@ from sim_heating.base.kernels.block import (
     ALPHA,
     BETA,
     BODYFLAP,
-    C_STAGES,
     CURVE,
     DISSOCIATION,
     ELEVON,
@@ -45,6 +44,7 @@ from sim_heating.base.kernels.block import (
     LOG10_RE_THETA_M,
     MACH,
     N_CONDITIONS,
+    NO_TABLE,
     P_SURFACE,
     RATE,
     RECOVERY_ENTHALPY,
@@ -75,7 +75,7 @@ from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel
 from sim_heating.heating.surface_pressure import PRESSURE_WIDTH, pressure_below_rise, stagnation_rise
 from sim_heating.heating.surroundings import ground_view, still_air_kernel, surroundings_kernel
-from sim_heating.march.frames import BLOCK_START, LaneGroups, advance_groups, begin_groups
+from sim_heating.march.frames import BLOCK_START, END_STAGE, LaneGroups, advance_groups, begin_groups
 
 F_TIME, F_ALTITUDE, F_VELOCITY, F_ALPHA, F_BETA, F_ELEVON, F_BODYFLAP, F_RHO, F_JETS = range(len(FRAME))
 CODE, LENGTH, RADIUS, SWEEP, LONGEST_STEP, LONGEST_WAIT, FASTEST, BY_ALTITUDE, AROUND = range(9)
@@ -139,10 +139,6 @@ LONGEST_LINE_S = 1.0
 """Longest frame [s] over which derived conditions are linear; a longer one is heated in parts."""
 LONGEST_PART_S = 0.5
 """Longest part [s] of a frame that is heated in parts."""
-MISSED_WALL_J_S_KG = 500.0
-"""Tolerated miss of the extrapolation of a wall upstream, enthalpy of air by time [J s/kg]: 0.5 K over 1 s."""
-MOST_STEPS = 64
-"""Steps of a frame above which the extrapolation of walls upstream is taken as it is."""
 CLOCK_ROUNDING_S = 1e-9
 """Tolerance of times: three frames of 1/60 s count as 0.05 s although the difference of their times is rounded."""
 SPIKE = 0.5
@@ -249,7 +245,7 @@ def _film_at_point(
     if h_ref == 0.0 or is_dense(rho, V, angle, point[FLOW_AT + LARGEST] * h_ref):
         return h_ref
     at = int(point[FLOW_AT + LAMINAR_AT])
-    ratio = table_ratio(tables, at, x, 0) if at >= 0 else 1.0
+    ratio = table_ratio(tables, at, x, 0) if at != NO_TABLE else 1.0
     speed = max(V, SLOWEST_M_S)
     return bridged_film(h_ref, free_molecular_film(rho, speed, T_inf, angle, x[RECOVERY_ENTHALPY]), ratio)
 
@@ -323,37 +319,31 @@ def follow_upstream_walls(
 
 
 @njit
-def _advance_behind_walls(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, dt: float, steps: int
-) -> int:
-    """Advance by a frame with walls upstream of interfaces, each extrapolated over one step; the number of steps.
+def advance_behind_walls(
+    state: FloatArray, ints: IntArray, table: FloatArray, dispatcher, advance, groups: IntArray,  # type: ignore[no-untyped-def]
+    points: PointConstants, lanes: IntArray, vectors: FloatArray, then: FloatArray, dt: float, steps: int,
+) -> None:  # fmt: skip
+    """Advance all lane groups by dt [s], those behind interfaces with the walls upstream; as `advance_groups`.
 
-    vectors : (lane, condition) at the end of the frame
-    steps   : least number of steps. Where a wall upstream comes out off its extrapolation, as a cold wall in full
-              heating does, the frame is repeated in twice as many: points behind it were heated over a wrong wall.
+    vectors : (lane, condition) at the end, overwritten;  then : a copy of them, of the same shape
     """
-    e = all_lanes
-    now, then, expected = np.empty_like(vectors), vectors.copy(), np.empty(len(lanes))
+    behind = False
     for i in range(len(lanes)):
-        first = e.groups[i // LANES, BLOCK_START] + (C_STAGES + 2 * N_CONDITIONS) * LANES
-        first += i % LANES * N_CONDITIONS
-        now[i] = e.state[first : first + N_CONDITIONS]
-    state, ints = e.state.copy(), e.ints.copy()
-    while True:
-        part, missed = dt / steps, 0.0
-        for k in range(steps):
-            vectors[:] = then if k + 1 == steps else now + (then - now) * ((k + 1) / steps)
-            follow_upstream_walls(e.state, points, lanes, vectors, part)
-            expected[:] = vectors[:, UPSTREAM]
-            advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, part, 1)
-            follow_upstream_walls(e.state, points, lanes, vectors, 0.0)
-            missed = max(missed, part * np.max(np.abs(vectors[:, UPSTREAM] - expected)))
-            if missed > MISSED_WALL_J_S_KG and steps < MOST_STEPS:
-                break
-        if missed <= MISSED_WALL_J_S_KG or steps >= MOST_STEPS:
-            return steps
-        e.state[:], e.ints[:] = state, ints
-        steps *= 2
+        behind = behind or points.numbers[lanes[i], UPSTREAM_PLACE] >= 0.0
+    if steps == 1 or not behind:
+        follow_upstream_walls(state, points, lanes, vectors, dt)
+        advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
+        return
+    # Step by step: a wall upstream is extrapolated over one step, not over the frame.
+    for k in range(steps):
+        share = 1.0 / (steps - k)
+        for i in range(len(lanes)):
+            now = groups[i // LANES, BLOCK_START] + END_STAGE + i % LANES * N_CONDITIONS
+            for c in range(N_CONDITIONS):
+                # c + 1 (then - c) need not be `then` in floating point.
+                vectors[i, c] = state[now + c] + share * (then[i, c] - state[now + c]) if share < 1.0 else then[i, c]
+        follow_upstream_walls(state, points, lanes, vectors, dt / steps)
+        advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt / steps, 1)
 
 
 @njit
@@ -398,15 +388,16 @@ def _heat_to(
     # Without the 1e-9, rounding would add a step to a wait that is a multiple of the longest one.
     steps = max(math.ceil(dt / host[LONGEST_STEP] - 1e-9), 1)
     elapsed, end = frame[F_TIME] - host[LAST_FRAME + F_TIME], frame.copy()
-    for i in range(F_TIME + 1, len(frame)):
-        area = host[AREA + i] + 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
-        end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
+    # Without a frame between there is no distance from the chord, where rounding would leave one.
+    if host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
+        for i in range(F_TIME + 1, len(frame)):
+            area = host[AREA + i] + 0.5 * elapsed * (host[LAST_FRAME + i] + frame[i])
+            end[i] += area / dt - 0.5 * (host[THERMAL_FRAME + i] + frame[i])
     derive_conditions(end, host, points, lanes, vectors)
     e = all_lanes
-    if np.max(points.numbers[:, UPSTREAM_PLACE]) < 0.0:
-        advance_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors, dt, steps)
-    else:
-        steps = _advance_behind_walls(e, points, lanes, vectors, dt, steps)
+    advance_behind_walls(
+        e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, points, lanes, vectors, vectors.copy(), dt, steps
+    )
     error = _update_parabolas(all_lanes.state, places, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
@@ -421,11 +412,28 @@ def _heat_to(
 
 
 @njit
+def parts_of_frame(dt: float) -> int:
+    """Number of parts [-] in which a frame of dt [s] is heated, 1 up to LONGEST_LINE_S."""
+    return math.ceil(dt / LONGEST_PART_S - 1e-9) if dt > LONGEST_LINE_S + CLOCK_ROUNDING_S else 1
+
+
+@njit
+def write_frame_between(first: FloatArray, frame: FloatArray, share: float, between: FloatArray) -> None:
+    """Write the frame a share [-] of the way from one to another: linear in time, ln(rho) for the density.
+
+    first, frame, between : (len(FRAME),) values in the order of conditions.FRAME
+    """
+    for i in range(len(FRAME)):
+        between[i] = first[i] + share * (frame[i] - first[i])
+    between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+
+
+@njit
 def _heat_through(
     all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
-    """Advance to a frame, a long one in parts: values of the frame are linear in time, ln(rho) for the density.
+    """Advance to a frame, a long one in parts.
 
     Within a part the reference heating is linear in time, which over 10 s of an entry is up to 16 K off, and in ten
     parts 0.25 K. Frames of a wait are known: the model goes to the last of them first, with their mean, and the parts
@@ -433,16 +441,12 @@ def _heat_through(
     """
     first = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
     elapsed = frame[F_TIME] - first[F_TIME]
-    long = elapsed > LONGEST_LINE_S + CLOCK_ROUNDING_S
-    if long and first[F_TIME] > host[THERMAL_FRAME + F_TIME]:
+    parts = parts_of_frame(elapsed)
+    if parts > 1 and first[F_TIME] > host[THERMAL_FRAME + F_TIME]:
         _heat_to(all_lanes, points, lanes, vectors, places, host, published, first)
-    parts = math.ceil(elapsed / LONGEST_PART_S - 1e-9) if long else 1
     between = frame.copy()
     for k in range(1, parts):
-        share = k / parts
-        for i in range(len(frame)):
-            between[i] = first[i] + share * (frame[i] - first[i])
-        between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+        write_frame_between(first, frame, k / parts, between)
         _heat_to(all_lanes, points, lanes, vectors, places, host, published, between)
     _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
 

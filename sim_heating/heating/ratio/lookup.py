@@ -104,6 +104,23 @@ def table_ratio(table: FloatArray, offset: int, x: FloatArray, at: int) -> float
     return low if f1 == 0.0 else low + f1 * (_along_2(table, node + s1, s2, s3, s4, f2, f3, f4, f5) - low)
 
 
+@njit
+def largest_ratio(table: FloatArray, offset: int) -> float:
+    """Largest heating ratio [-] at the nodes of a packed table, which its interpolation does not exceed.
+
+    table : flat array of tables as `pack_table` makes them;  offset : where this one begins
+    Source: docs/theory/equations.md, equation 7.
+    """
+    nodes, first = 1, offset + VARIABLES
+    for a in range(VARIABLES):
+        n = int(table[offset + a])
+        nodes, first = nodes * n, first + n
+    largest = table[first]
+    for i in range(first + 1, first + nodes):
+        largest = max(largest, table[i])
+    return largest
+
+
 def table_ratios_at(table: RatioTable, x: FloatArray) -> FloatArray:
     """Heating ratio of a table at many conditions; outside its axes the nearest edge value.
 

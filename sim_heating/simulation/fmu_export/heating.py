@@ -43,6 +43,7 @@ from sim_heating.base.kernels.jit import STEP_SIGNATURE, c_function
 from sim_heating.base.limits import LIMITS
 from sim_heating.base.parameters import RATIO, SENSOR, STACK, STACK_PREFIX, UNITS, Parameter
 from sim_heating.heating.atmosphere import us76
+from sim_heating.heating.edge_flow import TURBULENT_AT
 from sim_heating.heating.effects import Effect, EffectUse, effects
 from sim_heating.heating.effects.compiled import (
     KERNEL,
@@ -76,7 +77,7 @@ from sim_heating.simulation.fmu_export.parts.library import (
 )
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
 from sim_heating.simulation.plugin import HeatingPlugin, walls_upstream
-from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, SWEEP
+from sim_heating.simulation.plugin_kernel import BY_ALTITUDE, FLOW_AT, SWEEP
 from sim_heating.thermal.frame import compiled
 from sim_heating.thermal.mesh import Mesh
 
@@ -94,7 +95,7 @@ INPUT_TEXTS = {
     "jets": ("1", 1.0, "share of the reaction jets that fire"),
     "q_add_W_m2": ("W/m2", 1e4, "known additional flux absorbed by every surface"),
     "T_surroundings_K": ("K", 300.0, "temperature that surfaces radiate to; 0: as the vehicle declares"),
-    "h_ref_kg_m2_s": ("kg/(m2 s)", 0.05, "reference film coefficient"),
+    "h_ref_kg_m2_s": ("kg/(m2 s)", 0.05, "reference film coefficient, taken as given: the host bridges thin air"),
     "H_r_J_kg": ("J/kg", 2e7, "total enthalpy; a point with a declared edge recovers less of it"),
 }
 """Unit, nominal value and meaning of each input."""
@@ -293,7 +294,10 @@ class _HeatingPacker(ImagePacker):
             k.INTS: image.add_integers(self._integers()),
             k.STATE: image.add_numbers(e.state, aligned=True), k.TABLE: image.add_tables(e.table),
             k.VECTORS: image.add_numbers(np.zeros((len(e.lanes), k.N_CONDITIONS))),
+            k.VECTORS_THEN: image.add_numbers(np.zeros((len(e.lanes), N_CONDITIONS))),
             k.FRAMES: image.add_numbers(np.zeros(len(FRAME))),
+            k.STARTED_FROM: image.add_numbers(np.zeros(len(FRAME))),
+            k.BETWEEN: image.add_numbers(np.zeros(1 + len(self.inputs))),
         }  # fmt: skip
         self._name_reynolds_number()
         self._keep_blocks()
@@ -320,11 +324,11 @@ class _HeatingPacker(ImagePacker):
         for g, (first, _, ints, _) in enumerate(e.groups):
             state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
             n = int(e.integers(g)[N_NODES])
-            image.kept_numbers += [(state + row * LANES, LANES) for row in k.KEPT_ROWS]
             points = len(np.unique(e.lanes[g * LANES : (g + 1) * LANES]))
+            image.kept_numbers += [(state + row * LANES, points) for row in k.KEPT_ROWS]
             image.kept_numbers.append((state + conditions_at(END, 0), points * N_CONDITIONS))
             image.kept_numbers += [
-                (state + node_row(i, row).start, LANES) for i in range(n) for row in k.KEPT_NODE_ROWS
+                (state + node_row(i, row).start, points) for i in range(n) for row in k.KEPT_NODE_ROWS
             ]
             image.kept_integers += [(integers + flag, 1) for flag in (IN_DEPTH, GAPS)]
             image.kept_integers += [(integers + NODE_INTS + i * INTS_PER_NODE + IS_FACE, 1) for i in range(n)]
@@ -365,9 +369,14 @@ class _HeatingPacker(ImagePacker):
         if self.columns:
             host[k.CODE] = COLUMNS
         numbers, tables = self.plugin.constants
+        # Tables of a library are one array, as those that a host sets lie outside it; laminar ones are those of the
+        # lanes, which the model looks up when it starts.
+        numbers, turbulent = numbers.copy(), FLOW_AT + TURBULENT_AT
+        first = self.image.add_tables(tables)
+        numbers[:, turbulent] += np.where(numbers[:, turbulent] >= 0.0, first, 0.0)
         self.head |= {
             k.HOST: self.image.add_numbers(host), k.CONSTANTS: self.image.add_numbers(numbers),
-            k.FLOW_TABLES: self.image.add_numbers(tables), k.N_FLOW_TABLES: len(tables),
+            k.N_TABLES: first + len(tables),
         }  # fmt: skip
 
     def _pack_points(self) -> None:

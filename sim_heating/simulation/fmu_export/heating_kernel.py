@@ -41,10 +41,12 @@ from sim_heating.base.kernels.block import (
     N_PARAMETERS,
     NEGATIVE,
     NET,
+    NO_TABLE,
     NODE_ROWS,
     OUTSIDE,
     Q_ADD,
     RATE,
+    RATIO_TABLE,
     RECOVERY_ENTHALPY,
     RECOVERY_RISE,
     SLOPE,
@@ -59,8 +61,9 @@ from sim_heating.base.kernels.block import (
 from sim_heating.base.kernels.block import T as TEMPERATURE
 from sim_heating.base.kernels.jit import inline_always, njit
 from sim_heating.base.kernels.lag import lag_step
+from sim_heating.heating.edge_flow import LAMINAR_AT, LARGEST
 from sim_heating.heating.film import emittance_factor
-from sim_heating.heating.ratio.lookup import invalidate_cells
+from sim_heating.heating.ratio.lookup import invalidate_cells, largest_ratio
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.inputs.sensor_model import indicated_kernel
@@ -70,7 +73,6 @@ from sim_heating.march.frames import (
     END_STAGE,
     INTS_END,
     INTS_START,
-    advance_groups,
     begin_groups,
 )
 from sim_heating.simulation.fmu_export.parts.library import (
@@ -96,10 +98,14 @@ from sim_heating.simulation.plugin_kernel import (
     F_ELEVON,
     F_TIME,
     F_VELOCITY,
+    FLOW_AT,
     RECOVERY_AT,
     PointConstants,
+    advance_behind_walls,
     derive_conditions,
     follow_upstream_walls,
+    parts_of_frame,
+    write_frame_between,
 )
 from sim_heating.simulation.plugin_kernel import POINT_WIDTH as POINT_CONSTANTS
 from sim_heating.thermal.elements import STACK_WIDTH, Elements, set_point
@@ -111,8 +117,8 @@ from sim_heating.thermal.frame import STAGE_ROWS
     N_POINTS, N_ROWS, N_GROUPS, N_STATE, N_TABLE, N_INTS, N_SENSORS,
     GROUPS, LANE_POINTS, INTS, POINT_INTS, SENSOR_INTS,
     STATE, TABLE, VECTORS, CONSTANTS, HOST, FRAMES, INPUTS_AT_STATE, RANGES, OPTIONS, POINT_NUMBERS, WRITTEN,
-    FLOW_TABLES, N_FLOW_TABLES,
-) = range(I_HEAD, I_HEAD + 25)  # fmt: skip
+    N_TABLES, STARTED_FROM, BETWEEN, VECTORS_THEN,
+) = range(I_HEAD, I_HEAD + 27)  # fmt: skip
 N_MODEL = 40
 LONGEST_STEP = 0
 """Place in the options: longest thermal step [s]."""
@@ -148,7 +154,7 @@ KEPT_ROWS = (
     STEPS,
 )  # fmt: skip
 """Scalar rows of a block that belong to the state: of a quantity with one row a stage that of the end of the step. The
-conditions of that stage are kept as well, of the first lane of each point."""
+conditions of that stage are kept as well; all of them of the first lane of each point."""
 KEPT_NODE_ROWS = (TEMPERATURE, RATE, E_START, NET, CURVE)
 """Rows of a node that belong to the state. All others follow from parameters, or are written in a step before they are
 read, or are caches with bounds."""
@@ -191,7 +197,7 @@ def _write_group_parameters(R, N, B: FloatArray, J: IntArray, g: int, every: boo
 
 
 @njit
-def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
+def _derive_vectors(R, N, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
     """Condition vectors of all lanes from inputs."""
     n = N[N_ROWS]
     frame = carray(at(R, N[FRAMES]), len(FRAME))
@@ -200,7 +206,7 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
         frame[1 + k] = inputs[k]
     vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
     numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points = PointConstants(numbers, carray(at(R, N[FLOW_TABLES]), N[N_FLOW_TABLES]))
+    points = PointConstants(numbers, carray(T, N[N_TABLES]))
     host = carray(at(R, N[HOST]), HOST_WIDTH)
     host[AROUND] = inputs[F_AROUND - 1]
     derive_conditions(frame, host, points, carray(at(N, N[LANE_POINTS]), n), vectors)
@@ -215,38 +221,97 @@ def _derive_vectors(R, N, inputs, time: float) -> None:  # type: ignore[no-untyp
             )  # fmt: skip
 
 
-@inline_always
-def _follow_upstream_walls(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
-    """Write the walls upstream of interfaces into the condition vectors at the end of a step of dt [s]."""
-    n = N[N_ROWS]
-    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
-    points = PointConstants(numbers, carray(at(R, N[FLOW_TABLES]), N[N_FLOW_TABLES]))
-    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
-    state = carray(at(R, N[STATE]), N[N_STATE])
-    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, dt)
-
-
 @njit
 def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-def]
-    _derive_vectors(R, N, inputs, time)
-    _follow_upstream_walls(R, N, 0.0)
+    _derive_vectors(R, N, T, inputs, time)
+    n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points = PointConstants(numbers, carray(T, N[N_TABLES]))
+    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0.0)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
     begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 
 
-@inline_always
+@njit
 def _advance(R, N, A, T, inputs, time: float, dt: float) -> None:  # type: ignore[no-untyped-def]
-    _derive_vectors(R, N, inputs, time)
-    _follow_upstream_walls(R, N, dt)
+    """Advance to the conditions of inputs at a time, over dt [s], in thermal steps of at most LONGEST_STEP."""
+    _derive_vectors(R, N, T, inputs, time)
+    n = N[N_ROWS]
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     state, ints = carray(at(R, N[STATE]), N[N_STATE]), carray(at(N, N[INTS]), N[N_INTS])
-    vectors = carray(at(R, N[VECTORS]), (N[N_ROWS], N_CONDITIONS))
+    vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
+    then = carray(at(R, N[VECTORS_THEN]), (n, N_CONDITIONS))
+    for i in range(n):
+        for c in range(N_CONDITIONS):
+            then[i, c] = vectors[i, c]
     steps = max(math.ceil(dt / R[N[OPTIONS] + LONGEST_STEP] - 1e-9), 1)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
-    advance_groups(state, ints, table, A[0], A[1], groups, vectors, dt, steps)
+    numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
+    points, lanes = PointConstants(numbers, carray(T, N[N_TABLES])), carray(at(N, N[LANE_POINTS]), n)
+    advance_behind_walls(state, ints, table, A[0], A[1], groups, points, lanes, vectors, then, dt, steps)
+
+
+@njit
+def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
+    """Keep the temperatures at the places of the sensors at the start of a step, or of a part of it."""
+    for s in range(N[N_SENSORS]):
+        sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
+        R[sensor[S_BEFORE]] = R[N[STATE] + sensor[S_PLACE]]
+
+
+@njit
+def _lag_sensors(R, N, dt: float) -> None:  # type: ignore[no-untyped-def]
+    """Advance the temperatures behind the lags of the sensors by dt [s]; at 0, the start, they are those in front."""
+    for s in range(N[N_SENSORS]):
+        sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
+        numbers, sensed = at(R, sensor[S_NUMBERS]), R[N[STATE] + sensor[S_PLACE]]
+        if numbers[S_TAU] > 0.0 and dt > 0.0:
+            sensed = lag_step(numbers[S_LAGGED], R[sensor[S_BEFORE]], sensed, dt / numbers[S_TAU])
+        numbers[S_LAGGED] = sensed
+
+
+@inline_always
+def _advance_through(R, N, A, T, now, then) -> None:  # type: ignore[no-untyped-def]
+    """Advance from the inputs at the start of a step to those at its end, a long one in parts as the plug-in does."""
+    n, width = N[N_INPUTS], len(FRAME)
+    first, last = carray(at(R, N[STARTED_FROM]), width), carray(at(R, N[FRAMES]), width)
+    between, inputs = carray(at(R, N[BETWEEN]), width), at(R, N[BETWEEN] + 1)
+    parts, time = parts_of_frame(R[NEXT] - R[NOW]), R[NOW]
+    for k in range(1, parts):
+        # `_derive_vectors` writes the frame that it derives from.
+        for i in range(width - 1):
+            first[1 + i], last[1 + i] = now[i], then[i]
+        first[F_TIME], last[F_TIME] = R[NOW], R[NEXT]
+        share = k / parts
+        write_frame_between(first, last, share, between)
+        for i in range(width - 1, n):
+            inputs[i] = now[i] + share * (then[i] - now[i])
+        # Surroundings of 0 K stand for declared ones, to which no line leads.
+        if now[F_AROUND - 1] == 0.0 or then[F_AROUND - 1] == 0.0:
+            inputs[F_AROUND - 1] = then[F_AROUND - 1]
+        until = between[F_TIME]
+        _hold_sensors(R, N)
+        _advance(R, N, A, T, inputs, until, until - time)
+        _lag_sensors(R, N, until - time)
+        time = until
+    _hold_sensors(R, N)
+    _advance(R, N, A, T, then, R[NEXT], R[NEXT] - time)
+    _lag_sensors(R, N, R[NEXT] - time)
+
+
+@njit
+def _follow_ratio_tables(R, N, T) -> None:  # type: ignore[no-untyped-def]
+    """Write the ratio tables that the lanes use into the constants of the points, whose thin air they bridge."""
+    for i in range(N[N_POINTS]):
+        point = at(N, N[POINT_INTS] + POINT_INTS_WIDTH * i)
+        ints = N[INTS] + N[N[GROUPS] + 4 * point[P_GROUP] + INTS_START]
+        table = N[ints + RATIO_TABLE + point[P_LANE]]
+        if table != NO_TABLE:
+            numbers = at(R, N[CONSTANTS] + POINT_CONSTANTS * i + FLOW_AT)
+            numbers[LAMINAR_AT], numbers[LARGEST] = table, largest_ratio(T, table)
 
 
 @njit
@@ -270,20 +335,9 @@ def _clear_counts(R, N) -> None:  # type: ignore[no-untyped-def]
                 B[row * LANES + lane] = 0.0
 
 
-@inline_always
-def _hold_sensors(R, N) -> None:  # type: ignore[no-untyped-def]
-    """Keep the temperatures at the places of the sensors at the start of a step."""
-    for s in range(N[N_SENSORS]):
-        sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
-        R[sensor[S_BEFORE]] = R[N[STATE] + sensor[S_PLACE]]
-
-
 @njit
-def _write_outputs(R, N, A, T, dt: float) -> int:  # type: ignore[no-untyped-def]
-    """Write the outputs; number of the first point whose step did not converge, GOOD where all did.
-
-    dt : length of the step [s]; 0 at the start, where a sensor has the temperature of its place
-    """
+def _write_outputs(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
+    """Write the outputs; number of the first point whose step did not converge, GOOD where all did."""
     outcome = GOOD
     # From the last point to the first: the outcome that remains is the first point that failed.
     for i in range(N[N_POINTS] - 1, -1, -1):
@@ -312,11 +366,7 @@ def _write_outputs(R, N, A, T, dt: float) -> int:  # type: ignore[no-untyped-def
         sensor = at(N, N[SENSOR_INTS] + SENSOR_WIDTH * s)
         numbers = at(R, sensor[S_NUMBERS])
         coefficients = carray(at(R, sensor[S_CALIBRATION]), sensor[S_COEFFICIENTS])
-        sensed = R[N[STATE] + sensor[S_PLACE]]
-        if numbers[S_TAU] > 0.0 and dt > 0.0:
-            sensed = lag_step(numbers[S_LAGGED], R[sensor[S_BEFORE]], sensed, dt / numbers[S_TAU])
-        numbers[S_LAGGED] = sensed
-        numbers[S_INDICATED] = indicated_kernel(sensed, numbers[S_GAIN], numbers[S_BIAS], coefficients)
+        numbers[S_INDICATED] = indicated_kernel(numbers[S_LAGGED], numbers[S_GAIN], numbers[S_BIAS], coefficients)
     return outcome
 
 
@@ -335,18 +385,20 @@ def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     if outside != GOOD:
         return outside
     _write_parameters(R, N, True)
+    _follow_ratio_tables(R, N, T)
     _clear_counts(R, N)
     _begin(R, N, A, T, given, R[NOW])
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = given[k]
-    outcome = _write_outputs(R, N, A, T, 0.0)
+    _lag_sensors(R, N, 0.0)
+    outcome = _write_outputs(R, N, A, T)
     return GOOD if outcome == GOOD else 2 * n + outcome
 
 
 @inline_always
 def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """Advance all points to the end of a step."""
-    n, dt = N[N_INPUTS], R[NEXT] - R[NOW]
+    n = N[N_INPUTS]
     now, then, ranges = at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT]), at(R, N[RANGES])
     outside = _first_out_of_range(now, ranges, n)
     if outside != GOOD:
@@ -357,35 +409,43 @@ def _step(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     jumped = N[CHANGED] != 0
     if jumped:
         _write_parameters(R, N, True)
+        _follow_ratio_tables(R, N, T)
     # Inputs that differ from those at the end of the last step are a jump: heat contents and net heat are evaluated
     # again.
     for k in range(n):
         jumped = jumped or R[N[INPUTS_AT_STATE] + k] != now[k]
     if jumped:
         _begin(R, N, A, T, now, R[NOW])
-    _hold_sensors(R, N)
-    _advance(R, N, A, T, then, R[NEXT], dt)
+    _advance_through(R, N, A, T, now, then)
     for k in range(n):
         R[N[INPUTS_AT_STATE] + k] = then[k]
-    outcome = _write_outputs(R, N, A, T, dt)
+    outcome = _write_outputs(R, N, A, T)
     return GOOD if outcome == GOOD else 2 * n + outcome
 
 
 @inline_always
-def _resume(R, N) -> int:  # type: ignore[no-untyped-def]
+def _resume(R, N, T) -> int:  # type: ignore[no-untyped-def]
     """Make the blocks agree with the kept rows of another instance (KEPT_ROWS, KEPT_NODE_ROWS)."""
     # Property polynomials stay: they hold for temperatures between their bounds, whichever instance asks.
     _write_parameters(R, N, False)
+    _follow_ratio_tables(R, N, T)
     lanes = at(N, N[LANE_POINTS])
     groups = carray(at(N, N[GROUPS]), (N[N_GROUPS], 4))
     for g in range(N[N_GROUPS]):
         B = carray(at(R, N[STATE] + groups[g, BLOCK_START]), groups[g, BLOCK_END] - groups[g, BLOCK_START])
+        J = at(N, N[INTS] + groups[g, INTS_START])
+        # Of lanes that repeat a point the first one is kept.
         for lane in range(1, LANES):
             if lanes[g * LANES + lane] == lanes[g * LANES + lane - 1]:
                 last = END_STAGE + lane * N_CONDITIONS
                 for c in range(last, last + N_CONDITIONS):
                     B[c] = B[c - N_CONDITIONS]
-        J = at(N, N[INTS] + groups[g, INTS_START])
+                for row in KEPT_ROWS:
+                    B[row * LANES + lane] = B[row * LANES + lane - 1]
+                for i in range(J[N_NODES]):
+                    for row in KEPT_NODE_ROWS:
+                        a = (HEAD_ROWS + i * NODE_ROWS + row) * LANES + lane
+                        B[a] = B[a - 1]
         # The instances may have different ratio tables.
         invalidate_cells(B)
         # Without gaps nobody writes the sources of inner nodes: they would remain those of an instance with gaps.
@@ -400,7 +460,7 @@ def _resume(R, N) -> int:  # type: ignore[no-untyped-def]
 def advance(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     """The model, as library.py describes it."""
     if N[MODE] == RESUME:
-        return _resume(R, N)
+        return _resume(R, N, T)
     if N[MODE] == START:
         return _start(R, N, A, T)
     return _step(R, N, A, T)
