@@ -81,7 +81,7 @@ class Walk:
         elif step["output"]:
             shown = [words(line) for line in step["output"].splitlines() if line.strip() not in ("", "...")]
             missing = [line for line in shown if line not in words(self.printed)]
-            assert not missing, f"not printed: {missing[0]!r}"
+            assert not missing, f"not printed: {missing[0]!r}; the command printed\n{self.printed}"
         else:
             made, image = self.folder / step["picture"], (page.parent / step["image"]).resolve()
             assert made.is_file(), f"{step['picture']} was not written"
