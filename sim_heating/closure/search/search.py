@@ -84,11 +84,12 @@ MIN_SHARE = 0.5
 MIN_OVER_FIRST = 0.1
 """Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
 first effect of another form leaves less."""
-MAX_EFFECTS = 3
-FREED, RECORRECTED, LIBRARY_SHARE, LIKELY = 6, 4, 0.9, 0.05
+MAX_EFFECTS, FURTHER_GAIN, EXCHANGES = 3, 6.0, 3
+"""Effects of a model at most; what one more has to gain at least over every model with fewer [BIC]; how often the
+members of the leading model are exchanged for their rivals at most."""
+FREED, RECORRECTED, LIBRARY_SHARE = 6, 4, 0.9
 """Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
-excess that they have to explain without: with less, a curve is free to follow anything. p-value from which on a model
-with a curve ends the search."""
+excess that they have to explain without: with less, a curve is free to follow anything."""
 JUDGED = 8
 """Hypotheses that may be named, and others, that are judged with an error of their own."""
 CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
@@ -191,6 +192,9 @@ def search_effects(
             rounds += more
             found += [*triples, *_recorrected(none, triples, record, first.forms)]
         found += _pruned(base, _accepted(none, found), first.forms)
+        more, exchanged = _exchanged(base, none, found, first, _part(progress, 0.85, 0.9, "rivals of the causes"))
+        rounds += more
+        found += exchanged
         rated = _accepted(none, found)
         if _more_is_missing(none, rated):
             found += _on_the_best_change(none, rated, _part(progress, 0.9, 0.95, "an effect besides a change"))
@@ -276,13 +280,12 @@ def _candidates(base: TrialFit, taken: Sequence[str]) -> list[Candidate]:
 def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
     """Whether something is missing that no admissible hypothesis explains to the noise.
 
-    A curve may take up part of a second effect: with one, the p-value has to be LIKELY.
+    A curve may take up all of a second effect: it does not end the search.
     """
     if not rated or min(h.last.delta_bic for h in rated) > -MIN_BIC_GAIN:
         return False
     best = rated[0]
-    doubtful = best.adequacy.p_value < LIKELY and has_free_form(best.last)
-    return not (best.admissible and best.adequate) or doubtful
+    return not (best.admissible and best.adequate) or has_free_form(best.last)
 
 
 def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Contender]:
@@ -346,7 +349,12 @@ def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
 
 
 def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Hypotheses best first, without those whose further effects explain too little."""
+    """Hypotheses best first, without those whose further effects explain too little.
+
+    A further effect gains FURTHER_GAIN over every model with fewer effects that may be named. It explains a good part
+    of what these leave, or takes the place of parameters of theirs, and predicts what is held out no worse.
+    """
+    found = scored(none, found)
     singles = [h for h in found if len(h.names) == 1]
     kept = list(singles)
     for count in range(2, MAX_EFFECTS + 1):
@@ -354,15 +362,25 @@ def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]
         # a further effect adds.
         simpler = min((h for h in kept), key=lambda h: h.excess_chi2, default=none)
         least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
-        for h in found:
-            if len(h.names) != count:
-                continue
+        to_beat = min((h.score for h in kept), default=0.0) - FURTHER_GAIN
+        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - FURTHER_GAIN
+        for h in [h for h in found if len(h.names) == count]:
             gained = simpler.excess_chi2 - h.excess_chi2
             predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
-            enough = gained >= MIN_OVER_FIRST * least_explained or h.adequate
-            if gained >= MIN_SHARE * simpler.excess_chi2 and enough and predicts:
+            explains = gained >= MIN_SHARE * simpler.excess_chi2
+            explains &= gained >= MIN_OVER_FIRST * least_explained or h.adequate
+            in_place = h.adequate and h.score <= to_beat
+            if (explains or in_place) and predicts and h.score <= of_nameable:
                 kept.append(h)
-    return scored(none, kept)
+    return scored(none, _distinct(kept))
+
+
+def _distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The likeliest of those that have the same effects with the same free parameters."""
+    best: dict[tuple[frozenset[str], frozenset[str]], Hypothesis] = {}
+    for h in sorted(found, key=lambda h: (not h.admissible, -h.last.fit.log_likelihood)):
+        best.setdefault((frozenset(h.names), frozenset(n for t in h.trials for n in t.candidate.names)), h)
+    return list(best.values())
 
 
 def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int]) -> list[Hypothesis]:
@@ -375,6 +393,43 @@ def _pruned(base: TrialFit, rated: Sequence[Hypothesis], forms: Mapping[str, int
         for left_out in best.trials
     ]
     return [hypothesis(stack, forms) for stack in stacks if np.isfinite(stack[-1].fit.log_likelihood)]
+
+
+def _exchanged(
+    base: TrialFit, none: Hypothesis, found: Sequence[Hypothesis], first: SearchRound, progress: Progress
+) -> tuple[list[SearchRound], list[Hypothesis]]:
+    """The rounds and hypotheses in which other effects stand in place of members of the leading hypothesis.
+
+    first : the round of single effects
+
+    Effects are sought one after another: a form with many parameters may have taken up what another effect explains
+    with one. So each effect of the leading model is left out, and all are put in their simplest forms, before another
+    one is sought, as long as that finds a better model.
+    """
+    rounds: list[SearchRound] = []
+    more: list[Hypothesis] = []
+    for _ in range(EXCHANGES):
+        rated = _accepted(none, [*found, *more])
+        if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
+            break
+        best, values = rated[0], fitted_values(rated[0].last)
+        reduced = [[t for t in best.trials if t is not left_out] for left_out in best.trials]
+        if len(best.trials) < MAX_EFFECTS:
+            reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
+        stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
+        stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
+        seen, tried = _with_one_more(stacks, first.forms, progress)
+        rounds += seen
+        more += tried
+        if set(_accepted(none, [*found, *more])[0].names) == set(best.names):
+            break
+    return rounds, more
+
+
+def _in_simplest_form(trial: TrialFit, tried: Sequence[Candidate]) -> TrialFit:
+    """The trial of an effect with the fewest free parameters of those that it has, to be fitted."""
+    forms = [c for c in tried if c.name == trial.name and c.form.is_special_case_of(trial.candidate.form)]
+    return replace(trial, candidate=min([trial.candidate, *forms], key=lambda c: len(c.names)))
 
 
 def _first_picks(found: Sequence[Hypothesis]) -> list[list[TrialFit]]:
