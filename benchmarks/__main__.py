@@ -13,7 +13,7 @@ NAMES = (
     "verification", "c_loop", "work_precision", "after_a_jump", "frames", "coupling", "fmu", "optimal", "envelope",
     "covariance", "end_to_end", "default_parameters", "ground_step", "skew", "initial", "segments", "design",
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
-    "switched_off",
+    "tile_left_out", "switched_off",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",

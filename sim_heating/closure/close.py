@@ -68,6 +68,8 @@ FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
 MIN_SAMPLES = 10
 """Times of readings below which any effect would explain the residual."""
+LEAST_PROBABILITY = 0.5
+"""Probability of a finding below which it is not stated."""
 SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
 EXPLAINED_BY_CURVE = 0.5
@@ -138,7 +140,7 @@ def close_loop(
     if of_clock is not None:
         raise InputError(of_clock.message)
     record, of_noise = with_noise(record)
-    result = search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text))
+    result = _stated(search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
         partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
@@ -146,6 +148,14 @@ def close_loop(
     (fitted, after, residual_after), residual, before = in_processes(tasks)
     compared = before, before if result.compared is result.none else after
     return ClosedLoop(result, fitted, _closure(result, fitted, compared, (residual, residual_after), of_noise))
+
+
+def _stated(result: SearchResult) -> SearchResult:
+    """The result of a search, whose finding is stated where it is rather right than wrong."""
+    found = probability_of(result)
+    if not result.explained or found is None or found >= LEAST_PROBABILITY:
+        return result
+    return replace(result, conclusion=replace(result.conclusion, finding=PARTLY, improbable=found))
 
 
 def _refitted(result: SearchResult) -> tuple[FitResult, Prediction, ResidualHeating | None]:
@@ -165,10 +175,9 @@ def _plain(fitted: FitResult) -> Prediction:
     Where the fit has one, the model is fitted once more without it: its parameters, the flight and slow noise are free
     as before. What errors are told of is then not left to an error that no march has.
     """
-    error = fitted.problem.record_fits[0].model_error
-    if error is None:
+    problem = fitted.problem.without_heating_error()
+    if problem is fitted.problem:
         return fitted.after[0]
-    problem = fitted.problem.with_model_error(error.of_size(0.0, error.correlation_s))
     fit = maximise_together([problem], [fitted.fit.values], CONVERGE)[0]
     if not np.isfinite(fit.log_likelihood):
         return fitted.after[0]
@@ -187,15 +196,22 @@ def _is_exact(trial: TrialFit) -> bool:
 
 def _with_error(record: Record, trial: TrialFit) -> FitResult:
     """The whole record fitted with the model of a trial, and with the error that this has."""
+    return fit_problem(error_problem(record, trial), trial.fit.values, settings=REFIT)
+
+
+def error_problem(record: Record, trial: TrialFit) -> FitProblem:
+    """The problem of a whole record with the model of a trial and the error that this has."""
     part, options = trial.problem.record_fits[0], trial.problem.options
     options = FitOptions(fitted_effects(trial), priors=trial.problem.priors, prior_scale=options.prior_scale)
     error = part.model_error
     assert error is not None  # the caller's trials have one
-    problem = FitProblem([record], part.names, trial.problem.reference, options)
+    names = [n for n in part.names if n not in part.flight_names]
+    problem = FitProblem([record], names, trial.problem.reference, options)
     problem.record_fits[0].sigma_K.update(part.sigma_K)
     if isinstance(error.flight, SmoothFlightError):
         error = replace(error, flight=replace(error.flight, flown=record))
-    return fit_problem(problem.with_model_error(error), trial.fit.values, settings=REFIT)
+    problem = problem.with_model_error(error)
+    return problem.with_flight_unknowns() if part.flight_names else problem
 
 
 def _residual_after(fitted: FitResult) -> ResidualHeating:
@@ -312,6 +328,7 @@ def _statement(result: SearchResult, fitted: FitResult, not_effects: Sequence[No
         adequacy=best.adequacy,
         explained=conclusion.explained,
         probability=probability_of(result),
+        improbable=conclusion.improbable,
         not_effects=not_effects,
         converged=fitted.fit.converged,
         would_tell_apart=or_left_out(

@@ -115,6 +115,7 @@ class Statement:
     adequacy     : of the model with what was named, and for "partly" with what the residual resembles
     explained    : part of the excess chi-square that this model explains [-]
     probability  : calibrated, that the finding as stated is right; None where no calibration is at hand
+    improbable   : the same of what a record resembles, where it is too small for a finding; else None
     not_effects  : causes that are no aerothermal effect
     converged    : whether the last fit converged
     would_tell_apart : measurements and manoeuvres that are expected to tell the alternatives apart, the best first
@@ -131,6 +132,7 @@ class Statement:
     adequacy: Adequacy | None = None
     explained: float = 0.0
     probability: float | None = None
+    improbable: float | None = None
     not_effects: Sequence[NotEffect] = ()
     converged: bool = True
     would_tell_apart: Sequence[Experiment] = ()
@@ -216,9 +218,11 @@ class Statement:
             )
             lines.append(f"{model} {self._adequacy_in_words(self.adequacy)}.")
         if self.finding == PARTLY:
+            odds = self.improbable
+            why = "" if odds is None else f", as it is right with a probability of {_percent(odds)} only"
             lines.append(
                 f"It explains {100.0 * min(self.explained, 1.0):.0f} % of what the declared model leaves above noise, "
-                "and is not stated as the cause; the errors after are those with it."
+                f"and is not stated as the cause{why}; the errors after are those with it."
             )
         if self.model_error is not None:
             lines.append(self.model_error.in_words())

@@ -573,8 +573,11 @@ def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = N
     end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
     initial_K, known, flown = record_fit.initial_K(values), record_fit.model_error, record
     profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K])
-    if known is not None and known.flight is not None and len(error) > 0:
-        flown = known.flight.record(known.along_flight(error))
+    if known is not None and known.flight is not None:
+        if record_fit.flight_names:
+            flown = known.flight.record(np.array([own[n] for n in record_fit.flight_names]))
+        elif len(error) > 0:
+            flown = known.flight.record(known.along_flight(error))
     marched, model = marched_from(flown, record_fit.model_at(values), begin, end, profile)
     found = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
     return replace(found, record=record)

@@ -207,6 +207,40 @@ class FitProblem:
         other._group()
         return other
 
+    def without_heating_error(self) -> FitProblem:
+        """The problem without the smooth errors of the heating; itself where no record has one.
+
+        Errors of flights, and slow noise of sensors, stay: s = 0 in docs/theory/model_error.md, equation 1.
+        """
+        if all(part.model_error is None for part in self.record_fits):
+            return self
+        other = copy(self)
+        other.record_fits = [
+            part if part.model_error is None
+            else replace(part, model_error=part.model_error.of_size(0.0, part.model_error.correlation_s))
+            for part in self.record_fits
+        ]  # fmt: skip
+        other._group()
+        return other
+
+    def with_flight_unknowns(self) -> FitProblem:
+        """The problem of one record with the errors of its flight as unknowns, which other records of it may share.
+
+        The problem as it is where its flight has none. Each is in standard deviations of its prior [-]: f of
+        docs/theory/model_error.md, equation 1.
+        """
+        part, first = self.record_fits[0], len(self.unknowns)
+        if part.model_error is None or part.model_error.flight is None or part.flight_names:
+            return self
+        names = part.model_error.flight_names
+        more = [FitParameter(n, Parameter(n, "1", 0.0, 1.0, text="error of the flight"), (0,)) for n in names]
+        other = copy(self)
+        other.unknowns = [*self.unknowns, *more]
+        index = np.append(part.index, first + np.arange(len(names)))
+        other.record_fits = [replace(part, flight_names=names, index=index)]
+        other._group()
+        return other
+
     # Parameters ------------------------------------------------------------------------------------------------------
 
     def _model(self, record: Record, names: Sequence[str], fixed: Mapping[str, float]) -> PointModel:
@@ -549,6 +583,9 @@ class FitProblem:
         values, samples = record_fit.values(vector), []
         for c in record_fit.channels:
             mean, own = indications(c, found, record_fit.names, values, record_fit.march_columns)
+            by_flight, sensitivity = record_fit.by_flight(c, values)
+            mean += by_flight
+            own[:, len(record_fit.names) - len(record_fit.flight_names) :] = sensitivity
             time = record_fit.sample_s[c.samples]
             samples.append(
                 PredictedSamples(record_fit, c, time, mean, own, len(self.unknowns), record_fit.sigma_K[c.number])
@@ -593,7 +630,9 @@ class FitProblem:
         if marched is None:
             return np.nan
         found, values = record_fit.corrected(marched, vector), record_fit.values(vector)
-        means_K = [indications(c, found, (), values, 0)[0] for c in record_fit.channels]
+        means_K = [
+            indications(c, found, (), values, 0)[0] + record_fit.by_flight(c, values)[0] for c in record_fit.channels
+        ]
         return record_fit.known_log_likelihood + scored_readings(record_fit, means_K).log_likelihood
 
     # Mesh ------------------------------------------------------------------------------------------------------------

@@ -91,6 +91,7 @@ class RecordFit:
                    thermocouple; added to that of the samples
     fixed        : values of parameters of clock and sensors that are not estimated, by dotted name
     model_error  : error of the model that is integrated out of the likelihood; None for none
+    flight_names : names of the errors of the flight, where these are unknowns and not integrated out
     """
 
     record: Record
@@ -110,16 +111,18 @@ class RecordFit:
     known_log_likelihood: float = 0.0
     fixed: Mapping[str, float] = field(default_factory=dict)
     model_error: ModelError | None = None
+    flight_names: tuple[str, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of all unknowns of the record in the order of `index`: march, start, clock and sensors."""
-        return (*self.march_names, *(p.name for p in (self.start.unknowns if self.start else ())), *self.sensor_names)
+        """Names of all unknowns of the record in the order of `index`: march, start, clock and sensors, flight."""
+        of_start = (p.name for p in (self.start.unknowns if self.start else ()))
+        return (*self.march_names, *of_start, *self.sensor_names, *self.flight_names)
 
     @property
     def march_columns(self) -> int:
         """Number of the unknowns that are columns of the march."""
-        return len(self.names) - len(self.sensor_names)
+        return len(self.names) - len(self.sensor_names) - len(self.flight_names)
 
     def values(self, vector: FloatArray) -> dict[str, float]:
         """Values of the record's unknowns, and of what is fixed of its clock and sensors, by dotted name.
@@ -154,9 +157,32 @@ class RecordFit:
         error = self.model_error
         if error is None:
             return None
-        responses = [error.at(c.number, self.sample_s[c.samples]) for c in self.channels]
-        S, F = (np.concatenate([r[k] for r in responses]) for k in (0, 1))
+        S, F = self.error_responses_K
         return np.column_stack([error.sigma * S @ error.correlation_root, F])
+
+    @property
+    def error_responses_K(self) -> tuple[FloatArray, FloatArray]:
+        """(reading, knot) response of all channels to the error of the heating, and (reading, unknown) to all else [K].
+
+        S and F of docs/theory/model_error.md, equation 1, without what is an unknown of the fit.
+        """
+        assert self.model_error is not None  # asked for with an error only
+        responses = [self.model_error.at(c.number, self.sample_s[c.samples]) for c in self.channels]
+        S, F = (np.concatenate([r[k] for r in responses]) for k in (0, 1))
+        return S, F[:, len(self.flight_names) :]
+
+    def by_flight(self, channel: FittedChannel, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """(sample,) what the error of the flight adds to a channel [K], and (sample, unknown) its sensitivities [K].
+
+        values : dotted name -> value, in standard deviations; nothing is added where the error is integrated out
+
+        F f of docs/theory/model_error.md, equation 1.
+        """
+        count = len(self.flight_names)
+        if self.model_error is None or not count:
+            return np.zeros(len(channel.samples)), np.zeros((len(channel.samples), 0))
+        F = self.model_error.at(channel.number, self.sample_s[channel.samples])[1][:, :count]
+        return F @ np.array([values[n] for n in self.flight_names]), F
 
     @cached_property
     def error_factor(self) -> tuple[FloatArray, float]:

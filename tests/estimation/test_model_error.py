@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.estimation.inference.error_likelihood import error_size, innovations, model_error
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.inputs.record import load_record
+from sim_heating.inputs.record import FlightUncertainty, load_record
 from tests.support.paths import ROOT
 
 SIGMA, CORRELATION_S = 0.05, 150.0
@@ -128,3 +129,44 @@ def test_the_size_of_an_error_is_found_from_readings_made_with_it(problem):
     assert sizes[0.0].limit() < 0.012
     assert 0.01 < sizes[0.02].mean < 0.04
     assert 0.045 < sizes[0.08].mean < 0.14
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """The problem of a record whose flight may be later, longer and in other air than stated."""
+    record = unrounded(load_record(ROOT / "scenarios" / "records" / "practice" / "p06"))
+    stated = FlightUncertainty(time_shift_s=5.0, time_stretch=0.01, density_relative=0.1)
+    conditions = record.declared.conditions.model_copy(update={"uncertainty": stated})
+    record = replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
+    plain = FitProblem([record], ["ratio.scale"], REFERENCE)
+    error = model_error(plain.record_fits[0], np.zeros(1), SIGMA, CORRELATION_S, flight_error(record))
+    return plain.with_model_error(error)
+
+
+def test_a_flights_error_has_one_likelihood_as_an_unknown_and_integrated_out(flown):
+    unknown, scale = flown.with_flight_unknowns(), np.array([0.03])
+    f = np.zeros(len(unknown.unknowns) - 1)
+    for _ in range(2):  # readings are linear in it: one step finds the most probable error
+        found = unknown.evaluate(np.append(scale, f))
+        M = found.information[1:, 1:] + np.eye(len(f))
+        f = f + np.linalg.solve(M, found.gradient[1:] - f)
+    largest = unknown.evaluate(np.append(scale, f)).log_likelihood - 0.5 * f @ f
+    volume = -0.5 * np.linalg.slogdet(M)[1]
+    assert largest + volume == pytest.approx(flown.evaluate(scale).log_likelihood, rel=1e-9)
+    np.testing.assert_allclose(flown.record_fits[0].model_error.along_flight(flown.errors(scale)[0]), f, atol=1e-6)
+
+
+def test_two_points_of_one_flight_tell_its_error_better_than_one(flown):
+    alone = flown.with_flight_unknowns()
+    flight = dict.fromkeys(alone.record_fits[0].flight_names, "one flight")
+    both = FitProblem.joined([alone, alone], [{**flight, "ratio.scale": "A"}, {**flight, "ratio.scale": "B"}])
+    assert sum(len(u.records) == 2 for u in both.unknowns) == len(flight)
+    assert len(both.unknowns) == len(flight) + 2
+
+    def sigma(problem):
+        prior = np.diag([float(u.parameter.name in flight) for u in problem.unknowns])
+        covariance = np.linalg.inv(problem.evaluate(np.zeros(len(problem.unknowns))).information + prior)
+        at = [u.parameter.name for u in problem.unknowns].index("flight.time_stretch")
+        return np.sqrt(covariance[at, at])
+
+    assert sigma(both) < 0.9 * sigma(alone) < 0.9

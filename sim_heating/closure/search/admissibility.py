@@ -6,17 +6,20 @@ often explained best by an effect with a value that no vehicle has.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import EFFECT_PREFIX, RECORD_PARAMETERS, SENSOR_PREFIX, Parameter, layer_parameter
 from sim_heating.closure.search.ranking import MAX_SCATTER
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, fitted_values, sample_count
 from sim_heating.estimation.inference.newton import Status
 from sim_heating.estimation.record_fit import sensor_definition
 from sim_heating.heating.effects import effects
+from sim_heating.march.ensemble import condition_history
 
 MIN_SIGMAS = 3.0
 """Least distance of an effect's magnitude from none at all, in standard deviations."""
@@ -58,10 +61,37 @@ def _values(trial: TrialFit, candidate: Candidate) -> list[str]:
     for name, p in _definitions(trial, candidate).items():
         value, own = found[name], name.rpartition(".")[2]
         if trial.fit.on_bound[names.index(name)] and not abs(value - p.value) <= NEAR * p.sigma:
-            lines.append(f"{own} is on its bound, {value:g}")
+            line = [f"{own} is on its bound, {value:g}"]
         elif name in candidate.with_prior and not _has_any_size(trial, name):
-            lines += _off(own, value, p)
+            line = _off(own, value, p)
+        else:
+            continue
+        # where rise and fall of a form cancel, its magnitude by itself says nothing of what it does
+        if line and not _net_change(trial, candidate, own) <= MAX_SCATTER * p.sigma:
+            lines += line
     return lines
+
+
+def _net_change(trial: TrialFit, candidate: Candidate, own: str) -> float:
+    """Largest relative change of the heating by an effect that multiplies it, over the samples of its record [-].
+
+    own : name of a parameter within the effect; infinity where that is no magnitude of such an effect
+    """
+    effect = effects().get(candidate.name)
+    if effect is None or effect.kernel is None or effect.mode != "multiply" or effect.lags or own not in effect.neutral:
+        return math.inf
+    used = next(u for u in fitted_effects(trial) if u.effect.name == candidate.name)
+    try:
+        marched = trial.prediction
+    except RunError:
+        return math.inf
+    read = np.isfinite(marched.history.surface_K)
+    flown = condition_history(marched.conditions.at(marched.history.time_s[read]))
+    wall_K = marched.history.surface_K[read]
+    factors = [
+        effect.kernel(np.array([*row, *used.values]), 0, len(row), T) for row, T in zip(flown, wall_K, strict=True)
+    ]
+    return float(np.max(np.abs(np.array(factors) - 1.0), initial=0.0))
 
 
 def _off(name: str, value: float, p: Parameter) -> list[str]:
@@ -118,7 +148,7 @@ def _magnitude(trial: TrialFit, candidate: Candidate) -> list[str]:
     off = trial.fit.values[index] - np.array(list(none.values()))
     free = ~trial.fit.on_bound[index]
     if not np.any(free):
-        return []  # on its bound, an objection of its own
+        return []  # on its bound, an objection of its own, or of a form whose parts cancel
     covariance = trial.fit.covariance[np.ix_(index, index)][np.ix_(free, free)] * max(1.0, 1.0 + trial.excess_chi2)
     if not np.all(np.isfinite(covariance)):
         return ["the record does not determine its magnitude"]

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
@@ -30,8 +31,15 @@ GAIN_OVER_ADEQUATE = 30.0
 as a table whose error is not linear, give some of this gain to any effect."""
 SET_MARGIN = 2.0 * float(np.log(20.0))
 """Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
+TWIN_MARGIN = 40.0
+"""The same for physical twins, which an error of the model's form tells apart rather than the record."""
+TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
+"""Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
+much; a clock that is late, and thermocouples that lag."""
 LARGEST_ERROR = 0.15
 """Relative error of the heating beyond which a model is no explanation of a record."""
+HELD_OUT_LOSS, PROMISED_GAIN = 1.0, 3.0
+"""Log density of what is held out that a cause may lose or has to gain, and the promise from which on it has to."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 
@@ -185,9 +193,34 @@ def scored(none: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         penalties = sum(prior_penalty(h.last, t.candidate) for t in h.trials if t.name != "none")
         return model_bic(h.last, best) + penalties + h.price
 
-    zero = score(none)
-    rated = [replace(h, score=score(h) - zero) for h in others]
-    return sorted(rated, key=lambda h: (not h.admissible, h.score))
+    zero, scale = score(none), max(1.0, best.held_out_chi2)
+
+    def rated(h: Hypothesis) -> Hypothesis:
+        against = dict.fromkeys((*h.objections, *_not_predicted(none, h, scale)))
+        return replace(h, score=score(h) - zero, objections=tuple(against))
+
+    return sorted(map(rated, others), key=lambda h: (not h.admissible, h.score))
+
+
+def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
+    """Objection to a hypothesis that does not predict the segments held out as what it explains of the others promises.
+
+    scale : of their residuals, as a chi-square
+
+    A cause predicts them no worse than the declared model, by one in log density, and better where what it explains of
+    the fitted segments promises a gain of three.
+    """
+    trial, declared = h.last, none.last
+    if trial.held_out is None or declared.held_out is None or declared.held_out_chi2 == 0.0:
+        return []
+    gained = (trial.held_out_log_likelihood - declared.held_out_log_likelihood) / scale
+    if not gained >= -HELD_OUT_LOSS:
+        return ["it predicts the segments held out worse than the declared model"]
+    excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
+    share = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
+    if min(max(share, 0.0), 1.0) * excess >= PROMISED_GAIN and gained < HELD_OUT_LOSS:
+        return ["it explains what the fitted segments show, and nothing of those held out"]
+    return []
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -200,6 +233,7 @@ class Conclusion:
     rival        : score of the best hypothesis outside the set, relative to the best
     explained    : part of the excess chi-square that it explains [-]
     disqualified : by how much the score of the best hypothesis that may not be named is below that of the best
+    improbable   : probability of the finding, where it is too small to be stated and the record only resembles it
     """
 
     finding: str
@@ -208,6 +242,7 @@ class Conclusion:
     rival: float
     explained: float = 0.0
     disqualified: float = 0.0
+    improbable: float | None = None
 
     @property
     def effect_name(self) -> str:
@@ -235,6 +270,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     explained = none.excess_chi2 - best.excess_chi2
     share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
     inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
+    inside += [h for h in admissible if h not in inside and h.score <= best.score + TWIN_MARGIN and _is_twin(h, best)]
     same = set(best.names)
     # another form under the same names is no rival
     outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
@@ -248,6 +284,23 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     if share >= MIN_SHARE:
         return Conclusion("partly", best, alternatives, rival, share, beaten)
     return Conclusion("unknown", best, (), rival, share, beaten)
+
+
+def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
+    """Whether an adequate hypothesis differs from the best in one cause, which is a physical twin of the other's."""
+    if len(h.names) != len(best.names) or len(set(h.names) - set(best.names)) != 1 or not h.adequate:
+        return False
+    own, others = _things(h) - _things(best), _things(best) - _things(h)
+    return any(a[0] == b[0] and {a[1], b[1]} in TWINS for a in own for b in others)
+
+
+def _things(h: Hypothesis) -> set[tuple[str, str]]:
+    """What the parameters of a hypothesis are of, and which: of layers by their names, and of the record."""
+    change = [] if h.change is None or h.change.change.parameter is None else [h.change.change.parameter.name]
+    names = {*change, *(n for t in h.trials for n in t.candidate.model_names)}
+    layers = {n: layer_parameter(n) for n in names}
+    found = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}
+    return found | {("record", n) for n in names if n in RECORD_PARAMETERS}
 
 
 def _small_error(h: Hypothesis) -> bool:

@@ -61,7 +61,7 @@ def evidence_of_records(
     """What each record adds to the best hypothesis."""
     assert best.model is not None
     model, common = best.model, _values(best)
-    bases = [r.none.last for r in alone]
+    bases = none.by_record
     able = [i for i in range(len(alone)) if applies(model.cause, bases[i])]
     free = {i: joint_model(model.cause, bases, [i], model.levels) for i in able}
     starts = {i: fitted_values(best.by_record[i]) if i in best.members else common for i in able}

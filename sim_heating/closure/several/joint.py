@@ -20,25 +20,30 @@ from sim_heating.closure.close import (
     ClosedLoop,
     close_loop,
     effect_parameters,
+    error_problem,
     estimates_of,
     refit_priors,
     rmse_K,
     valued,
     write_closed_loop,
 )
+from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.report import CandidateScore, Finding
 from sim_heating.closure.search.ranking import posteriors
+from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.tell_apart import Experiment
+from sim_heating.closure.search.trials.told_error import told_flight
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, sample_count
-from sim_heating.closure.several.common_parameters import owner
-from sim_heating.closure.several.joint_fit import JointHypothesis
+from sim_heating.closure.several.joint_fit import JointHypothesis, joined
 from sim_heating.closure.several.joint_report import FILES, JointClosure, write_joint_closure
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
-from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem
+from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem, predict_fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.remarks import further_warnings, remarks
+from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record, load_records
+from sim_heating.simulation.predict import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -128,8 +133,10 @@ def join(loops: Sequence[ClosedLoop], *, progress: Progress = no_progress) -> Jo
     """The joint search over records whose own loops are closed, with its last fit."""
     search = search_jointly([loop.search for loop in loops], progress=lambda f, text: progress(0.8 * f, text))
     progress(0.8, "refitting with what the records have in common")
-    fitted = _refit(search) if search.explained else None
-    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted))
+    if search.compared.model is None:
+        return JointClosedLoop(tuple(loops), search, None, _report(loops, search, None, []))
+    fitted = _refit(search)
+    return JointClosedLoop(tuple(loops), search, fitted, _report(loops, search, fitted, _plain(fitted)))
 
 
 def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> list[str]:
@@ -146,37 +153,48 @@ def write_joint_loop(closed: JointClosedLoop, out: str | os.PathLike[str]) -> li
 
 
 def _refit(search: JointSearch) -> FitResult:
-    """The members of the best hypothesis fitted to convergence, on their full meshes and samples."""
-    best = search.best
+    """The members of the best hypothesis that may be named, fitted to convergence on their full meshes and samples."""
+    best = search.compared
     model = best.model
     assert model is not None
     trials = [best.by_record[i] for i in model.members]
     records = [search.alone[i].record for i in model.members]
     if model.cause.change is not None:
         records = [model.cause.change.apply(record, 0.0) for record in records]
-    parts = [_full_problem(t, r) for t, r in zip(trials, records, strict=True)]
-    one_point = len({r.declared.control_point for r in records}) == 1
-    owners = [{n: owner(level, r, one_point) for n, level in model.levels.items()} for r in records]
-    problem = FitProblem.joined(parts, owners)
+    problem = joined([_full_problem(t, r) for t, r in zip(trials, records, strict=True)], model.levels)
     values = {u.label: v for u, v in zip(model.problem.unknowns, best.last.fit.values, strict=True)}
     return fit_problem(problem, np.array([values[u.label] for u in problem.unknowns]), settings=REFIT)
+
+
+def _plain(fitted: FitResult) -> list[Prediction]:
+    """Plain marches of the members of a fit, without a smooth error of their heating: fitted once more without it."""
+    problem, values = fitted.problem.without_heating_error(), fitted.fit.values
+    if problem is not fitted.problem:
+        fit = maximise_together([problem], [values], CONVERGE)[0]
+        values = fit.values if np.isfinite(fit.log_likelihood) else values
+    return [predict_fit(part, values, u) for part, u in zip(problem.record_fits, problem.errors(values), strict=True)]
 
 
 def _full_problem(trial: TrialFit, record: Record) -> FitProblem:
     """A trial's model over the whole record."""
     part = trial.problem.record_fits[0]
+    if part.model_error is not None:
+        return error_problem(record, trial)
     options = FitOptions(fitted_effects(trial), priors=refit_priors(trial))
     return FitProblem([record], part.names, trial.problem.reference, options)
 
 
-def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult | None) -> JointClosure:
-    """The results of a joint search and its refit, for the report."""
+def _report(
+    loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult | None, plain: Sequence[Prediction]
+) -> JointClosure:
+    """The results of a joint search and its refit, for the report.
+
+    plain : of the members of the best hypothesis that may be named, after the last fit
+    """
     best, conclusion = search.best, search.conclusion
-    members = best.members if fitted is not None else ()
     after = [loop.report.before for loop in loops]
-    for k, i in enumerate(members):
-        assert fitted is not None
-        after[i] = fitted.after[k]
+    for i, prediction in zip(search.compared.members if plain else (), plain, strict=True):
+        after[i] = prediction
     estimated = {} if fitted is None else {
         u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
@@ -211,7 +229,21 @@ def _report(loops: Sequence[ClosedLoop], search: JointSearch, fitted: FitResult 
         parameters=estimated,
         after=after,
         warnings=() if fitted is None else _warnings(fitted),
+        flights={} if fitted is None else _flights(fitted),
     )
+
+
+def _flights(fitted: FitResult) -> dict[str, dict[str, tuple[float, float] | None]]:
+    """By flight, the error that points of it have in common, by name."""
+    found = {}
+    for part in fitted.problem.record_fits:
+        error = part.model_error
+        if error is None or not part.flight_names or not isinstance(error.flight, SmoothFlightError):
+            continue
+        at = part.index[-len(part.flight_names) :]
+        covariance = fitted.fit.covariance[np.ix_(at, at)]
+        found[part.record.declared.flight] = told_flight(error.flight, fitted.fit.values[at], covariance)
+    return found
 
 
 def _warnings(fitted: FitResult) -> list[str]:

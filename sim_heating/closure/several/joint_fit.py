@@ -22,12 +22,14 @@ from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordCh
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.refine import CONVERGE
+from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     OF_TABLE,
     WIDENED,
     TrialFit,
     candidate_problem,
+    fitted_values,
     held_out_problem_with,
     is_of_table,
     problem_with,
@@ -35,6 +37,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     table_log_prior,
 )
 from sim_heating.closure.several.common_parameters import owner, widest_level
+from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import sensor_definition
@@ -84,6 +87,10 @@ class Cause:
 
     def __repr__(self) -> str:
         return f"<Cause {' + '.join(self.names)}: {', '.join(self.candidate.names)}>"
+
+
+NO_CAUSE = Cause((), "", (), 0.0)
+"""Of the declared models, which have the error of their flight in common."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +147,61 @@ def joint_model(
     bases : by record, the declared model;  members : indices of records that have the cause
     """
     parts = [cause.changed[i] if i in cause.changed else _part(cause, bases[i]) for i in members]
-    records = [p.problem.record_fits[0].record for p in parts]
-    one_point = len({r.declared.control_point for r in records}) == 1
-    owners = [{n: owner(level, r, one_point) for n, level in levels.items()} for r in records]
-    return JointModel(
-        cause, tuple(members), levels, tuple(parts), FitProblem.joined([p.problem for p in parts], owners)
+    return JointModel(cause, tuple(members), levels, tuple(parts), joined([p.problem for p in parts], levels))
+
+
+def joined(parts: Sequence[FitProblem], levels: Mapping[str, str]) -> FitProblem:
+    """The problem of several records, whose points of one flight have its error in common.
+
+    parts : of one record each;  levels : dotted name of each common parameter -> level
+    """
+    fits = [p.record_fits[0] for p in parts]
+    one_point = len({f.record.declared.control_point for f in fits}) == 1
+    owners = [
+        {n: owner(level, f.record, one_point) for n, level in levels.items()}
+        | dict.fromkeys(f.flight_names, f.record.declared.flight)
+        for f in fits
+    ]
+    return FitProblem.joined(parts, owners)
+
+
+def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
+    """The declared models of records that were searched by themselves, those of one flight with one error of it.
+
+    The error of a record's heating is as large as with the best model of its own search.
+    """
+    bases = [_with_size(result) for result in alone]
+    flights = [b.problem.record_fits[0].record.declared.flight for b in bases]
+    shared = [
+        b if flights.count(flight) < 2 else replace(
+            b, problem=b.problem.with_flight_unknowns(), held_out=b.held_out and b.held_out.with_flight_unknowns()
+        )
+        for b, flight in zip(bases, flights, strict=True)
+    ]  # fmt: skip
+    members = [i for i, b in enumerate(shared) if b.problem.record_fits[0].flight_names]
+    if not members:
+        return bases
+    parts = tuple(shared[i] for i in members)
+    model = JointModel(NO_CAUSE, tuple(members), {}, parts, joined([p.problem for p in parts], {}))
+    fit = fit_models([model], [model.start({})])[0]
+    if not np.isfinite(fit.log_likelihood):
+        return bases
+    for i, trial in zip(members, model.split(fit), strict=True):
+        shared[i] = trial
+    return shared
+
+
+def _with_size(result: SearchResult) -> TrialFit:
+    """The declared model with the error as large as with the best model of a record's own search."""
+    base, size = result.base, result.compared.last.size
+    error = base.problem.record_fits[0].model_error
+    if size is None or error is None:
+        return base
+    sized = error.of_size(*size.likeliest)
+    return replace(
+        base,
+        problem=base.problem.with_model_error(sized),
+        held_out=base.held_out and base.held_out.with_model_error(sized),
     )
 
 
@@ -305,7 +362,7 @@ def rated(none: JointHypothesis, others: Sequence[JointHypothesis]) -> list[Join
             _record_bic(t, h.model, c, o) - z if i in h.members else h.alone[i]
             for i, (t, c, o, z) in enumerate(zip(h.by_record, scale, held_out, zero, strict=True))
         ]
-        common = h.price + _common_cost(h)
+        common = h.price + _common_cost(h) + _flight_cost(h) - _flight_cost(none)
         return replace(h, shares=tuple(shares), common=common, score=sum(shares) + common)
 
     return sorted((scored(h) for h in others), key=lambda h: (not h.admissible, h.score))
@@ -321,10 +378,21 @@ def _record_bic(trial: TrialFit, model: JointModel | None, c: float, c_held_out:
         and model is not None
         and any(model.problem.record_fits[k].record.name == record.name for k in u.records)
     }
+    common |= set(trial.problem.record_fits[0].flight_names)
     own = [u for u in trial.problem.unknowns if not is_of_table(u.parameter) and u.parameter.name not in common]
     log_posterior = trial.fit.log_likelihood / c + trial.held_out_log_likelihood / c_held_out
     log_posterior += table_log_prior(trial.fit)
     return -2.0 * log_posterior + len(own) * math.log(sample_count(trial.problem))
+
+
+def _flight_cost(h: JointHypothesis) -> float:
+    """Cost of the errors of the flights by their priors [BIC], each flight once."""
+    flights = {}
+    for i in h.members:
+        part = h.by_record[i].problem.record_fits[0]
+        values = fitted_values(h.by_record[i])
+        flights[part.record.declared.flight] = [values[n] for n in part.flight_names]
+    return float(sum(np.sum(np.square(f)) for f in flights.values()))
 
 
 def _common_cost(h: JointHypothesis) -> float:
@@ -335,7 +403,7 @@ def _common_cost(h: JointHypothesis) -> float:
     counts = [sample_count(p.problem) for p in model.parts]
     for k, u in enumerate(model.problem.unknowns):
         name = u.parameter.name
-        if len(u.records) > 1:
+        if len(u.records) > 1 and not name.startswith(FLIGHT_PREFIX):
             total += math.log(sum(counts[i] for i in u.records))
         if name in model.cause.candidate.with_prior:
             part = model.problem.record_fits[u.records[0]]

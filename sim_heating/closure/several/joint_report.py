@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
 from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
+from sim_heating.closure.search.trials.told_error import flight_as_json, flight_in_words
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint_search import JointSearch
@@ -54,6 +55,8 @@ class JointClosure:
     parameters : all estimates of the last fit, by label
     after      : each record with what was found [K]; of a record without it, its declared model with derivatives fitted
     warnings   : on the fit
+    flights    : by flight, the error that its points have in common: by name, value and standard deviation in its unit;
+                 None where the readings do not tell it apart
     """
 
     closures: Sequence[Closure]
@@ -64,6 +67,7 @@ class JointClosure:
     parameters: Mapping[str, ParameterEstimate]
     after: Sequence[Prediction]
     warnings: Sequence[str] = ()
+    flights: Mapping[str, Mapping[str, tuple[float, float] | None]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -113,6 +117,8 @@ class JointClosure:
         best = self.search.best
         lines = [f"{c.record.name}, by itself: {f.message}" for c in self.closures for f in c.faults]
         lines += self._not_tried_in_common()
+        for flight, errors in self.flights.items():
+            lines.append(f"Error of flight {flight}, of all its points: {flight_in_words(errors) or 'not told apart'}")
         if best.model is None or not self.search.explained:
             return lines
         for e in self.search.evidence:
@@ -192,7 +198,7 @@ def joint_closure_json(found: JointClosure) -> dict[str, Any]:
         "noise_floor_K": finite(floor),
         "reference_condition": _condition(first),
         "effect": effects[0],
-        **({"effects": effects} if len(effects) > 1 else {}),
+        "effects": effects if found.search.explained and best.kind == "effect" else [],
         **found.statement.as_json(),
         "candidates": [c.as_json() for c in sorted(found.candidates, key=lambda c: c.delta_bic)],
         "residual_heating": None,
@@ -200,6 +206,7 @@ def joint_closure_json(found: JointClosure) -> dict[str, Any]:
             _record_json(c, e, after)
             for c, e, after in zip(found.closures, found.search.evidence, found.after, strict=True)
         ],
+        "model_error": {"flights": {n: flight_as_json(e) for n, e in found.flights.items()}} if found.flights else None,
         "common_cost": best.common,
         "common_parameters": {} if best.model is None else dict(best.model.levels),
         "estimated": {n: p.as_json() for n, p in found.parameters.items()},

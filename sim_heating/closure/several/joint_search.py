@@ -35,6 +35,7 @@ from sim_heating.closure.several.joint_fit import (
     joint_model,
     parameter_cost,
     rated,
+    with_common_flights,
 )
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.heating.effects import effects
@@ -70,6 +71,16 @@ class JointSearch:
         return self.hypotheses[0] if self.hypotheses else self.none
 
     @property
+    def compared(self) -> JointHypothesis:
+        """The best hypothesis that may be named and is better than the declared models, which it is without one.
+
+        Errors after are of it, whether it is named as the cause or not.
+        """
+        if self.conclusion.finding == "none":
+            return self.none
+        return next((h for h in self.hypotheses if h.admissible and h.score < 0.0), self.none)
+
+    @property
     def explained(self) -> bool:
         """Whether a common cause was found."""
         return self.conclusion.finding in ("found", "one of")
@@ -85,7 +96,7 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     alone  : the search of each record by itself, two at least
     raises : RunError where a model that was fitted cannot be marched
     """
-    bases = [result.base for result in alone]
+    bases = with_common_flights(alone)
     declared = [(base, 0.0) for base in bases]
     none = JointHypothesis((bases[0],), by_record=tuple(bases), alone=(0.0,) * len(bases))
     progress(0.05, "causes in all records together")
@@ -94,7 +105,7 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     progress(0.5, "parameters of each record's own")
     ranked = _best_of_each(none, [*_with_own_parameters(none, ranked[:RICHER], bases), *ranked[RICHER:]])
     progress(0.75, "records without the cause")
-    explanations = [_own_explanation(result) for result in alone]
+    explanations = [_own_explanation(*pair) for pair in zip(alone, bases, strict=True)]
     without = [_without_records(none, h, bases, explanations) for h in ranked[:LEFT_OUT]]
     if without:
         best = rated(none, [*without, *ranked])[0]
@@ -224,9 +235,14 @@ def _narrowed(h: JointHypothesis, bases: Sequence[TrialFit], name: str | None) -
     return joint_model(h.model.cause, bases, h.model.members, {**h.model.levels, **narrower}) if narrower else None
 
 
-def _own_explanation(result: SearchResult) -> tuple[TrialFit, float]:
-    """The trial of what a record's own search found and its score; the declared model where it found nothing."""
+def _own_explanation(result: SearchResult, base: TrialFit) -> tuple[TrialFit, float]:
+    """The trial of what a record's own search found and its score; the declared model where it found nothing.
+
+    The declared model too where the error of its flight is common: that of its own search was not.
+    """
     best = result.conclusion.best
+    if base.problem.record_fits[0].flight_names:
+        return base, 0.0
     return (best.last, best.score) if result.explained else (result.none.last, 0.0)
 
 

@@ -250,8 +250,7 @@ def error_size(
     noise = record_fit.reading_noise_K
     read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
     mean_K = np.concatenate([s.mean_K for s in samples])
-    responses = [error.at(c.number, record_fit.sample_s[c.samples]) for c in record_fit.channels]
-    S, F = (np.concatenate([r[k] for r in responses]) for k in (0, 1))
+    S, F = record_fit.error_responses_K
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, free]
     known = np.isfinite(read)
     scale = noise[known, np.newaxis]

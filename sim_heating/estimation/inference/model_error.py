@@ -38,6 +38,8 @@ from sim_heating.inputs.record import Record
 
 SIZES = (0.0025, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08, 0.11, 0.15, 0.2, 0.3)
 """Standard deviations of the heating's error [-] that its size is integrated over."""
+FLIGHT_PREFIX = "flight."
+"""Beginning of the names of the errors of a flight, where these are unknowns of a fit."""
 TIMES = 4
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
 
@@ -167,6 +169,19 @@ class ModelError:
         e of docs/theory/model_error.md, equation 1.
         """
         return np.asarray(self.sigma * self.correlation_root @ u[: len(self.time_s)])
+
+    @property
+    def flight_names(self) -> tuple[str, ...]:
+        """Names of the directions as unknowns of a fit, numbered where there are several of one kind.
+
+        f of docs/theory/model_error.md, equation 1.
+        """
+        kinds = [name for name, _ in (self.flight.directions if self.flight else ())]
+        numbers = [kinds[:k].count(name) for k, name in enumerate(kinds)]
+        return tuple(
+            f"{FLIGHT_PREFIX}{n}" + (f".{i + 1}" if kinds.count(n) > 1 else "")
+            for n, i in zip(kinds, numbers, strict=True)
+        )
 
     def along_flight(self, u: FloatArray) -> FloatArray:
         """(direction,) standard deviations along the flight's directions by the (unknown,) u of the error [-].

@@ -40,13 +40,12 @@ class ToldError:
 
     def as_json(self) -> dict[str, Any]:
         """Its entry in closure.json."""
-        parts = {n: None if p is None else {"value": p[0], "sigma": p[1]} for n, p in self.flight.items()}
         return {
             "relative_heating": {"value": self.relative, "limit_95": self.limit_95},
             "correlation_s": self.correlation_s,
             "rms_K": self.rms_K,
             "largest_phase": self.largest_phase,
-            "flight": parts,
+            "flight": flight_as_json(self.flight),
         }
 
     def in_words(self) -> str:
@@ -56,8 +55,18 @@ class ToldError:
             f"The model's own error is {mean} of the heating (below {limit} with a probability of 95 %), over some "
             f"{self.correlation_s:.0f} s: {self.rms_K:.1f} K, most from {self.largest_phase}."
         )
-        known = [f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in self.flight.items() if p is not None]
-        return f"{words} Of the flight: {', '.join(known)}." if known else words
+        known = flight_in_words(self.flight)
+        return f"{words} Of the flight: {known}." if known else words
+
+
+def flight_as_json(flight: Mapping[str, tuple[float, float] | None]) -> dict[str, Any]:
+    """Errors of a flight by name, as closure.json has them."""
+    return {n: None if p is None else {"value": p[0], "sigma": p[1]} for n, p in flight.items()}
+
+
+def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
+    """Those errors of a flight that the readings tell apart; empty where there are none."""
+    return ", ".join(f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in flight.items() if p is not None)
 
 
 def told_error(trial: TrialFit) -> ToldError | None:
@@ -81,13 +90,22 @@ def told_error(trial: TrialFit) -> ToldError | None:
 def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tuple[float, float] | None]:
     """Value and standard deviation of each error of the flight; None where the record does not tell it apart."""
     flight, state = error.flight, trial.known_error
-    if not isinstance(flight, SmoothFlightError) or state is None:
+    if not isinstance(flight, SmoothFlightError) or state is None or trial.problem.record_fits[0].flight_names:
         return {}
-    covariance = state.covariance[error.of_flight, error.of_flight]
+    return told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
+
+
+def told_flight(
+    flight: SmoothFlightError, f: FloatArray, covariance: FloatArray
+) -> dict[str, tuple[float, float] | None]:
+    """Value and standard deviation of each error of a flight in its unit; None where the readings do not tell it apart.
+
+    f : (direction,) in standard deviations [-];  covariance : of it [-]
+    """
     found: dict[str, tuple[float, float] | None] = {}
     for name, (row, prior) in flight.rows.items():
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
-        value = row @ error.along_flight(u)
+        value = row @ f
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
         found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
     return found

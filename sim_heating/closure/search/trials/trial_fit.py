@@ -407,7 +407,8 @@ def candidate_problem(
         priors[CLOCK_SKEW.name] = replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
     priors |= candidate.priors
     more |= {"effects": uses, "priors": priors, **THINNED_STEPS}
-    problem = FitProblem([part.record], names, base.problem.reference, FitOptions(**more))
+    plain = [n for n in names if n not in part.flight_names]
+    problem = FitProblem([part.record], plain, base.problem.reference, FitOptions(**more))
     # The noise of the base: likelihoods of candidates are compared, and noise fitted to each would absorb what one of
     # them explains.
     own = problem.record_fits[0]
@@ -417,7 +418,7 @@ def candidate_problem(
     correction = np.broadcast_to(part.correction_K, (len(part.record.sensors), len(part.sample_s)))
     own.correction_K = correction[:, np.isin(part.sample_s, own.sample_s)]
     own.model_error = part.model_error
-    return problem
+    return problem.with_flight_unknowns() if part.flight_names else problem
 
 
 def start_values(problem: FitProblem, start: Mapping[str, float]) -> FloatArray:
