@@ -20,6 +20,7 @@ from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy,
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
 from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
+from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.inference.newton import Status
@@ -104,7 +105,7 @@ class Hypothesis:
         """Whether it explains the record to its noise."""
         trial = self.last
         held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
-        return assess(trial.fitted_samples, held_out)
+        return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out))
 
     @property
     def adequate(self) -> bool:
@@ -264,7 +265,9 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     best = admissible[0] if admissible else None
     least = GAIN_OVER_ADEQUATE if none.adequate else MIN_BIC_GAIN
     if best is None or best.score > -least:
-        unexplained = none.adequacy.p_value < UNEXPLAINED and not none.adequacy.unstructured
+        enough = UNEXPLAINED if none.last.size is None else ADEQUATE
+        unexplained = none.adequacy.p_value < enough and not none.adequacy.unstructured
+        unexplained |= not _small_error(none)
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2

@@ -105,7 +105,7 @@ def search_jointly(alone: Sequence[SearchResult], *, progress: Progress = no_pro
     progress(0.5, "parameters of each record's own")
     ranked = _best_of_each(none, [*_with_own_parameters(none, ranked[:RICHER], bases), *ranked[RICHER:]])
     progress(0.75, "records without the cause")
-    explanations = [_own_explanation(*pair) for pair in zip(alone, bases, strict=True)]
+    explanations = [_own_explanation(result) for result in alone]
     without = [_without_records(none, h, bases, explanations) for h in ranked[:LEFT_OUT]]
     if without:
         best = rated(none, [*without, *ranked])[0]
@@ -235,14 +235,9 @@ def _narrowed(h: JointHypothesis, bases: Sequence[TrialFit], name: str | None) -
     return joint_model(h.model.cause, bases, h.model.members, {**h.model.levels, **narrower}) if narrower else None
 
 
-def _own_explanation(result: SearchResult, base: TrialFit) -> tuple[TrialFit, float]:
-    """The trial of what a record's own search found and its score; the declared model where it found nothing.
-
-    The declared model too where the error of its flight is common: that of its own search was not.
-    """
+def _own_explanation(result: SearchResult) -> tuple[TrialFit, float]:
+    """The trial of what a record's own search found and its score; the declared model where it found nothing."""
     best = result.conclusion.best
-    if base.problem.record_fits[0].flight_names:
-        return base, 0.0
     return (best.last, best.score) if result.explained else (result.none.last, 0.0)
 
 
@@ -254,8 +249,11 @@ def _without_records(
 ) -> JointHypothesis:
     """The hypothesis without the records that are better explained by what their own search found, one after another.
 
-    A record is left out only where the score is lower by MIN_BIC_GAIN without it.
+    A record is left out only where the score is lower by MIN_BIC_GAIN without it, and none where they have the error of
+    a flight in common: all of them inform that.
     """
+    if any(base.problem.record_fits[0].flight_names for base in bases):
+        return h
     best = h
     while best.model is not None and len(best.members) > 1:
         model, models = best.model, []

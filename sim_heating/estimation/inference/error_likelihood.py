@@ -168,7 +168,7 @@ def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float
 
 @dataclass(frozen=True, eq=False)
 class ErrorState:
-    """What is known of u after some readings: mean (unknown,) and covariance (unknown, unknown) [-]."""
+    """What is known of u after some readings: means (unknown, set) and covariance (unknown, unknown) [-]."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -186,38 +186,57 @@ def innovations(
 
     A rounded reading counts as one with the noise of its rounding. Source: docs/theory/model_error.md, equation 6.
     """
-    G, noise = record_fit.error_root_K, record_fit.reading_noise_K
-    if G is None:
+    if record_fit.error_root_K is None:
         return list(samples), None
+    (found,), known = innovations_of_several(record_fit, [samples], state)
+    return found, known
+
+
+def innovations_of_several(
+    record_fit: RecordFit, several: Sequence[Sequence[PredictedSamples]], state: ErrorState | None = None
+) -> tuple[list[list[PredictedSamples]], ErrorState]:
+    """`innovations` of several sets of readings of one record, which differ in nothing else.
+
+    several : sets of readings, each its channels;  state : from readings before, with means (unknown, set)
+    returns : by set, channels with mean and standard deviation [K]; what is then known of the error
+
+    A reading at an end of a word's span in any set informs none. Source: docs/theory/model_error.md, equation 6.
+    """
+    G, noise, samples = record_fit.error_root_K, record_fit.reading_noise_K, several[0]
+    assert G is not None  # the caller's record has an error
     mean_K = np.concatenate([s.mean_K for s in samples])
-    read = np.concatenate([_middle_K(s.channel.intervals) for s in samples])
+    read = np.array([np.concatenate([_middle_K(s.channel.intervals) for s in one]) for one in several]).T
     time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
     n = G.shape[1]
-    u, P = (np.zeros(n), np.eye(n)) if state is None else (state.mean, state.covariance)
-    predicted, variance = np.empty(len(read)), np.empty(len(read))
+    u, P = (np.zeros((n, len(several))), np.eye(n)) if state is None else (state.mean, state.covariance)
+    u = u.reshape(n, -1)
+    predicted, variance = np.empty(read.shape), np.empty(len(read))
+    is_known = np.all(np.isfinite(read), axis=1)
     order = np.argsort(time_s, kind="stable")
     for group in np.array_split(order, max(len(order) // TOGETHER, 1)):
-        known = group[np.isfinite(read[group])]
-        lost = group[~np.isfinite(read[group])]  # a reading at the end of a word's span says little
-        predicted[lost] = mean_K[lost] + G[lost] @ u
+        known, lost = group[is_known[group]], group[~is_known[group]]
+        predicted[lost] = mean_K[lost, np.newaxis] + G[lost] @ u
         variance[lost] = np.einsum("ij,jk,ik->i", G[lost], P, G[lost])
         if len(known) == 0:
             continue
         # the root of the readings' covariance, in the order of time, has what those before leave of each
         across = P @ G[known].T
         lower = np.linalg.cholesky(G[known] @ across + np.diag(noise[known] ** 2))
-        white = solve_triangular(lower, read[known] - mean_K[known] - G[known] @ u, lower=True)
         left = np.diag(lower)
-        predicted[known], variance[known] = read[known] - white * left, left**2 - noise[known] ** 2
+        white = solve_triangular(lower, read[known] - mean_K[known, np.newaxis] - G[known] @ u, lower=True)
+        predicted[known] = read[known] - white * left[:, np.newaxis]
+        variance[known] = left**2 - noise[known] ** 2
         gain = solve_triangular(lower, across.T, lower=True)
         u, P = u + gain.T @ white, P - gain.T @ gain
-    sigma = np.sqrt(np.maximum(variance, 0.0))
-    ends = np.cumsum([len(s.mean_K) for s in samples])[:-1]
-    channels = [
-        replace(s, mean_K=m, predicted_sigma_K=d)
-        for s, m, d in zip(samples, np.split(predicted, ends), np.split(sigma, ends), strict=True)
+    sigma = np.split(np.sqrt(np.maximum(variance, 0.0)), np.cumsum([len(s.mean_K) for s in samples])[:-1])
+    found = [
+        [
+            replace(s, mean_K=m, predicted_sigma_K=d)
+            for s, m, d in zip(one, np.split(means, np.cumsum([len(s.mean_K) for s in one])[:-1]), sigma, strict=True)
+        ]
+        for one, means in zip(several, predicted.T, strict=True)
     ]
-    return channels, ErrorState(u, P)
+    return found, ErrorState(u, P)
 
 
 def _middle_K(intervals: ReadingIntervals) -> FloatArray:

@@ -1,0 +1,73 @@
+"""p-value of a model with an error: its statistic among those of records that are made with it.
+
+The calibrated distribution of the statistic (adequacy.py) is that of exact models. With an error, a coarse recorder
+word or slow noise it is another one. So records are made with the model: sizes of the heating's error from what the
+readings say of it, an error, noise and rounding drawn, and judged as the record itself is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.closure.search.adequacy import Adequacy, assess
+from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.estimation.inference.error_likelihood import innovations_of_several
+from sim_heating.estimation.inference.likelihood import reading_intervals
+from sim_heating.estimation.inference.model_error import ModelError
+from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
+
+RECORDS, SEED = 199, 20261128
+"""Records that are made, and the seed of their draws."""
+
+
+def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy) -> Adequacy:
+    """The adequacy of a trial's model with its p-value from records made with it; as it is for an exact model.
+
+    adequacy : of the record itself, with its statistic
+    """
+    part, size = trial.problem.record_fits[0], trial.size
+    if part.model_error is None or size is None:
+        return adequacy
+    rng, probability = np.random.default_rng(SEED), size.posterior
+    drawn = rng.choice(probability.size, size=RECORDS, p=probability.ravel())
+    places = zip(*np.unravel_index(drawn, probability.shape), strict=True)
+    errors = [part.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in places]
+    count = part.error_responses_K[1].shape[1] + len(part.model_error.time_s)
+    u = rng.standard_normal((RECORDS, count))
+    fitted = _read(part, trial.problem.samples(trial.fit.values), errors, u, rng)
+    predicted, state = innovations_of_several(part, fitted)
+    others: list[list[PredictedSamples]] = [[] for _ in errors]
+    if trial.held_out is not None and trial.held_out_chi2 > 0.0:
+        there = trial.held_out.record_fits[0]
+        read = _read(there, trial.held_out.samples(trial.fit.values), errors, u, rng)
+        others, _ = innovations_of_several(there, read, state)
+    statistics = [assess(one, held_out).statistic for one, held_out in zip(predicted, others, strict=True)]
+    larger = sum(found >= adequacy.statistic for found in statistics)
+    return replace(adequacy, p_value=(larger + 1.0) / (RECORDS + 1.0))
+
+
+def _read(
+    part: RecordFit,
+    samples: Sequence[PredictedSamples],
+    errors: Sequence[ModelError],
+    u: FloatArray,
+    rng: np.random.Generator,
+) -> list[list[PredictedSamples]]:
+    """By error, channels with readings made with it, with noise and as the recorder rounds them.
+
+    u : (error, unknown) in standard deviations [-]
+    """
+    S, F = part.error_responses_K
+    ends, several = np.cumsum([len(s.mean_K) for s in samples])[:-1], []
+    for error, own in zip(errors, u, strict=True):
+        moved = np.split(S @ error.heating(own) + F @ own[len(error.time_s) :], ends)
+        made = []
+        for s, d in zip(samples, moved, strict=True):
+            read = s.mean_K + d + s.sigma_K * rng.standard_normal(len(s.mean_K))
+            made.append(replace(s, channel=replace(s.channel, intervals=reading_intervals(s.channel.sensor, read))))
+        several.append(made)
+    return several
