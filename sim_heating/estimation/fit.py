@@ -506,10 +506,10 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
 
     fit = fit_from(first)
     for _ in range(NOISE_ROUNDS if unknown_noise else 0):
-        if fit.status is not Status.CONVERGED or problem.update_noise(fit.values) < NOISE_CHANGE:
+        if not fit.converged or problem.update_noise(fit.values) < NOISE_CHANGE:
             break
         fit = fit_from(fit.values)
-    if fit.status in (Status.CONVERGED, Status.ITERATIONS):
+    if fit.converged or fit.status is Status.ITERATIONS:
         # only now: the error of a mesh depends on the parameters, and costs several marches
         problem.correct_meshes(fit.values)
         fit = fit_from(fit.values)
