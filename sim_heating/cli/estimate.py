@@ -302,7 +302,7 @@ def _estimate_trend(
 
 def _print_errors(found: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
-    from sim_heating.estimation.report.remarks import floor_in_words
+    from sim_heating.estimation.report.remarks import floor_in_words, samples_in_words
 
     declared, innovations = (found.model_extra or {}).get("predicted") or {}, found.innovations
     march = "" if innovations is None else ", plain march without readings"
@@ -319,6 +319,8 @@ def _print_errors(found: Any) -> None:
         )
     if floor := floor_in_words(found):
         CONSOLE.print(f"Noise floor: {floor}")
+    if samples := samples_in_words((found.model_extra or {}).get("samples", {})):
+        CONSOLE.print(f"Samples: {samples}")
 
 
 @click.command()

@@ -333,7 +333,7 @@ class Innovations:
         for c, m, s, v in split:
             sigma = self.levels.sigma_K.get((k, c.number), part.sigma_K[c.number])
             # the filter's variance includes the sensor's own noise; rounding may take the difference below 0
-            known = np.sqrt(np.maximum(v - sigma**2, 0.0))
+            known = np.sqrt(np.maximum(v - c.noise_K(sigma) ** 2, 0.0))
             time_s = part.sample_s[c.samples]
             found.append(PredictedSamples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
         return found

@@ -16,7 +16,7 @@ from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, ratio_limits
 from sim_heating.estimation.report.ratio_plot import derivatives_about
-from sim_heating.estimation.report.remarks import floor_in_words, further_warnings
+from sim_heating.estimation.report.remarks import floor_in_words, further_warnings, samples_in_words
 from sim_heating.estimation.trend import Trend
 from sim_heating.simulation.report.charts import flown_panels
 
@@ -106,6 +106,8 @@ def _errors_section(found: Estimate) -> Section:
         Column("samples", format=".0f"),
     ]  # fmt: skip
     caption = "Errors of the plain march, with no measurement assimilated; held-out samples entered no fit."
+    samples = samples_in_words((found.model_extra or {}).get("samples", {}))
+    caption += f" {samples[0].upper()}{samples[1:]}." if samples else ""
     return Section("Errors", tables=[Table(caption, columns, rows)])
 
 

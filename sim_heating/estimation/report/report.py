@@ -79,6 +79,8 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "predicted": None
             if any(r.lacks_ratio for r in records)
             else {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "samples": sample_counts(fitted),
+            "outliers": [outlier.as_json() for outlier in fitted.outliers],
             "innovations": _innovations(fitted),
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
@@ -168,6 +170,19 @@ def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | N
         residuals.append(p.residual_K[used][:, mask].ravel())
     found = pooled_rmse_K(np.concatenate(residuals))
     return None if found is None else FitErrors.model_validate(found)
+
+
+def sample_counts(fitted: FitResult) -> dict[str, Any]:
+    """Numbers of readings that were fitted, that are held out, and that were left out by the reason."""
+    left_out: dict[str, int] = {}
+    for record_fit in fitted.problem.record_fits:
+        for reason, count in record_fit.left_out.items():
+            left_out[reason] = left_out.get(reason, 0) + count
+    if fitted.outliers:
+        left_out["outliers"] = len(fitted.outliers)
+    held_out = _errors(fitted.after, "holdout")
+    count = sum(len(c.samples) for record_fit in fitted.problem.record_fits for c in record_fit.channels)
+    return {"fit": count, "holdout": 0 if held_out is None else held_out.n, "left_out": left_out}
 
 
 def _innovations(fitted: FitResult) -> dict[str, float] | None:
