@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_records import (
@@ -55,6 +56,7 @@ from sim_heating.estimation.inference.observability import (
     without_stuck_sensors,
 )
 from sim_heating.estimation.inference.outliers import Outlier, outlier_lines, without_outliers
+from sim_heating.estimation.inference.profile import Profile, profile
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
 from sim_heating.estimation.record_fit import (
     PredictedSamples,
@@ -101,6 +103,7 @@ class FitResult:
     warnings      : one line each
     innovations   : of the filter, in a fit with process noise
     outliers      : isolated readings that were left out
+    profiles      : of the parameters that one was asked for, by their labels
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 26.
     """
@@ -114,6 +117,7 @@ class FitResult:
     warnings: tuple[str, ...]
     innovations: Innovations | None = None
     outliers: tuple[Outlier, ...] = ()
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         values = zip(self.labels, self.fit.values, self.bounds.sigma, strict=True)
@@ -192,6 +196,21 @@ class FitResult:
         """
         return correlation(self.bounds.covariance)
 
+    def profile(self, name: str) -> Profile:
+        """95 % interval of an estimated parameter by the profile of the likelihood, in its unit, the others refitted.
+
+        name   : its label
+        raises : InputError for a parameter that is not estimated, and for a fit with process noise
+
+        For an onset, a width or a parameter near its bound, whose likelihood is no parabola, this is the interval;
+        sigma is not. Source: docs/theory/estimation_statistics.md, equation 26a.
+        """
+        check_profiles([name], self.labels, self.innovations)
+        at = self.labels.index(name)
+        corrected, white = self.bounds.covariance[at, at], self.bounds.white[at, at]
+        known = np.isfinite(corrected) and np.isfinite(white) and corrected > 0.0 and white > 0.0
+        return profile(self.problem, self.fit, name, float(corrected / white) if known else 1.0)
+
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
 
@@ -215,6 +234,7 @@ def estimate(
     starts: Sequence[Start | StartMaker | None] | None = None,
     settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
+    profiles: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> FitResult:
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
@@ -232,6 +252,7 @@ def estimate(
     starts    : by record, where its march begins: a record_fit.Start, or what makes one (starts.STARTS)
     settings  : values that the iteration begins with, when it stops, and how far it may step
     process_noise : given or to be estimated; None for an output-error fit
+    profiles  : names of estimated parameters whose 95 % interval is sought by the profile (FitResult.profile)
     progress  : called with the fraction done and a line of text
     returns   : values, bounds, predictions [K] before and after, warnings
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
@@ -284,7 +305,24 @@ def estimate(
         problem, fit = _with_noisy_conditions(problem, fit, settings)
     elif fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
-    return replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
+    wanted_profiles = problem.owners.labels(profiles)
+    check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
+    found = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
+    return replace(found, profiles={name: found.profile(name) for name in wanted_profiles}) if profiles else found
+
+
+def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Innovations | None) -> None:
+    """Check that profiles are of parameters that are estimated, without process noise.
+
+    names  : of which a profile is asked for;  labels : of the estimated parameters
+    raises : InputError naming the first that is not
+    """
+    if names and innovations is not None:
+        raise InputError(f"profile of {names[0]}: is of a fit without process noise; leave one of the two out")
+    for name in names:
+        if name not in labels:
+            hint = suggestion(name, labels, otherwise=f"; estimated are {', '.join(labels)}")
+            raise InputError(f"profile of `{name}`: is not estimated{hint}")
 
 
 def fit_problem(
@@ -702,6 +740,8 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     Source: docs/theory/estimation_statistics.md, equations 19 and 29.
     """
     lines = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    if fit.status is Status.KINK:
+        lines = [f"{lines[0]}, and a sigma is of one side of it; `--profile NAME` gives the interval of a parameter"]
     lines += problem.mesh_warnings
     for u, value, bounded in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
         if bounded:
