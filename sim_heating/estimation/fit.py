@@ -82,6 +82,7 @@ if TYPE_CHECKING:
 
 DEFAULT = "default"
 """Stands for the default parameters among the names of parameters."""
+WITHOUT_NOISE = "profile of `{}`: is of a fit without process noise; leave one of the two out"
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
@@ -268,6 +269,8 @@ def estimate(
     <FitResult of p06: ratio.scale=0.0563... +- 0.003, ratio.d_alpha=9.35...e-05 +- 7e-05; converged>
     >>> value, sigma = fit.parameters["ratio.scale"]
     """
+    if profiles and process_noise is not None:
+        raise InputError(WITHOUT_NOISE.format(profiles[0]))
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded = load_records(given)
     check_joint_records(loaded)
@@ -318,7 +321,7 @@ def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Inn
     raises : InputError naming the first that is not
     """
     if names and innovations is not None:
-        raise InputError(f"profile of {names[0]}: is of a fit without process noise; leave one of the two out")
+        raise InputError(WITHOUT_NOISE.format(names[0]))
     for name in names:
         if name not in labels:
             hint = suggestion(name, labels, otherwise=f"; estimated are {', '.join(labels)}")

@@ -18,7 +18,7 @@ step s is information across the kink,
 
     K = y y' / (y' s),   y = g(p) - g(p + s) - (M + P + K_before) s,
 
-that joins M + P for the next steps: they follow the kink. Converged where such a step is a small part of each sigma.
+that joins M + P for the next steps: they follow the kink. Converged where such a step is a small part of each sigma, or where no step helps and the whole one is that small.
 Derived in docs/theory/estimation_statistics.md, equations 13 to 17a.
 """
 
@@ -57,6 +57,9 @@ step is tried together with its fractions.
 """
 RECENT = 3
 """Steps whose largest gain is what each step left may gain, in `needed_log_likelihood`."""
+SETTLED_STEP = 0.02
+"""Step over the sigma of each parameter [-] at which a search in which no step helps has converged, on a kink or many
+small ones."""
 SHORTENINGS = 2
 """Times that a step which does not help is shortened to its smallest fraction, in search of a kink."""
 MOST_CLOSER, NEAREST = 16, 0.02
@@ -405,6 +408,8 @@ class _NewtonSearch:
                 accepted = self.at is not begin
                 if at_kink and not accepted:
                     continue
+                if not accepted and self.is_settled():
+                    return Status.CONVERGED if self.is_within_rounding() else Status.KINK
             self.trust = min(self.trust / SHORTER, 1.0) if whole else SHORTER * self.trust
             self.watched = WATCHED if whole else 0
             while not accepted and self.damping < LARGEST_DAMPING:
@@ -481,6 +486,12 @@ class _NewtonSearch:
         small = np.abs(step) <= self.settings.min_step * np.where(self.on_bound, np.inf, sigma)
         # at a kink the gradient does not vanish: what a step across it promises says nothing
         return (improvement < self.settings.min_improvement or bool(np.any(self.kink))) and bool(np.all(small))
+
+    def is_settled(self) -> bool:
+        """Whether the undamped step, which does not help, is so small a part of each sigma that nothing is gained."""
+        sigma = np.sqrt(np.diag(self.covariance()))
+        step = np.abs(self.step(0.0, 1.0))
+        return bool(np.all(step <= SETTLED_STEP * np.where(self.on_bound, np.inf, sigma)))
 
     def meets_kink(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Whether the gradient turns about within the smallest fraction of a step that does not help.

@@ -137,7 +137,8 @@ class _Walk:
         known = math.isfinite(variance) and variance > 0.0
         span = self.parameter.upper - self.parameter.lower
         size = abs(self.parameter.value) or 1.0
-        self.step = FIRST_STEP * math.sqrt(variance) if known else SPAN_SHARE * (span if math.isfinite(span) else size)
+        wide = math.sqrt(variance * limit / LIMIT) if known else 0.0
+        self.step = FIRST_STEP * wide if known else SPAN_SHARE * (span if math.isfinite(span) else size)
         # along the ridge of a parabola the others move with the parameter
         self.ridge = fit.covariance[:, at] / variance if known else np.zeros_like(fit.values)
         self.ridge = np.where(np.isfinite(self.ridge), self.ridge, 0.0)
