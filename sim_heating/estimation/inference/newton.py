@@ -18,7 +18,8 @@ step s is information across the kink,
 
     K = y y' / (y' s),   y = g(p) - g(p + s) - (M + P + K_before) s,
 
-that joins M + P for the next steps: they follow the kink. Converged where such a step is a small part of each sigma, or where no step helps and the whole one is that small.
+that joins M + P for the next steps: they follow the kink.
+Converged where such a step is a small part of each sigma, or where no step helps and the whole one is that small.
 Derived in docs/theory/estimation_statistics.md, equations 13 to 17a.
 """
 
