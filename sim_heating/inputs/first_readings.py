@@ -16,6 +16,8 @@ from sim_heating.thermal.stack import Sensor
 
 TOLERANCE_K = 50.0
 """Difference of a first reading from the declared start that is told [K]."""
+LATER_S = 50.0
+"""Time after the first reading at which a start in depth is proposed [s]: the readings until then tell of it."""
 FASTEST_K_S = 30.0
 """Rate [K/s] at which a wall may have changed between the first row of the conditions and the first reading."""
 
@@ -46,8 +48,8 @@ class OtherStart:
         return (
             f"{self.record} begins {'hot' if self.is_hot else 'cold'}: sensor {self.sensor} first reads "
             f"{self.reading_K:.0f} K, at {self.time_s:g} s, and the declared start is {self.declared_K:.0f} K; "
-            "`estimate --start lost:T` fits the temperatures in depth at a time T of the record, or declare "
-            "`initial_profile` in [stack]"
+            f"`estimate --start lost:{self.time_s + LATER_S:.0f}` fits the temperatures in depth at a later time, or "
+            "declare `initial_profile` in [stack]"
         )
 
 

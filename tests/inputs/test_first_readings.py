@@ -32,7 +32,7 @@ def test_a_record_of_the_later_flight_begins_hot() -> None:
     assert found.time_s == pytest.approx(650.0, abs=1.0)
     assert found.reading_K > 800.0
     assert found.declared_K == pytest.approx(record.declared.stack.initial_K)
-    assert "--start lost:T" in found.in_words
+    assert "--start lost:700" in found.in_words
 
 
 def test_a_declared_profile_is_compared_where_the_sensor_is() -> None:
