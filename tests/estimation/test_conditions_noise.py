@@ -64,6 +64,7 @@ def test_a_generated_flight_has_only_the_noise_that_it_states() -> None:
     assert conditions_noise(stating(record, noise=stated)) == stated
 
 
+@pytest.mark.thorough
 def test_stated_noise_explains_what_noise_of_the_sensors_does_not() -> None:
     without, stated = fits()
     before, after = (rms_normalised_residual(f.samples()) for f in (without, stated))
@@ -73,6 +74,7 @@ def test_stated_noise_explains_what_noise_of_the_sensors_does_not() -> None:
     assert stated.fit.converged
 
 
+@pytest.mark.thorough
 def test_bounds_with_stated_noise_are_wider_than_those_of_readings_alone() -> None:
     without, stated = fits()
     white = np.sqrt(np.diag(stated.bounds.white))

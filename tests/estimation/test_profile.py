@@ -48,6 +48,7 @@ def test_an_interval_that_reaches_a_bound_ends_there_and_is_open() -> None:
     assert found.as_json()["lower_open"] is True
 
 
+@pytest.mark.thorough
 def test_an_onset_that_was_flown_has_an_interval_that_holds_it() -> None:
     record, _ = record_with([use("impingement-onset", {"alpha_onset_deg": 41.0, "slope": 0.002})], 5)
     fit = estimate(record, [SCALE, ONSET, SLOPE], profiles=[ONSET])

@@ -47,12 +47,15 @@ class HeatingNoise:
 
     @cached_property
     def share_s(self) -> FloatArray:
-        """(row,) part of the time that each row stands for [s]."""
+        """(row,) part of the time that each row stands for [s]: d of docs/theory/model_error.md, equation 10."""
         edges = np.concatenate([self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]), self.time_s[-1:]])
         return np.diff(edges)
 
     def knots_s(self, first_s: float, last_s: float) -> FloatArray:
-        """(knot,) times between which it is linear [s], as far apart as the rows are, or farther."""
+        """(knot,) times between which it is linear [s], as far apart as the rows are, or farther.
+
+        Knots of docs/theory/model_error.md, equation 10.
+        """
         row_s = float(np.median(np.diff(self.time_s)))
         count = min(max(math.ceil((last_s - first_s) / row_s) + 1, 2), MOST_KNOTS)
         return np.linspace(first_s, last_s, count)

@@ -77,7 +77,7 @@ class Outlier:
 def without_outliers(record: Record) -> tuple[Record, list[Outlier]]:
     """The record with isolated outliers of its used sensors as lost samples, and these.
 
-    Criterion: the head of this module.
+    Source: docs/theory/estimation_statistics.md, equation 21a.
     """
     found: list[Outlier] = []
     columns: dict[str, FloatArray] = {}
@@ -126,7 +126,7 @@ def isolated(time_s: FloatArray, reading_K: FloatArray, sensor: Sensor) -> tuple
     sensor            : with its noise and word
     returns           : (sample,) mask, and (sample,) expected readings [K], NaN where they are not known
 
-    Criterion: the head of this module.
+    Source: docs/theory/estimation_statistics.md, equation 21a.
     """
     away, expected_K = np.zeros(len(reading_K), dtype=bool), np.full(len(reading_K), np.nan)
     at = np.flatnonzero(np.isfinite(reading_K))
