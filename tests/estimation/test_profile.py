@@ -33,7 +33,7 @@ def test_the_interval_of_a_parabola_is_that_of_sigma() -> None:
     np.testing.assert_allclose([found.lower, found.upper], [value - 1.96 * sigma, value + 1.96 * sigma], rtol=0.05)
     assert found.gain == pytest.approx(0.0, abs=1e-3)
     near = np.abs(found.values - value) < 3.0 * sigma
-    parabola = found.limit / 3.841 * ((found.values[near] - value) / sigma) ** 2
+    parabola = ((found.values[near] - value) / sigma) ** 2
     np.testing.assert_allclose(found.deviance[near], parabola, atol=0.3)
 
 

@@ -1,10 +1,12 @@
 """Interval of one parameter by the profile of the likelihood: where the others, refitted, leave it improbable.
 
-    D(x) = 2 [max log p - max over the others of log p(x, others)],     D = 3.84 c at both ends of the 95 % interval,
+    l(x) = log L / c + log prior at the values of the others that maximise log L + log prior,
+    D(x) = 2 [max l - l(x)],     D = 3.84 at both ends of the 95 % interval,
 
 3.84 the 95 % point of chi-square with one degree of freedom (S. S. Wilks, Ann. Math. Stat. 9 (1938) 60). c is the
-variance of the estimate corrected for coloured residuals over that without the correction (R. E. Chandler and S. Bate,
-"Inference for clustered data using the independence loglikelihood", Biometrika 94 (2007) 167).
+variance of the estimate corrected for coloured residuals over that without the correction, by which a likelihood that
+takes them as white is too steep (R. E. Chandler and S. Bate, "Inference for clustered data using the independence
+loglikelihood", Biometrika 94 (2007) 167).
 
 Sigma assumes that the likelihood is a parabola. At a kink, on a bound, and for an onset or a width that the flight
 hardly tells, it is none: the profile is what it is. Where D stays below the limit up to a bound, the interval ends
@@ -50,7 +52,7 @@ class Profile:
     lower, upper : ends of the 95 % interval; infinite where nothing limits it
     lower_open, upper_open : whether an end is a bound, or infinite, which the record does not exclude
     values      : (point,) ascending;  deviance : (point,) D there [-]
-    limit       : D at the ends [-]
+    colour      : c [-]
     gain        : log posterior above that of the fit [-], where the profile found a likelier value
     """
 
@@ -63,7 +65,7 @@ class Profile:
     upper_open: bool
     values: FloatArray
     deviance: FloatArray
-    limit: float
+    colour: float
     gain: float = 0.0
 
     def in_words(self) -> str:
@@ -84,7 +86,8 @@ class Profile:
             "lower_open": self.lower_open,
             "upper_open": self.upper_open,
             "unit": self.unit,
-            "limit": self.limit,
+            "limit": LIMIT,
+            "colour": self.colour,
             "values": self.values.tolist(),
             "deviance": self.deviance.tolist(),
         }
@@ -109,55 +112,66 @@ def profile(
 
     Each refit begins with the values of its neighbour. Source: docs/theory/estimation_statistics.md, equation 26a.
     """
-    walk = _Walk(problem, fit, fit.names.index(name), LIMIT * colour, settings)
+    walk = _Walk(problem, fit, fit.names.index(name), colour, settings)
     ends = [walk.end(side) for side in (-1.0, 1.0)]
-    values, log_posterior = walk.points()
+    values = np.array(sorted(walk.refits))
+    log_posterior = np.array([walk.refits[v].log_posterior for v in values])
     best = int(np.argmax(log_posterior))
-    deviance = 2.0 * (log_posterior[best] - log_posterior)
     (lower, lower_open), (upper, upper_open) = ends
     return Profile(
-        name, walk.parameter.unit, float(values[best]), lower, upper, lower_open, upper_open, values, deviance,
-        walk.limit, float(log_posterior[best] - fit.log_posterior),
+        name, walk.parameter.unit, float(values[best]), lower, upper, lower_open, upper_open, values,
+        np.array([walk.deviance(v) for v in values]), colour, float(log_posterior[best] - fit.log_posterior),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    """All (parameter,) values where one is held and the others are refitted, log posterior and log prior there [-]."""
+
+    values: FloatArray
+    log_posterior: float
+    log_prior: float
 
 
 class _Walk:
     """Refits along one parameter, outward from the values of a fit."""
 
     def __init__(
-        self, problem: FitProblem, fit: Fit, at: int, limit: float, settings: NewtonSettings | None
+        self, problem: FitProblem, fit: Fit, at: int, colour: float, settings: NewtonSettings | None
     ) -> None:
-        self.problem, self.at, self.limit, self.settings = problem, at, limit, settings
-        parameters: Sequence[Parameter] = problem.parameters
-        self.parameter = parameters[at]
-        self.others = [p for k, p in enumerate(parameters) if k != at]
-        self.begin, self.begin_log = fit.values, fit.log_posterior
-        self.found: dict[float, tuple[float, FloatArray]] = {float(fit.values[at]): (fit.log_posterior, fit.values)}
+        self.problem, self.at, self.colour, self.settings = problem, at, colour, settings
+        self.parameters: Sequence[Parameter] = problem.parameters
+        self.parameter = self.parameters[at]
+        self.others = [p for k, p in enumerate(self.parameters) if k != at]
+        self.begin = fit.values
+        self.refits = {float(fit.values[at]): self._told(fit.values, fit.log_posterior)}
         variance = float(fit.covariance[at, at])
         known = math.isfinite(variance) and variance > 0.0
         span = self.parameter.upper - self.parameter.lower
         size = abs(self.parameter.value) or 1.0
-        wide = math.sqrt(variance * limit / LIMIT) if known else 0.0
+        wide = math.sqrt(variance * colour) if known else 0.0
         self.step = FIRST_STEP * wide if known else SPAN_SHARE * (span if math.isfinite(span) else size)
         # along the ridge of a parabola the others move with the parameter
         self.ridge = fit.covariance[:, at] / variance if known else np.zeros_like(fit.values)
         self.ridge = np.where(np.isfinite(self.ridge), self.ridge, 0.0)
 
-    def points(self) -> tuple[FloatArray, FloatArray]:
-        """(point,) values, ascending, and log posteriors."""
-        values = np.array(sorted(self.found))
-        return values, np.array([self.found[v][0] for v in values])
+    def _told(self, values: FloatArray, log_posterior: float) -> _Refit:
+        prior = sum(-0.5 * ((v - p.value) / p.sigma) ** 2 for v, p in zip(values, self.parameters, strict=True))
+        return _Refit(values, log_posterior if math.isfinite(log_posterior) else -math.inf, float(prior))
+
+    def _weighed(self, refit: _Refit) -> float:
+        return (refit.log_posterior - refit.log_prior) / self.colour + refit.log_prior
 
     def deviance(self, value: float) -> float:
         """D at a value, whose refit is made where it is not known yet."""
-        if value not in self.found:
-            self.found[value] = self._refit(value)
-        best = max(log for log, _ in self.found.values())
-        return 2.0 * (best - self.found[value][0])
+        if value not in self.refits:
+            self.refits[value] = self._refit(value)
+        best = max(self._weighed(refit) for refit in self.refits.values())
+        return 2.0 * (best - self._weighed(self.refits[value]))
 
-    def _refit(self, value: float) -> tuple[float, FloatArray]:
-        near = min(self.found, key=lambda v: abs(v - value))
-        start = self.found[near][1] + self.ridge * (value - near)
+    def _refit(self, value: float) -> _Refit:
+        near = min(self.refits, key=lambda v: abs(v - value))
+        start = self.refits[near].values + self.ridge * (value - near)
         k = self.at
 
         def whole(rest: FloatArray) -> FloatArray:
@@ -165,7 +179,8 @@ class _Walk:
 
         own = -0.5 * ((value - self.parameter.value) / self.parameter.sigma) ** 2
         if not self.others:
-            return float(self.problem.log_likelihoods(np.array([[value]]))[0]) + own, np.array([value])
+            alone = np.array([value])
+            return self._told(alone, float(self.problem.log_likelihoods(alone[np.newaxis])[0]) + own)
 
         def evaluate(rest: FloatArray) -> Evaluation:
             found = self.problem.evaluate(whole(rest))
@@ -177,11 +192,9 @@ class _Walk:
 
         fits = [maximise(evaluate, self.others, np.delete(start, k), log_likelihoods, self.settings)]
         if not math.isfinite(fits[0].log_posterior):  # the ridge led out of what can be marched
-            first = np.delete(self.found[near][1], k)
+            first = np.delete(self.refits[near].values, k)
             fits.append(maximise(evaluate, self.others, first, log_likelihoods, self.settings))
-        fit = fits[-1]
-        log = fit.log_posterior + own
-        return (log if math.isfinite(log) else -math.inf), whole(fit.values)
+        return self._told(whole(fits[-1].values), fits[-1].log_posterior + own)
 
     def end(self, side: float) -> tuple[float, bool]:
         """An end of the interval, and whether it is a bound, or infinite, that the record does not exclude.
@@ -196,7 +209,7 @@ class _Walk:
             outer = inner + side * step
             outer = max(outer, bound) if side < 0.0 else min(outer, bound)
             found = self.deviance(outer)
-            if found > self.limit:
+            if found > LIMIT:
                 return self._between(inner, outer), False
             step *= GROWTH if found - before < FLAT else 1.0
             inner, before = outer, found
@@ -211,11 +224,11 @@ class _Walk:
             if not math.isfinite(roots[1]) or k % 3 == 2:
                 middle = 0.5 * (inner + outer)
             else:
-                middle = inner + (math.sqrt(self.limit) - roots[0]) / (roots[1] - roots[0]) * (outer - inner)
+                middle = inner + (math.sqrt(LIMIT) - roots[0]) / (roots[1] - roots[0]) * (outer - inner)
             if middle in (inner, outer):
                 return middle
             found = self.deviance(middle)
-            if abs(found - self.limit) < CLOSE * self.limit:
+            if abs(found - LIMIT) < CLOSE * LIMIT:
                 return middle
-            inner, outer = (middle, outer) if found < self.limit else (inner, middle)
+            inner, outer = (middle, outer) if found < LIMIT else (inner, middle)
         return 0.5 * (inner + outer)

@@ -63,13 +63,11 @@ def draw_profiles(path: Path, profiles: Sequence[Profile], sigmas: Mapping[str, 
         a.axvspan(*ends, color="0.9", linewidth=0, label="95 % interval")
         a.plot(p.values, p.deviance, "o-", color=AFTER, markersize=3.5, linewidth=1.2, label="profile")
         sigma = sigmas.get(p.name, 0.0)
-        top = 2.0 * p.limit
         if np.isfinite(sigma) and sigma > 0.0:
             x = np.linspace(p.values[0], p.values[-1], 200)
-            parabola = p.limit / LIMIT * ((x - p.value) / sigma) ** 2
-            a.plot(x, parabola, "--", color=BEFORE, linewidth=1.0, label="by sigma")
-        a.axhline(p.limit, color="0.3", linewidth=0.8)
-        a.set_ylim(0.0, top)
+            a.plot(x, ((x - p.value) / sigma) ** 2, "--", color=BEFORE, linewidth=1.0, label="by sigma")
+        a.axhline(LIMIT, color="0.3", linewidth=0.8)
+        a.set_ylim(0.0, 2.0 * LIMIT)
         a.set_xlabel(p.name if p.unit == "1" else f"{p.name}, {p.unit}")
         a.set_ylabel("2 x fall of log likelihood")
         legend_above(a)
