@@ -7,7 +7,7 @@ with the prior of its own table, transition and heating, and no reading of its o
     variance = J P J' + F C F' + S L L' S' + noise,
 
 J, P of the parameters of the point with their priors, F, C of the flight with what the three say of it, S L of the
-heating's error (docs/theory/model_error.md, equations 1 and 9).
+heating's error (docs/theory/model_error.md, equations 1 and 11).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Properties of the method: orders of convergence, conservation of energy, sensitivities."""
+"""Properties of the method: orders of convergence, conservation of energy, sensitivities, a search at a kink."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from benchmarks.verification import exact
 from benchmarks.verification.conduction import CARSLAW, A
 from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import even_mesh, flight, material, wall
+from sim_heating.base.parameters import Parameter
+from sim_heating.estimation.inference.conditions_noise import HeatingNoise
+from sim_heating.estimation.inference.newton import Evaluation, maximise
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.march.ensemble import Ensemble, condition_history
@@ -87,6 +90,35 @@ def sensitivities() -> list[Row]:
     return rows
 
 
+def kinks() -> list[Row]:
+    """A maximum on a ridge that is not smooth: two readings of (1, 2), less 50 times the excess of x + y over 2.3."""
+
+    def evaluate(p: np.ndarray) -> Evaluation:
+        left, beyond = p - np.array([1.0, 2.0]), float(p.sum()) - 2.3
+        L = -0.5 * float(left @ left) - 50.0 * max(beyond, 0.0)
+        return Evaluation(L, -left - 50.0 * np.ones(2) * (beyond > 0.0), np.eye(2))
+
+    parameters = [Parameter(name, "1", 0.0, math.inf) for name in ("x", "y")]
+    fit = maximise(evaluate, parameters, [4.0, -1.0])
+    name, is_ = "maximum at a kink of the likelihood", "0.001 of a sigma across it, two of them"
+    source = "nearest point of the ridge"
+    rows = [
+        Row(f"{name}: {p}", expected, float(got), 2e-3, "-", source, is_)
+        for p, expected, got in zip(("x", "y"), (0.65, 1.65), fit.values, strict=True)
+    ]
+    return [*rows, Row(f"{name}: converged (1)", 1.0, float(fit.converged), 0.0, "-", "yes", "yes or no")]
+
+
+def noise_of_conditions() -> list[Row]:
+    """White noise of 200 rows, 2 s apart, at knots 10 s apart: the same spectrum at low frequencies."""
+    t = np.arange(0.0, 400.0, 2.0)
+    noise = HeatingNoise(t, np.full(len(t), 0.03))
+    knots = np.arange(0.0, 400.0, 10.0)
+    got = float(np.median(noise.at_knots(knots)))
+    name = "white noise of 0.03 in rows 2 s apart, at knots 10 s apart: standard deviation"
+    return [Row(name, 0.03 * math.sqrt(2.0 / 10.0), got, 1e-6, "-", "n sqrt(d / h)", "rounding")]
+
+
 def rows() -> list[Row]:
     """All of this subject."""
-    return [*orders(), *energy(), *sensitivities()]
+    return [*orders(), *energy(), *sensitivities(), *kinks(), *noise_of_conditions()]

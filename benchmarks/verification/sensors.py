@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import material, wall
 from sim_heating.base.conditions import Conditions
+from sim_heating.estimation.inference.outliers import isolated
 from sim_heating.inputs.sensor_model import indicated_temperature, measure, quantise
 from sim_heating.march.history import march_points
 from sim_heating.march.point import PointModel
@@ -51,7 +52,28 @@ def recorder() -> list[Row]:
             3.0 / math.sqrt(2.0 * n), "noise of 1.5 K and 8 bits: scatter of readings", expected, got, "K", source, is_
         )
     )
+    growing = sensor(noise_sigma_K=1.0, noise_per_K=0.003)
+    got = float(np.std(measure(growing, steady, np.random.default_rng(2)) - steady))
+    expected = math.sqrt(1.0 + float(np.mean((0.003 * steady) ** 2)))
+    name = "noise of 1 K and 0.003 of the temperature, 900 to 1000 K: scatter of readings"
+    rows.append(within(3.0 / math.sqrt(2.0 * n), name, expected, got, "K", "sqrt(sigma^2 + (kappa T)^2)", is_))
     return rows
+
+
+def outliers() -> list[Row]:
+    """Spikes among the readings of a wall that warms and cools, with noise of 1 K."""
+    t = np.arange(0.0, 1000.0)
+    read = 300.0 + 900.0 * np.sin(np.pi * t / 1000.0) + np.random.default_rng(4).normal(0.0, 1.0, len(t))
+    spikes, pair = np.arange(50, 950, 45), np.array([200, 201])
+    read[spikes] += 30.0 * np.where(np.arange(len(spikes)) % 2 == 0, 1.0, -1.0)
+    read[pair] += 30.0
+    away, _ = isolated(t, read, sensor(noise_sigma_K=1.0))
+    name, is_ = "1000 readings, noise 1 K, 20 spikes of 30 K and 2 in a row", "a count"
+    others = float(np.sum(away) - np.sum(away[spikes]))
+    return [
+        Row(f"{name}: spikes that are left out", len(spikes), float(np.sum(away[spikes])), 0.0, "-", "as put in", is_),
+        Row(f"{name}: others that are left out", 0.0, others, 0.0, "-", "none", is_),
+    ]
 
 
 def lag() -> list[Row]:
@@ -69,4 +91,4 @@ def lag() -> list[Row]:
 
 def rows() -> list[Row]:
     """All of this subject."""
-    return [*recorder(), *lag()]
+    return [*recorder(), *outliers(), *lag()]

@@ -80,6 +80,18 @@ def estimates() -> list[Row]:
     return rows
 
 
+def profiles() -> list[Row]:
+    """The profile of a likelihood that is a parabola: 1.96 sigmas on either side."""
+    fit = estimate(load_record(RECORD), profiles=["ratio.scale"])
+    value, sigma = fit.parameters["ratio.scale"]
+    found = fit.profiles["ratio.scale"]
+    name, source, is_ = "95 % interval of ratio.scale by the profile", "value, 1.96 sigma", "0.1 sigma"
+    return [
+        Row(f"{name}: {end}", value + side * 1.96 * sigma, got, 0.1 * sigma, "-", source, is_)
+        for end, side, got in (("lower", -1.0, found.lower), ("upper", 1.0, found.upper))
+    ]
+
+
 def rows() -> list[Row]:
     """All of this subject."""
-    return [*entry(), *estimates()]
+    return [*entry(), *estimates(), *profiles()]

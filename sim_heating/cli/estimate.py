@@ -187,6 +187,13 @@ def _level(text: str, hint: str) -> float:
 @click.option(
     "--segments", type=float, metavar="LENGTH_S", help="fit consecutive segments of this length [s] (one record)"
 )
+@click.option(
+    "--profile",
+    "profiles",
+    multiple=True,
+    metavar="NAME",
+    help="95 % interval of an estimated parameter by the profile of the likelihood, with a picture; may be repeated",
+)
 @parameter_options
 @ROOT
 def estimate(
@@ -204,6 +211,7 @@ def estimate(
     node_noise: str | None,
     ratio_noise: str | None,
     segments: float | None,
+    profiles: tuple[str, ...],
     root: Path | None,
 ) -> None:
     """Estimate heating and thermal parameters from the thermocouples of flight records, jointly, with bounds."""
@@ -220,6 +228,8 @@ def estimate(
             raise InputError(
                 "--segments: segments are fitted without process noise; leave out --process-noise and --ratio-noise"
             )
+        if profiles:
+            raise InputError("--segments: a profile is of one fit; leave out --profile")
         _estimate_trend(records, out, stated, segments, root)
         return
     from sim_heating.estimation.fit import estimate as fit_records
@@ -228,12 +238,15 @@ def estimate(
     from sim_heating.inputs.record import load_records
 
     loaded, starts = _with_segments(load_records(records, root=root), stated)
-    files = output_files(loaded, filtered=noise is not None)
+    if profiles and noise is not None:
+        raise InputError("--profile: is of a fit without process noise; leave out --process-noise and --ratio-noise")
+    files = output_files(loaded, filtered=noise is not None, profiles=bool(profiles))
     require_writable(out, "estimate", expected=files, inputs=[record.directory for record in loaded])
     with progress_line("estimate") as progress:
         fitted = fit_records(
             loaded, stated.parameters, reference=stated.reference_condition, fixed=stated.fix, priors=stated.priors,
-            bounds=stated.bounds, ties=stated.tie, starts=starts, process_noise=noise, progress=progress,
+            bounds=stated.bounds, ties=stated.tie, starts=starts, process_noise=noise, profiles=profiles,
+            progress=progress,
         )  # fmt: skip
         progress(0.95, "writing")
         names = write_fit(fitted, out)
@@ -245,6 +258,8 @@ def estimate(
     for name, other in found.ties.items():
         if name != other:
             CONSOLE.print(f"{name}: tied to {other}")
+    for one in fitted.profiles.values():
+        CONSOLE.print(one.in_words())
     for name, why in found.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
     for remark in found.remarks:
@@ -302,7 +317,7 @@ def _estimate_trend(
 
 def _print_errors(found: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
-    from sim_heating.estimation.report.remarks import floor_in_words
+    from sim_heating.estimation.report.remarks import floor_in_words, samples_in_words
 
     declared, innovations = (found.model_extra or {}).get("predicted") or {}, found.innovations
     march = "" if innovations is None else ", plain march without readings"
@@ -319,6 +334,8 @@ def _print_errors(found: Any) -> None:
         )
     if floor := floor_in_words(found):
         CONSOLE.print(f"Noise floor: {floor}")
+    if samples := samples_in_words((found.model_extra or {}).get("samples", {})):
+        CONSOLE.print(f"Samples: {samples}")
 
 
 @click.command()

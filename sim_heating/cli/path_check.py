@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, read_toml, read_toml_dict, suggestion
 from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
+from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.record import DECLARATION, Record, load_record
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
@@ -25,11 +27,13 @@ class CheckedPath:
 
     kind    : record, ratio table, vehicle, scenario, campaign, link, study or material
     summary : one line for a person
+    notes   : lines on what is no fault and asks for attention
     """
 
     kind: str
     path: Path
     summary: str
+    notes: Sequence[str] = ()
 
 
 def check_path(path: str | os.PathLike[str], root: Path | None = None) -> CheckedPath:
@@ -57,7 +61,9 @@ def _directory(place: Path, root: Path | None) -> CheckedPath:
             f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
         )
     if DECLARATION in names:
-        return CheckedPath("record", place, describe_record(load_record(place, root=root)))
+        record = load_record(place, root=root)
+        other = other_start(record)
+        return CheckedPath("record", place, describe_record(record), [] if other is None else [other.in_words])
     if VEHICLE in names:
         return _vehicle(place, root)
     found = f"; it holds {', '.join(names[:8])}" if names else "; it is empty"

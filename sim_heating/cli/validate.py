@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.cli.console import CONSOLE, PATH, ROOT
+from sim_heating.cli.console import CONSOLE, PATH, ROOT, print_warning
 from sim_heating.cli.output import report_results
 
 
@@ -29,7 +29,10 @@ def validate(paths: tuple[Path, ...], root: Path | None) -> None:
             checked.append({"path": path, "is_good": False, "problems": error.problems})
         else:
             CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
-            checked.append({"path": path, "is_good": True, "kind": found.kind, "summary": found.summary})
+            for line in found.notes:
+                print_warning(line)
+            good = {"path": path, "is_good": True, "kind": found.kind, "summary": found.summary}
+            checked.append(good | ({"notes": list(found.notes)} if found.notes else {}))
     report_results({"paths": checked})
     if problems:
         raise InputError(*problems)

@@ -24,7 +24,14 @@ from sim_heating.closure.curves import curve_of
 from sim_heating.closure.prior.findings import table_error, table_findings
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.prior.table import table_prior
-from sim_heating.closure.record_checks import TRAJECTORY, DataFault, clock_fault, magnitude_fault, with_noise
+from sim_heating.closure.record_checks import (
+    TRAJECTORY,
+    DataFault,
+    clock_fault,
+    magnitude_fault,
+    start_fault,
+    with_noise,
+)
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
 from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
@@ -43,13 +50,15 @@ from sim_heating.closure.search.trials.trial_fit import (
     declared_fit,
     fitted_effects,
     fitted_values,
+    sample_count,
 )
 from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
+from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.estimate_file import NAME, Estimate
-from sim_heating.estimation.report.remarks import remarks
+from sim_heating.estimation.report.remarks import remarks, samples_in_words
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
@@ -70,6 +79,8 @@ MIN_SAMPLES = 10
 """Times of readings below which any effect would explain the residual."""
 LEAST_PROBABILITY = 0.5
 """Probability of a finding below which it is not stated."""
+LEAST_FOR_PROBABILITY = 30
+"""Fitted readings below which no probability is given: none of the records that it was counted on had so few."""
 SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
 EXPLAINED_BY_CURVE = 0.5
@@ -139,7 +150,9 @@ def close_loop(
     of_clock = clock_fault(record)
     if of_clock is not None:
         raise InputError(of_clock.message)
+    record, outliers = without_outliers(record)
     record, of_noise = with_noise(record)
+    notes = [*outlier_lines(outliers, {record.name: record}), *of_noise]
     result = _stated(search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
@@ -147,7 +160,27 @@ def close_loop(
     ]  # fmt: skip
     (fitted, after, residual_after), residual, before = in_processes(tasks)
     compared = before, before if result.compared is result.none else after
-    return ClosedLoop(result, fitted, _closure(result, fitted, compared, (residual, residual_after), of_noise))
+    report = _closure(result, fitted, compared, (residual, residual_after), notes)
+    samples = _samples(result, len(outliers))
+    report = replace(report, samples=samples, warnings=[*_few_samples(samples), *report.warnings])
+    return ClosedLoop(result, fitted, report)
+
+
+def _samples(result: SearchResult, outliers: int) -> dict[str, Any]:
+    """Numbers of readings that the finding rests on, that were held out, and that were left out with the reason."""
+    none = result.none.last
+    left_out = dict(none.problem.record_fits[0].left_out)
+    if outliers:
+        left_out["outliers"] = outliers
+    held_out = 0 if none.held_out is None else sample_count(none.held_out)
+    return {"fit": sample_count(none.problem), "holdout": held_out, "left_out": left_out}
+
+
+def _few_samples(samples: Mapping[str, Any]) -> list[str]:
+    """Lines on readings that are left out, and on too few of them."""
+    words, count = samples_in_words(samples), samples["fit"]
+    few = f"{count} readings are fitted, and below {LEAST_FOR_PROBABILITY} no probability is given"
+    return [line for line in (words, few if count < LEAST_FOR_PROBABILITY else "") if line]
 
 
 def _stated(result: SearchResult) -> SearchResult:
@@ -281,7 +314,8 @@ def _closure(
         for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
     }
     not_effects = _not_effects(result)
-    faults = [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
+    faults = [fault for fault in [start_fault(result.record)] if fault is not None]
+    faults += [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
     faults += [fault for fault in [magnitude_fault(fitted.problem, fitted.fit.values)] if fault is not None]
     return Closure(
         record=result.record,
@@ -302,7 +336,7 @@ def _closure(
         false_alarm=false_alarm_statement() if _is_exact(result.none.last) else "",
         warnings=[
             *notes,
-            *fitted.warnings,
+            *(line for line in fitted.warnings if line not in [*notes, *(f.message for f in faults)]),
             *_forms(result),
             *_residual_warning(result, residual_after),
         ],
@@ -362,9 +396,11 @@ def _barred(result: SearchResult) -> list[Barred]:
 def probability_of(result: SearchResult) -> float | None:
     """Calibrated probability that the finding of a search is right; None where it states nothing.
 
-    Nor is there one for a record whose model has an error: no findings on such records have been counted yet.
+    Nor is there one for a record whose model has an error, no findings on such records having been counted yet, or for
+    one with fewer than LEAST_FOR_PROBABILITY readings.
     """
-    return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) else None
+    few = sample_count(result.none.last.problem) < LEAST_FOR_PROBABILITY
+    return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) and not few else None
 
 
 def stated_of(found: Conclusion) -> Stated:

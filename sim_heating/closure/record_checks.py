@@ -1,4 +1,5 @@
-"""Checks of a record that no hypothesis of the search is: clocks in two units, heating wrong by a factor throughout.
+"""Checks of a record that no hypothesis of the search is: clocks in two units, heating wrong by a factor throughout, a
+wall that is hot where the record begins.
 
 Whatever else is wrong with the flight, the wall or the sensors of a record is a hypothesis (search/changes), weighed
 with the effects.
@@ -15,12 +16,13 @@ from sim_heating.base.errors import RunError
 from sim_heating.estimation.fit import rms_normalised_residual
 from sim_heating.estimation.inference.noise import noise_of_readings
 from sim_heating.estimation.problem import FitProblem
+from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import indicated_temperature
 from sim_heating.march.history import march_points
 
-CLOCK, TRAJECTORY = "clock", "trajectory"
+CLOCK, TRAJECTORY, START = "clock", "trajectory", "start"
 UNITS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 """Units of time that a clock may be in by mistake, in s."""
 MIN_CORRELATION = 0.9
@@ -41,7 +43,7 @@ EXPLAINED = 2.0
 class DataFault:
     """An error of the data or of the declaration of a record, as distinct from a missing effect.
 
-    kind    : "clock" or "trajectory"
+    kind    : "clock", "trajectory" or "start"
     message : what is wrong, what shows it, what to do
     """
 
@@ -116,6 +118,12 @@ def declared_readings(record: Record) -> tuple[FloatArray, FloatArray]:
     history = march_points([point_of_record(record)], [conditions_of_record(record)])[0]
     pairs = zip(record.sensors, history.sensors_K, strict=True)
     return history.time_s, np.array([indicated_temperature(s, T) for s, T in pairs])
+
+
+def start_fault(record: Record) -> DataFault | None:
+    """A record that begins with a hot wall and declares a cold one; else None."""
+    other = other_start(record)
+    return DataFault(START, other.in_words) if other is not None and other.is_hot else None
 
 
 def magnitude_fault(problem: FitProblem, values: FloatArray) -> DataFault | None:

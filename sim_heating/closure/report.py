@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import or_left_out
@@ -133,6 +131,7 @@ class Closure:
     false_alarm   : chance of naming an effect where there is none, with its calibration
     warnings      : on the fit and its residual
     remarks       : on estimates that nature does not have, or that mean less than their sigma says
+    samples       : numbers of readings that the finding rests on, that were held out, and that were left out by reason
     """
 
     record: Record
@@ -153,6 +152,7 @@ class Closure:
     false_alarm: str = ""
     warnings: Sequence[str] = ()
     remarks: Sequence[Remark] = ()
+    samples: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def named(self) -> str:
@@ -176,16 +176,6 @@ class Closure:
     def compared(self) -> bool:
         """Whether errors after are of another model than those before, named as the cause or not."""
         return self.after is not self.before
-
-    @property
-    def samples(self) -> dict[str, Any]:
-        """Readings that were fitted, held out, and left out with the reason."""
-        record, used = self.record, [i for i, s in enumerate(self.record.sensors) if s.used]
-        read, within = np.isfinite(record.temperatures_K()[used]), np.isfinite(self.before.residual_K[used])
-        masks = {"fit": record.fit_mask(), "holdout": record.holdout_mask()}
-        counts = {n: int(np.count_nonzero(read & within & m)) for n, m in masks.items()}
-        lost = int(np.count_nonzero(read & (masks["fit"] | masks["holdout"]))) - sum(counts.values())
-        return {**counts, "left_out": {"outside the conditions": lost} if lost else {}}
 
     @cached_property
     def credibility(self) -> Credibility:
@@ -231,7 +221,7 @@ def closure_json(found: Closure) -> dict[str, Any]:
         "evidence": {**found.evidence.as_json(), "proposal": found.evidence.proposal()},
         "data_faults": [{"kind": f.kind, "message": f.message} for f in found.faults],
         "false_alarm": found.false_alarm,
-        "samples": found.samples,
+        "samples": dict(found.samples),
         "warnings": list(found.warnings),
         "remarks": [remark.model_dump() for remark in found.remarks],
         "program": f"sim-heating {package_version()}",

@@ -204,7 +204,8 @@ class Statement:
     def _where(self) -> str:
         """The samples that `noise_floors` is of."""
         held_out = self.adequacy is not None and self.adequacy.chi2_holdout is not None
-        return "on the segments held out" if held_out else "in the fitted samples"
+        where = "on the segments held out" if held_out else "in the fitted samples"
+        return where if self.model_error is None else f"{where} beyond the model's own error"
 
     def certainty(self) -> str:
         """How sure the finding is, in a few sentences."""

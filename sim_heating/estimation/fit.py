@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.of_records import (
@@ -35,6 +36,8 @@ from sim_heating.estimation.filter.innovations import Innovations, fit_innovatio
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.inference.bounds import ChannelResiduals as Residuals
 from sim_heating.estimation.inference.bounds import CramerRaoBounds, cramer_rao_bounds
+from sim_heating.estimation.inference.conditions_noise import conditions_noise, heating_noise
+from sim_heating.estimation.inference.error_likelihood import noise_error, whitened
 from sim_heating.estimation.inference.identifiability import correlation
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status, check_parameters, maximise
@@ -52,6 +55,8 @@ from sim_heating.estimation.inference.observability import (
     unsupported_derivatives,
     without_stuck_sensors,
 )
+from sim_heating.estimation.inference.outliers import Outlier, outlier_lines, without_outliers
+from sim_heating.estimation.inference.profile import Profile, profile
 from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
 from sim_heating.estimation.record_fit import (
     PredictedSamples,
@@ -63,6 +68,7 @@ from sim_heating.estimation.record_fit import (
 )
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.parameter_owners import Owners
 from sim_heating.inputs.points import point_of_record, undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
@@ -76,6 +82,7 @@ if TYPE_CHECKING:
 
 DEFAULT = "default"
 """Stands for the default parameters among the names of parameters."""
+WITHOUT_NOISE = "profile of `{}`: is of a fit without process noise; leave one of the two out"
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
 NOISE_ROUNDS = 4
@@ -96,6 +103,8 @@ class FitResult:
     before, after : each record predicted by the declared model, and at the values found [K]
     warnings      : one line each
     innovations   : of the filter, in a fit with process noise
+    outliers      : isolated readings that were left out
+    profiles      : of the parameters that one was asked for, by their labels
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 26.
     """
@@ -108,6 +117,8 @@ class FitResult:
     after: tuple[Prediction, ...]
     warnings: tuple[str, ...]
     innovations: Innovations | None = None
+    outliers: tuple[Outlier, ...] = ()
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         values = zip(self.labels, self.fit.values, self.bounds.sigma, strict=True)
@@ -186,6 +197,21 @@ class FitResult:
         """
         return correlation(self.bounds.covariance)
 
+    def profile(self, name: str) -> Profile:
+        """95 % interval of an estimated parameter by the profile of the likelihood, in its unit, the others refitted.
+
+        name   : its label
+        raises : InputError for a parameter that is not estimated, and for a fit with process noise
+
+        For an onset, a width or a parameter near its bound, whose likelihood is no parabola, this is the interval;
+        sigma is not. Source: docs/theory/estimation_statistics.md, equation 26a.
+        """
+        check_profiles([name], self.labels, self.innovations)
+        at = self.labels.index(name)
+        corrected, white = self.bounds.covariance[at, at], self.bounds.white[at, at]
+        known = np.isfinite(corrected) and np.isfinite(white) and corrected > 0.0 and white > 0.0
+        return profile(self.problem, self.fit, name, float(corrected / white) if known else 1.0)
+
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
 
@@ -209,6 +235,7 @@ def estimate(
     starts: Sequence[Start | StartMaker | None] | None = None,
     settings: NewtonSettings | None = None,
     process_noise: ProcessNoise | None = None,
+    profiles: Sequence[str] = (),
     progress: Progress = no_progress,
 ) -> FitResult:
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
@@ -226,6 +253,7 @@ def estimate(
     starts    : by record, where its march begins: a record_fit.Start, or what makes one (starts.STARTS)
     settings  : values that the iteration begins with, when it stops, and how far it may step
     process_noise : given or to be estimated; None for an output-error fit
+    profiles  : names of estimated parameters whose 95 % interval is sought by the profile (FitResult.profile)
     progress  : called with the fraction done and a line of text
     returns   : values, bounds, predictions [K] before and after, warnings
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
@@ -241,11 +269,16 @@ def estimate(
     <FitResult of p06: ratio.scale=0.0563... +- 0.003, ratio.d_alpha=9.35...e-05 +- 7e-05; converged>
     >>> value, sigma = fit.parameters["ratio.scale"]
     """
+    if profiles and process_noise is not None:
+        raise InputError(WITHOUT_NOISE.format(profiles[0]))
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
     loaded = load_records(given)
     check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
-    loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
+    loaded, notes = [record for record, _ in checked], [line for _, lines in checked for line in lines]
+    cleaned = [without_outliers(record) for record in loaded]
+    loaded, outliers = [record for record, _ in cleaned], [o for _, found in cleaned for o in found]
+    notes += outlier_lines(outliers, {record.name: record for record in loaded})
     options = FitOptions(
         effects,
         fixed=fixed,
@@ -271,9 +304,28 @@ def estimate(
         problem = FitProblem(loaded, remaining, condition, options)
         begin = first_values(problem, first)
     fit, innovations = _fit(problem, begin, settings, progress), None
-    if process_noise is not None and fit.status is not Status.NO_START:
+    if process_noise is None:
+        problem, fit = _with_noisy_conditions(problem, fit, settings)
+    elif fit.status is not Status.NO_START:
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
-    return _fit_result(problem, fit, omitted, stuck, innovations)
+    wanted_profiles = problem.owners.labels(profiles)
+    check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
+    found = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
+    return replace(found, profiles={name: found.profile(name) for name in wanted_profiles}) if profiles else found
+
+
+def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Innovations | None) -> None:
+    """Check that profiles are of parameters that are estimated, without process noise.
+
+    names  : of which a profile is asked for;  labels : of the estimated parameters
+    raises : InputError naming the first that is not
+    """
+    if names and innovations is not None:
+        raise InputError(WITHOUT_NOISE.format(names[0]))
+    for name in names:
+        if name not in labels:
+            hint = suggestion(name, labels, otherwise=f"; estimated are {', '.join(labels)}")
+            raise InputError(f"profile of `{name}`: is not estimated{hint}")
 
 
 def fit_problem(
@@ -300,7 +352,9 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
 
     For records from which no magnitude of the heating can be estimated, such as one under a lamp.
     """
-    checked, stuck = without_stuck_sensors(load_record(record))
+    checked, notes = without_stuck_sensors(load_record(record))
+    checked, outliers = without_outliers(checked)
+    notes += outlier_lines(outliers, {checked.name: checked})
     problem = FitProblem([checked], (), joint_reference([checked]))
     _check_samples(problem)
     nothing = np.zeros(0)
@@ -316,7 +370,7 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
         (), nothing, np.zeros((0, 0)), found.log_likelihood, found.log_likelihood, np.zeros((0, 0)), nothing,
         np.zeros(0, dtype=bool), (), Status.CONVERGED, 0, 0.0, np.zeros((1, 0)),
     )  # fmt: skip
-    return _fit_result(problem, fit, dict(reasons or {}), stuck, None)
+    return replace(_fit_result(problem, fit, dict(reasons or {}), notes, None), outliers=tuple(outliers))
 
 
 def _wanted(
@@ -506,14 +560,30 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
 
     fit = fit_from(first)
     for _ in range(NOISE_ROUNDS if unknown_noise else 0):
-        if fit.status is not Status.CONVERGED or problem.update_noise(fit.values) < NOISE_CHANGE:
+        if not fit.converged or problem.update_noise(fit.values) < NOISE_CHANGE:
             break
         fit = fit_from(fit.values)
-    if fit.status in (Status.CONVERGED, Status.ITERATIONS):
+    if fit.converged or fit.status is Status.ITERATIONS:
         # only now: the error of a mesh depends on the parameters, and costs several marches
         problem.correct_meshes(fit.values)
         fit = fit_from(fit.values)
     return replace(fit, iterations=steps[0])
+
+
+def _with_noisy_conditions(
+    problem: FitProblem, fit: Fit, settings: NewtonSettings | None
+) -> tuple[FitProblem, Fit]:
+    """The problem with the noise of its records' conditions, and its fit from that without; as they are without any.
+
+    Source: docs/theory/model_error.md, equations 9 and 10.
+    """
+    if fit.status is Status.NO_START or all(conditions_noise(r.record) is None for r in problem.record_fits):
+        return problem, fit
+    noises = [heating_noise(record_fit, fit.values) for record_fit in problem.record_fits]
+    pairs = list(zip(problem.record_fits, noises, strict=True))
+    noisy = problem.with_model_errors([None if n is None else noise_error(r, fit.values, n) for r, n in pairs])
+    found = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
+    return noisy, replace(found, iterations=fit.iterations + found.iterations)
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
@@ -543,14 +613,17 @@ def _fit_result(
     notes = (
         *notes,
         *filter(None, undeclared),
+        *start_warnings(problem.record_fits),
         *table_warnings(problem.record_fits),
         *fit_warnings(problem, fit, samples),
     )
-    # an error of the model is in the information already, and what it leaves is white
-    inexact = any(record_fit.model_error is not None for record_fit in problem.record_fits)
+    # an error of the model is in the information already, and what it leaves is white; noise of the conditions is not
+    # all that a model may lack
+    inexact = any(r.model_error is not None and not r.model_error.is_noise_alone for r in problem.record_fits)
     count = sum(len(s.mean_K) for s in samples) - len(fit.values)
     white = CramerRaoBounds(fit.covariance, fit.covariance, float(count), {})
-    bounds = white if inexact else fit_bounds(samples, fit)
+    noisy = any(record_fit.model_error is not None for record_fit in problem.record_fits)
+    bounds = white if inexact else fit_bounds(problem.samples(fit.values) if noisy else samples, fit)
     return FitResult(problem, fit, bounds, omitted, before, after, notes, innovations)
 
 
@@ -586,14 +659,19 @@ def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = N
 def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds:
     """Bounds of the values found, corrected for coloured residuals; 0 for parameters on a bound.
 
-    samples : predictions [K] and sensitivities at the values found
+    samples : predictions [K] and sensitivities at the values found, without an error of the model
     fit     : which parameters are on a bound, and priors
     raises  : InputError where there are no more samples than parameters
 
     Source: docs/theory/estimation_statistics.md, equations 22 to 25.
     """
-    channels = []
+    channels: list[Residuals] = []
+    noisy = {id(s.record_fit): s.record_fit for s in samples if s.record_fit.model_error is not None}
+    for key, record_fit in noisy.items():
+        channels += whitened(record_fit, [s for s in samples if id(s.record_fit) == key], ~fit.on_bound)
     for s in samples:
+        if id(s.record_fit) in noisy:
+            continue
         found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
         name = f"{s.record_fit.record.name}/{s.channel.sensor.name}"
         channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
@@ -603,6 +681,12 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
     whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
     whole[place], white[place] = free.covariance, free.white
     return replace(free, covariance=whole, white=white)
+
+
+def start_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
+    """One line for each record whose march begins as declared and whose first reading [K] is not there."""
+    others = [other_start(record_fit.record) for record_fit in record_fits if record_fit.start is None]
+    return [other.in_words for other in others if other is not None]
 
 
 def table_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
@@ -662,6 +746,8 @@ def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSampl
     Source: docs/theory/estimation_statistics.md, equations 19 and 29.
     """
     lines = [] if fit.status is Status.CONVERGED else [fit.status.value]
+    if fit.status is Status.KINK:
+        lines = [f"{lines[0]}, and a sigma is of one side of it; `--profile NAME` gives the interval of a parameter"]
     lines += problem.mesh_warnings
     for u, value, bounded in zip(problem.unknowns, fit.values, fit.on_bound, strict=True):
         if bounded:

@@ -29,7 +29,6 @@ from sim_heating.estimation.inference.newton import Evaluation
 from sim_heating.estimation.inference.noise import estimate_noise
 from sim_heating.estimation.record_fit import (
     LONGEST_STEP_S,
-    SKEW_SPAN_S,
     PredictedSamples,
     RecordFit,
     Sensed,
@@ -202,8 +201,17 @@ class FitProblem:
 
         Source: docs/theory/model_error.md, equation 1.
         """
+        return self.with_model_errors([error])
+
+    def with_model_errors(self, errors: Sequence[ModelError | None]) -> FitProblem:
+        """The problem with other errors of its models, by record.
+
+        errors : each with responses [K] at the samples of its record, and maybe at others; None for an exact model
+
+        Source: docs/theory/model_error.md, equation 1.
+        """
         other = copy(self)
-        other.record_fits = [replace(self.record_fits[0], model_error=error)]
+        other.record_fits = [replace(r, model_error=e) for r, e in zip(self.record_fits, errors, strict=True)]
         other._group()
         return other
 
@@ -345,11 +353,13 @@ class FitProblem:
         if parameter is None:
             # the fit starts at what the record declares, which is also the mean of the prior
             parameter = replace(record_fit.model.definition(name), value=record_fit.model.value(name))
-        if name == CLOCK_SKEW.name:
-            parameter = replace(parameter, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)
         if self.options.prior_scale != 1.0:
             parameter = replace(parameter, sigma=self.options.prior_scale * parameter.sigma)
         parameter = self.owners.stated(self.priors, record_fit.record).get(name, parameter)
+        if name == CLOCK_SKEW.name:
+            span_s = record_fit.skew_span_s
+            lower, upper = max(parameter.lower, -span_s), min(parameter.upper, span_s)
+            parameter = replace(parameter, lower=lower, upper=upper)
         return replace(self._as_stated(name, parameter, record_fit.record), name=name)
 
     def _as_stated(self, name: str, parameter: Parameter, record: Record) -> Parameter:

@@ -39,7 +39,7 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.kernels.block import LANES
 from sim_heating.base.kernels.lag import lag_columns, lag_per_constant
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, SENSOR, SENSOR_PREFIX, Parameter
-from sim_heating.estimation.inference.likelihood import ReadingIntervals, reading_intervals
+from sim_heating.estimation.inference.likelihood import ReadingIntervals, middle_K, reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError
 from sim_heating.inputs.record import Record
 from sim_heating.inputs.sensor_model import SensorErrors, indicated_temperature
@@ -61,6 +61,8 @@ LEAST_OF_LSB = 0.05
 """Least noise of a sensor over its recorder's step [-]."""
 SKEW_SPAN_S = 5.0
 """Bounds of an estimated skew [s]; samples this near the ends of the conditions are then omitted."""
+SKEW_SHARE = 0.05
+"""Part of the conditions' time that these bounds are at most: a short record has no seconds to spare."""
 LAG_NAME = ".tau_s"
 """End of the names of time constants of thermocouples."""
 SMALL_CORRECTION_K = 1.0
@@ -202,13 +204,28 @@ class RecordFit:
 
         Square root of R of docs/theory/model_error.md, equation 1.
         """
-        sizes = [math.hypot(self.sigma_K[c.number], c.sensor.lsb_K / math.sqrt(12.0)) for c in self.channels]
-        return np.repeat(sizes, [len(c.samples) for c in self.channels])
+        return np.concatenate([
+            np.hypot(c.noise_K(self.sigma_K[c.number]), c.sensor.lsb_K / math.sqrt(12.0)) + np.zeros(len(c.samples))
+            for c in self.channels
+        ])  # fmt: skip
 
     @property
     def skew_span_s(self) -> float:
         """By how much the clock may be off [s]: samples this near the ends of the conditions are omitted."""
-        return SKEW_SPAN_S if CLOCK_SKEW.name in self.sensor_names else abs(self.fixed.get(CLOCK_SKEW.name, 0.0))
+        if CLOCK_SKEW.name not in self.sensor_names:
+            return abs(self.fixed.get(CLOCK_SKEW.name, 0.0))
+        return min(SKEW_SPAN_S, SKEW_SHARE * float(self.conditions.time_s[-1] - self.begin_s))
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Numbers of readings of used sensors in the fit segments that are not fitted, by the reason."""
+        t, begin, end = self.record.time_s, float(self.conditions.time_s[0]), float(self.conditions.time_s[-1])
+        read = np.isfinite(self.record.temperatures_K(self.record.used_sensors)) & self.record.fit_mask()
+        outside, early = (t < begin) | (t > end), (t >= begin) & (t < self.begin_s)
+        slack = ~outside & ~early & ~np.isin(t, self.sample_s)
+        reasons = {"outside the conditions": outside, "before the start": early, "slack of the clock": slack}
+        counts = {reason: int(np.count_nonzero(read & mask)) for reason, mask in reasons.items()}
+        return {reason: count for reason, count in counts.items() if count}
 
     def model_at(self, vector: FloatArray) -> PointModel:
         """Model of the point with the parameters of heating and stack at a parameter vector (parameter,)."""
@@ -424,6 +441,24 @@ class FittedChannel:
     intervals: ReadingIntervals
     since_s: FloatArray
 
+    @cached_property
+    def growing_K(self) -> FloatArray | float:
+        """(sample,) random part of the readings that grows with their temperature [K]; 0 where none does.
+
+        Of the reading and not of the prediction: readings then have one noise whatever the model. Source:
+        docs/theory/equations.md, section 5.
+        """
+        if self.sensor.noise_per_K == 0.0:
+            return 0.0
+        return self.sensor.growing_noise_K(middle_K(self.intervals.lower_K, self.intervals.upper_K))
+
+    def noise_K(self, sigma_K: float) -> FloatArray | float:
+        """() or (sample,) standard deviation of the readings [K], with that of the part that does not grow [K].
+
+        Source: docs/theory/equations.md, section 5.
+        """
+        return sigma_K if self.sensor.noise_per_K == 0.0 else np.hypot(sigma_K, self.growing_K)
+
 
 @dataclass(frozen=True, eq=False)
 class PredictedSamples:
@@ -434,7 +469,7 @@ class PredictedSamples:
     mean_K        : (sample,) predicted indication [K]
     sensitivity   : (sample, unknown of the record) of the prediction [K] per unit of each unknown
     unknowns      : number of all unknowns of the fit
-    sigma_K       : noise of the sensor [K]
+    sigma_K       : noise of the sensor that does not grow with temperature [K]
     predicted_sigma_K : standard deviation [K] of mean_K itself, (sample,) where a filter predicts
     """
 
@@ -453,7 +488,7 @@ class PredictedSamples:
 
         Square root of S_i of docs/theory/estimation_statistics.md, equation 32.
         """
-        return np.asarray(np.hypot(self.sigma_K, self.predicted_sigma_K))
+        return np.asarray(np.hypot(self.channel.noise_K(self.sigma_K), self.predicted_sigma_K))
 
     @property
     def jacobian(self) -> FloatArray:

@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import BoolArray, FloatArray
@@ -110,6 +110,14 @@ class FlightUncertainty(Declared):
     alpha_deg: float = Field(default=0.0, ge=0.0, le=20.0, description="of the angle of attack")
 
 
+class FlightNoise(Declared):
+    """White noise of the conditions, one standard deviation at each row: what a filter of the trajectory has left."""
+
+    alpha_deg: float = Field(default=0.0, ge=0.0, le=20.0, description="of the angle of attack")
+    density_relative: float = Field(default=0.0, ge=0.0, le=1.0, description="of the density, relative")
+    velocity_relative: float = Field(default=0.0, ge=0.0, le=0.5, description="of the velocity, relative")
+
+
 class HeatingUncertainty(Declared):
     """A smooth relative error of the heating, which no model is without: its size and how long it lasts."""
 
@@ -127,6 +135,9 @@ class ConditionsFile(FileReference):
     confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
     uncertainty: FlightUncertainty | None = Field(
         default=None, description="[conditions.uncertainty]; by `confidence` for a measured record that has none"
+    )
+    noise: FlightNoise | None = Field(
+        default=None, description="[conditions.noise]; from the roughness of the columns for a measured record without"
     )
     altitude_m: float | None = None
     velocity_m_s: float | None = None
@@ -151,7 +162,7 @@ class ConditionsFile(FileReference):
     @property
     def constants(self) -> dict[str, float]:
         """Values that hold at all times, by column, each in the unit that its name ends in."""
-        named = self.model_dump(exclude={"file", "source", "confidence", "uncertainty"}, exclude_none=True)
+        named = self.model_dump(exclude={"file", "source", "confidence", "uncertainty", "noise"}, exclude_none=True)
         return {name: float(value) for name, value in named.items()}
 
 
@@ -451,6 +462,7 @@ class Record:
     directory     : folder that it was read from, for messages and names of results
     turbulent     : the declared turbulent heating ratio, or None
     label         : its name among the records of a command, where that of the directory is not unique there
+    rows          : (sample,) rows of the measurement file, its names on the first
     """
 
     declared: RecordFile
@@ -460,6 +472,7 @@ class Record:
     directory: Path = field(default=Path("record"))
     turbulent: RatioTable | None = None
     label: str = ""
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __repr__(self) -> str:
         sensors, t = len(self.sensors), self.conditions.time_s
@@ -588,11 +601,12 @@ class Record:
         raises            : InputError where a sensor has neither
         """
         chosen = self.fit_mask() if mask is None else np.asarray(mask, dtype=bool)
-        count = np.array([np.count_nonzero(np.isfinite(T[chosen])) for T in self.temperatures_K(self.used_sensors)])
-        floor = np.array([s.noise_floor_K(self._sigma_K(s, estimated_sigma_K or {})) for s in self.used_sensors])
-        if count.sum() == 0:
-            return math.nan
-        return math.sqrt(float(np.sum(count * floor**2) / count.sum()))
+        variance_K2: list[float] = []
+        for sensor, T in zip(self.used_sensors, self.temperatures_K(self.used_sensors), strict=True):
+            floor_K = sensor.noise_floor_K(self._sigma_K(sensor, estimated_sigma_K or {}))
+            read = T[chosen & np.isfinite(T)]
+            variance_K2 += (floor_K**2 + sensor.growing_noise_K(read) ** 2).tolist()
+        return math.sqrt(float(np.mean(variance_K2))) if variance_K2 else math.nan
 
     def _sigma_K(self, sensor: Sensor, estimated: Mapping[str, float]) -> float:
         sigma = sensor.noise_sigma_K if sensor.noise_sigma_K is not None else estimated.get(sensor.name)
@@ -826,7 +840,8 @@ def _check_record(
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
     # Constants are columns from here on, and would be given twice where the record is written.
-    stated = declared.conditions.model_dump(include={"file", "source", "confidence", "uncertainty"}, exclude_unset=True)
+    kept = {"file", "source", "confidence", "uncertainty", "noise"}
+    stated = declared.conditions.model_dump(include=kept, exclude_unset=True)
     declared = declared.model_copy(
         update={"conditions": ConditionsFile(**{"file": declared.conditions.file, **stated})}
     )
@@ -841,7 +856,8 @@ def _check_record(
         ]
     )
     table = declared.heating.constant_ratio() if table is None else table
-    return Record(declared, Conditions(conditions.columns), thermocouples.columns, table, home, turbulent)
+    flown, lines = Conditions(conditions.columns), thermocouples.lines
+    return Record(declared, flown, thermocouples.columns, table, home, turbulent, rows=lines)
 
 
 def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:

@@ -147,7 +147,8 @@ def measure(
     """Readings of a thermocouple: calibration with systematic errors, Gaussian noise, recorder word, lost samples.
 
     temperature_K : (sample,) temperature of the thermocouple, behind its lag, at the sample times [K]
-    rng           : generator of the noise, of standard deviation noise_sigma_K [K] (0 where none is declared)
+    rng           : generator of the noise, of standard deviation noise_sigma_K [K] (0 where none is declared), and of
+                    noise_per_K times the indicated temperature in addition
     errors        : bias, gain and drift of the sensor; none by default
     lost          : (sample,) which samples the telemetry loses
     since_s       : (sample,) time since the first sample of the record [s], where the sensor drifts
@@ -158,6 +159,8 @@ def measure(
     indicated = indicated_temperature(sensor, temperature_K, errors, since_s)
     # Noise is drawn for lost samples as well: losing one leaves the noise of the others unchanged.
     noisy = indicated + rng.normal(0.0, sensor.noise_sigma_K or 0.0, len(indicated))
+    if sensor.noise_per_K:
+        noisy = noisy + rng.normal(0.0, sensor.growing_noise_K(indicated))
     read = quantise(sensor, noisy)
     return read if lost is None else np.where(lost, np.nan, read)
 

@@ -413,6 +413,9 @@ class Sensor(Declared):
     noise_correlation_s: float | None = Field(
         default=None, gt=0.0, description="time over which that part changes; white without"
     )
+    noise_per_K: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="further white random part, over the indicated temperature in K"
+    )
     bits: int | None = Field(default=None, ge=1, le=32, description="bits of the recorder word")
     range_K: list[float] | None = Field(default=None, description="[lowest, highest] in K")
     calibration: list[float] | None = Field(default=None, min_length=2, description="[c0, c1, ...], indicated K")
@@ -467,6 +470,9 @@ class Sensor(Declared):
     def _check(self) -> Sensor:
         if self.bits is not None and self.range_K is None:
             raise LocatedError((("bits",), f"{self.bits} bits need `range_K`, the span that the word covers; add it"))
+        if self.noise_per_K and self.noise_sigma_K is None:
+            rule = "grows from `noise_sigma_K`, which is not declared; add it (0 where all of the noise grows)"
+            raise LocatedError((("noise_per_K",), rule))
         return self
 
     @property
@@ -478,6 +484,13 @@ class Sensor(Declared):
         if self.bits is None or self.range_K is None:
             return 0.0
         return (self.range_K[1] - self.range_K[0]) / (2**self.bits - 1)
+
+    def growing_noise_K(self, indicated_K: FloatArray) -> FloatArray:
+        """(sample,) standard deviation of the random part that grows with the indicated temperature [K].
+
+        Independent of the part of `noise_sigma_K`: their variances add up. Source: docs/theory/equations.md, section 5.
+        """
+        return np.asarray(self.noise_per_K * np.abs(indicated_K))
 
     def noise_floor_K(self, sigma_K: float) -> float:
         """Root mean square error of a reading [K] from random noise and the recorder word, sqrt(sigma^2 + LSB^2 / 12).

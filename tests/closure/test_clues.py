@@ -67,7 +67,7 @@ def test_nothing_is_proposed_where_nothing_is_missing():
     _, found = residual_with("nothing")
     assert found.p_value > SIGNIFICANCE_LEVEL
     assert found.active == ()
-    assert found.proposal() == ["The residual is consistent with noise."]
+    assert found.proposal() == ["As heating, the residual is no more than noise: it follows no variable of the flight."]
     assert not any(loop.significant for loop in found.loops)
     assert all(c.p_value_all > SIGNIFICANCE_LEVEL for c in found.correlations)
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from sim_heating.base.files import read_csv_columns, read_json, write_csv
 from sim_heating.base.parameters import MODEL, Parameter
 from sim_heating.cli import main
 from sim_heating.estimation.fit import estimate
+from sim_heating.estimation.inference import newton
 from tests.support.walls import PRACTICE, practice_record
 
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
@@ -205,11 +207,21 @@ def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
     assert (status, "conditions.csv" in text) == (2, True)
 
 
-def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path):
+def test_a_fit_that_ends_on_a_kink_has_converged_and_says_so(capsys, tmp_path):
     """An onset in angle of attack has a kink at every sample, and the flight holds one angle for long."""
     out = tmp_path / "out"
     onset = "effect.impingement-onset.alpha_onset_deg,effect.impingement-onset.slope,ratio.scale"
     status, text = run_estimate(capsys, PRACTICE.parent / "sts96_480", "--parameters", onset, "--out", out)
+    assert status == 0
+    assert "converged; the likelihood has a kink here" in " ".join(text.split())
+    assert read_json(out / "estimate.json")["converged"] is True
+
+
+def test_fit_that_does_not_converge_keeps_its_files_and_fails(capsys, tmp_path, monkeypatch):
+    """A search that may take one step only."""
+    monkeypatch.setattr(newton, "NewtonSettings", partial(newton.NewtonSettings, iterations=1))
+    out = tmp_path / "out"
+    status, text = run_estimate(capsys, PRACTICE.parent / "sts96_480", "--parameters", "ratio.scale", "--out", out)
     assert status == 1
-    assert text.endswith(f"is not smooth here; {out} holds the last iteration, which is not an estimate")
+    assert text.endswith(f"start nearer or allow more; {out} holds the last iteration, which is not an estimate")
     assert read_json(out / "estimate.json")["converged"] is False

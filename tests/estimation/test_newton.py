@@ -320,3 +320,44 @@ def test_a_search_ends_early_only_where_its_gains_would_not_lead_to_the_likeliho
     best_gain = [max(np.diff(reached[k - 3 : k + 1])) for k in range(3, n + 1)]
     within = [reached[k] + (NewtonSettings().iterations - k) * g >= needed for k, g in enumerate(best_gain, start=3)]
     assert within == [True] * (n - 3) + [False]
+
+
+def kinked(normal: FloatArray, at: float, slope: float) -> Evaluate:
+    """Two unit normal readings of (1, 2), less `slope` times how far normal . p is beyond `at`: an onset's ridge."""
+
+    def evaluate(p: FloatArray) -> Evaluation:
+        r, beyond = p - np.array([1.0, 2.0]), normal @ p - at
+        L = -0.5 * float(r @ r) - slope * max(beyond, 0.0)
+        return Evaluation(L, -r - slope * normal * (beyond > 0.0), np.eye(2))
+
+    return evaluate
+
+
+@pytest.mark.parametrize("normal", [(1.0, 0.0), (1.0, 1.0), (3.0, -0.5)])
+@pytest.mark.parametrize("start", [(-3.0, 5.0), (4.0, -1.0)])
+def test_a_maximum_at_a_kink_is_found_and_named(normal: tuple[float, float], start: tuple[float, float]) -> None:
+    n = np.array(normal)
+    at = float(n @ [1.0, 2.0]) - 0.7
+    fit = maximise(kinked(n, at, slope=50.0), parameters(2), start)
+    assert fit.status is Status.KINK
+    assert fit.converged
+    assert fit.describe() == ["converged; the likelihood has a kink here"]
+    # the point of the ridge nearest to the readings
+    np.testing.assert_allclose(fit.values, np.array([1.0, 2.0]) - 0.7 * n / (n @ n), atol=2e-3)
+
+
+def test_a_kink_that_is_not_at_the_maximum_is_passed() -> None:
+    fit = maximise(kinked(np.array([1.0, 0.0]), -1.0, slope=0.5), parameters(2), [-3.0, 0.0])
+    assert fit.status is Status.CONVERGED
+    np.testing.assert_allclose(fit.values, [0.5, 2.0], atol=1e-6)
+
+
+def test_a_maximum_where_two_kinks_cross_is_found() -> None:
+    def evaluate(p: FloatArray) -> Evaluation:
+        one, other = kinked(np.array([1.0, 0.0]), 0.3, 20.0)(p), kinked(np.array([1.0, 1.0]), 1.5, 20.0)(p)
+        L, g = one.log_likelihood + other.log_likelihood, one.gradient + other.gradient
+        return Evaluation(L, g, 2.0 * np.eye(2))
+
+    fit = maximise(evaluate, parameters(2), [-3.0, -3.0])
+    assert fit.status is Status.KINK
+    np.testing.assert_allclose(fit.values, [0.25, 1.25], atol=5e-3)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from sim_heating.estimation.fit import estimate
+from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.points import conditions_of_record
+from sim_heating.inputs.record import Record, load_record, write_record
 from sim_heating.live.filtering.heated_start import start_of_heated
+from sim_heating.live.recording.to_record import with_heated_start
 from sim_heating.march.ensemble import Ensemble, condition_history
 from sim_heating.march.mesh_choice import mesh_of_nodes
 from sim_heating.march.point import initial_temperatures
+from tests.support.paths import PRACTICE
 from tests.support.walls import practice_model, practice_record
 
 NODES = 40
@@ -59,3 +66,27 @@ def test_the_profile_does_not_depend_on_the_mesh():
     found, _ = start_of_heated(model, fine, read, conditions)
     same, _ = start_of_heated(model, mesh, {n: float(true[n]) for n in mesh.sensors}, conditions)
     np.testing.assert_allclose(np.interp(mesh.depth_m, fine.depth_m, found), same, atol=3.0)
+
+
+def begun_at(record: Record, time_s: float) -> Record:
+    """The record of a link that came up in flight."""
+    later, flown = record.time_s >= time_s, record.conditions
+    conditions = flown.at(flown.time_s[flown.time_s >= time_s])
+    return replace(record, conditions=conditions, thermocouples={n: v[later] for n, v in record.thermocouples.items()})
+
+
+def test_a_record_that_begins_in_flight_carries_the_profile_at_its_start(tmp_path):
+    hot = begun_at(load_record(PRACTICE / "p06"), 650.0)
+    write_record(with_heated_start(hot), tmp_path / "hot")
+    carried = load_record(tmp_path / "hot")
+    assert other_start(hot) is not None
+    assert other_start(carried) is None
+    first, last = carried.declared.stack.initial_profile[0], carried.declared.stack.initial_profile[-1]
+    assert first[1] > 1000.0 > 400.0 > last[1]
+    errors = [estimate(r, ["ratio.scale"]).after[0].segment_errors()["fit"]["rmse_K"] for r in (hot, carried)]
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_a_record_from_entry_interface_on_is_as_declared():
+    record = load_record(PRACTICE / "p06")
+    assert with_heated_start(record) is record

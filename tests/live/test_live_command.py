@@ -18,6 +18,7 @@ from sim_heating.base.files import read_json
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record, write_record
 from sim_heating.live.recording.journal import open_again
+from sim_heating.live.recording.to_record import with_heated_start
 from tests.live.links import FRAME, free_port, json_lines, part_of_record
 from tests.support.json_output import run_json
 from tests.support.paths import PRACTICE
@@ -143,7 +144,9 @@ def test_the_record_of_a_replayed_record_is_estimated(replayed: Path, cut: Path,
     assert (tmp_path / "again" / "thermocouples.csv").read_bytes() == (record / "thermocouples.csv").read_bytes()
     fit = ["estimate", "--parameters", "ratio.scale", "--start", "circuit:620"]
     of_link = run_json(capsys, *fit, str(tmp_path / "again"), "--out", str(tmp_path / "a"))["results"]
-    of_sent = run_json(capsys, *fit, str(cut), "--out", str(tmp_path / "b"))["results"]
+    # the link came up in flight: its record carries the temperatures in depth that conduct to the first readings
+    write_record(with_heated_start(load_record(cut)), tmp_path / "sent")
+    of_sent = run_json(capsys, *fit, str(tmp_path / "sent"), "--out", str(tmp_path / "b"))["results"]
     assert of_link["parameters"] == of_sent["parameters"]
 
 

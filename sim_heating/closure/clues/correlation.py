@@ -120,7 +120,7 @@ class ResidualEvidence:
         if SHAPES in self.left_out:
             return [f"What the residual follows is left out ({self.left_out[SHAPES]})."]
         if not self.shape_fits or self.p_value > SIGNIFICANCE_LEVEL:
-            return ["The residual is consistent with noise."]
+            return ["As heating, the residual is no more than noise: it follows no variable of the flight."]
         best = self.shape_fits[0]
         lines = [
             f"The residual follows {best.shape.describe()}: {best.amplitude:+.3g} of {self.unit} at its largest, "

@@ -43,7 +43,7 @@ def objections(trial: TrialFit, effects_of: Sequence[Candidate] = ()) -> tuple[s
 
 def _convergence(trial: TrialFit) -> list[str]:
     fit = trial.fit
-    if fit.status is Status.CONVERGED or (fit.status is not Status.NO_START and fit.predicted_gain < SETTLED):
+    if fit.converged or (fit.status is not Status.NO_START and fit.predicted_gain < SETTLED):
         return []
     return ["its fit did not converge"]
 

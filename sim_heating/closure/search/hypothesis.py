@@ -23,7 +23,6 @@ from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_pen
 from sim_heating.closure.search.simulated_records import with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
-from sim_heating.estimation.inference.newton import Status
 
 MIN_BIC_GAIN = 10.0
 """How much lower the score of an effect has to be than that of none, or of the model without it."""
@@ -143,7 +142,7 @@ def change_hypothesis(
     contradictions : of the change by the motion of the flight, a line each
     """
     against = list(contradictions)
-    if fit.fit.status is not Status.CONVERGED and not fit.fit.predicted_gain < SETTLED:
+    if not fit.fit.converged and not fit.fit.predicted_gain < SETTLED:
         against.append("its fit did not converge")
     if fit.on_bound:
         against.append(f"{fit.change.what} is on its bound")

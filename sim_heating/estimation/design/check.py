@@ -74,7 +74,7 @@ def repeated_fits(
             replace(
                 s.channel,
                 intervals=reading_intervals(
-                    s.channel.sensor, _simulated_readings(s.channel.sensor, s.mean_K, s.sigma_K, rng)
+                    s.channel.sensor, _simulated_readings(s.channel.sensor, s.mean_K, s.channel.noise_K(s.sigma_K), rng)
                 ),
             )
             for s in problem.samples(truth)
@@ -104,5 +104,7 @@ def draw_truth(parameters: Sequence[Parameter], rng: np.random.Generator) -> Flo
     return np.array(values)
 
 
-def _simulated_readings(sensor: Sensor, mean_K: FloatArray, sigma_K: float, rng: np.random.Generator) -> FloatArray:
+def _simulated_readings(
+    sensor: Sensor, mean_K: FloatArray, sigma_K: FloatArray | float, rng: np.random.Generator
+) -> FloatArray:
     return quantise(sensor, mean_K + rng.normal(0.0, sigma_K, len(mean_K)))

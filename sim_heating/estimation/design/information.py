@@ -53,14 +53,14 @@ class PredictedChannel:
     sensor   : its declaration
     time_s   : (sample,) [s];  mean_K : (sample,) predicted indications [K]
     jacobian : (sample, parameter) sensitivities [K] per unit of each parameter
-    sigma_K  : noise [K]
+    sigma_K  : () or (sample,) noise [K]
     """
 
     sensor: Sensor
     time_s: FloatArray
     mean_K: FloatArray
     jacobian: FloatArray
-    sigma_K: float
+    sigma_K: FloatArray | float
 
     def information(self, levels: int) -> FloatArray:
         """(parameter, parameter) expected information of all samples of the sensor.
@@ -243,9 +243,10 @@ def experiment(
         slopes = _pressure_slopes(record, condition, effects, start)
         columns = [np.column_stack([c, slope]) for c, slope in zip(columns, slopes, strict=True)]
     pairs = zip(found, columns, strict=True)
-    return Experiment(
-        unknowns, tuple(PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.sigma_K) for s, c in pairs)
-    )
+    channels = [
+        PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.channel.noise_K(s.sigma_K)) for s, c in pairs
+    ]
+    return Experiment(unknowns, tuple(channels))
 
 
 def _pressure_slopes(

@@ -16,8 +16,7 @@ from sim_heating.base.kernels.lag import lag_columns
 from sim_heating.base.parameters import CLOCK_SKEW, RECORD_PARAMETERS, SENSOR_PREFIX, SHORT_NAMES
 from sim_heating.estimation.design.information import PRESSURE, Experiment, experiment
 from sim_heating.estimation.inference.observability import constant_variables
-from sim_heating.estimation.problem import SKEW_SPAN_S
-from sim_heating.estimation.record_fit import LONGEST_STEP_S, Start, march_times
+from sim_heating.estimation.record_fit import LONGEST_STEP_S, SKEW_SPAN_S, Start, march_times
 from sim_heating.estimation.starts import free_start
 from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, node_weights
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle

@@ -36,7 +36,7 @@ from sim_heating.estimation.filter.process_noise import CORRELATION, Level, Leve
 from sim_heating.estimation.filter.records import filter_samples
 from sim_heating.estimation.inference.identifiability import scale
 from sim_heating.estimation.inference.likelihood import likelihood
-from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, Status, StepCallback, maximise
+from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, StepCallback, maximise
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples, least_sigma_K
 from sim_heating.march.ensemble import condition_history
@@ -333,7 +333,7 @@ class Innovations:
         for c, m, s, v in split:
             sigma = self.levels.sigma_K.get((k, c.number), part.sigma_K[c.number])
             # the filter's variance includes the sensor's own noise; rounding may take the difference below 0
-            known = np.sqrt(np.maximum(v - sigma**2, 0.0))
+            known = np.sqrt(np.maximum(v - c.noise_K(sigma) ** 2, 0.0))
             time_s = part.sample_s[c.samples]
             found.append(PredictedSamples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
         return found
@@ -373,7 +373,7 @@ def fit_innovations(
         found.estimate_levels(start)
     fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, on_step)
     for _ in range(MAX_ROUNDS if searched else 0):
-        if fit.status is not Status.CONVERGED or found.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
+        if not fit.converged or found.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
             break
         fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, on_step)
     return fit, found

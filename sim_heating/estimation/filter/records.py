@@ -14,6 +14,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG
 from sim_heating.estimation.filter.heating_input import most_likely_disturbance
 from sim_heating.estimation.filter.kernel import CONSTANT, PER_RATE, PER_TEMPERATURE
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
+from sim_heating.estimation.inference.likelihood import middle_K
 from sim_heating.estimation.record_fit import (
     FittedChannel,
     RecordFit,
@@ -59,16 +60,6 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
     return slope(T), curve(T) - slope(T) * T
 
 
-def middle_K(lower_K: FloatArray, upper_K: FloatArray) -> FloatArray:
-    """(reading,) middle of the interval of each reading [K], the finite end of an open one.
-
-    Source: docs/theory/estimation_statistics.md, equation 12.
-    """
-    return np.where(
-        np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K
-    )  # fmt: skip
-
-
 def filter_samples(
     found: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
@@ -104,7 +95,8 @@ def filter_samples(
         direct.append(direct_terms(channel.sensor, names, slope, wrong.gain, own, channel.since_s))
         if lag is not None:
             direct[-1][..., CONSTANT] += (slope * wrong.gain)[:, np.newaxis] * _through_lag(channel, names, lag)
-        variance, node = (np.full(len(low), x) for x in (sigma_K[channel.number] ** 2, mesh.sensors[channel.number]))
+        variance = np.zeros(len(low)) + channel.noise_K(sigma_K[channel.number]) ** 2
+        node = np.full(len(low), mesh.sensors[channel.number])
         rows.append(np.array([time_s[channel.samples], node, low, high, variance, slope * wrong.gain, constant]))
     t, node, low, high, variance, gain, constant = np.concatenate(rows, axis=1)
     # stable: readings of one time stay in the order of the channels, and results are reproducible

@@ -11,6 +11,8 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.kernels.block import LANES
+from sim_heating.estimation.inference.bounds import ChannelResiduals
+from sim_heating.estimation.inference.conditions_noise import HeatingNoise
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
 from sim_heating.estimation.inference.model_error import (
     CorrelatedNoise,
@@ -37,7 +39,12 @@ TOGETHER = 64
 
 
 def model_error(
-    record_fit: RecordFit, values: FloatArray, sigma: float, correlation_s: float, flight: FlightError | None = None
+    record_fit: RecordFit,
+    values: FloatArray,
+    sigma: float,
+    correlation_s: float,
+    flight: FlightError | None = None,
+    noise: HeatingNoise | None = None,
 ) -> ModelError:
     """The error of a record's model with the response of its readings, about the values of a fit.
 
@@ -45,6 +52,7 @@ def model_error(
     values     : (parameter,) of the model
     sigma, correlation_s : of the heating's error, s [-] and tau [s]
     flight     : the error of the flight
+    noise      : of the heating, from that of the conditions
     raises     : RunError where the model cannot be marched
 
     Responses are differences of marches: with the heating, by the flow and by lamps, scaled about one knot after the
@@ -67,8 +75,38 @@ def model_error(
     moved = np.moveaxis(T[1:] - T[0], 0, -1)
     return ModelError(
         knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s,
-        _correlated_noise(record_fit),
+        _correlated_noise(record_fit), None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
+
+
+def noise_error(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> ModelError:
+    """The error of a record's model where only its conditions have noise, about the values of a fit.
+
+    record_fit : a record of a fit;  values : (parameter,) of the model;  noise : of its heating
+    raises     : RunError where the model cannot be marched
+
+    Source: docs/theory/model_error.md, equation 10.
+    """
+    samples = len(record_fit.sample_s)
+    none = np.zeros((len(record_fit.record.sensors), samples, 0))
+    white_K = _white_K(record_fit, values, noise)
+    return ModelError(np.zeros(0), record_fit.sample_s, none, none, None, 0.0, 1.0, white_K=white_K)
+
+
+def _white_K(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> FloatArray:
+    """(sensor, sample, knot) change of readings for one standard deviation of white noise of the film at each knot [K].
+
+    A lamp has no part in it. Source: docs/theory/model_error.md, equation 10.
+    """
+    time_s = record_fit.time_s
+    flown = record_fit.conditions.at(time_s)
+    knots = noise.knots_s(record_fit.begin_s, float(record_fit.sample_s[-1]))
+    sizes = noise.at_knots(knots)
+    film = flown["h_ref_kg_m2_s"]
+    scaled = (film * (1.0 + STEP * np.interp(time_s, knots, hat)) for hat in np.eye(len(knots)))
+    histories = [flown, *(flown.with_columns(h_ref_kg_m2_s=h) for h in scaled)]
+    T = _marched_K(record_fit, values, [condition_history(h) for h in histories])
+    return np.asarray(np.moveaxis(T[1:] - T[0], 0, -1) / STEP * sizes)
 
 
 def _correlated_noise(record_fit: RecordFit) -> dict[int, CorrelatedNoise]:
@@ -162,7 +200,7 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
 def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
     """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels."""
     pairs = zip(record_fit.channels, means_K, strict=True)
-    found = [scores(c.intervals, m, record_fit.sigma_K[c.number]) for c, m in pairs]
+    found = [scores(c.intervals, m, c.noise_K(record_fit.sigma_K[c.number])) for c, m in pairs]
     return sum(s[0] for s in found), np.concatenate([s[1] for s in found]), np.concatenate([s[2] for s in found])
 
 
@@ -237,6 +275,38 @@ def innovations_of_several(
         for one, means in zip(several, predicted.T, strict=True)
     ]
     return found, ErrorState(u, P)
+
+
+def whitened(
+    record_fit: RecordFit, samples: Sequence[PredictedSamples], free: BoolArray
+) -> list[ChannelResiduals]:
+    """Residuals of the channels of one record and their sensitivities, each less what the readings before it say.
+
+    record_fit : the record with its error;  samples : its channels, predicted without an error
+    free       : (parameter,) which columns of their sensitivities are kept
+    returns    : by channel, residuals of unit variance where the model holds; readings at an end of a word's span and
+                 lost ones are left out
+
+    With L the lower root of the readings' covariance in the order of time, these are L^-1 (y - m) and L^-1 dm/dp:
+    equation 6 of docs/theory/model_error.md, for residuals and sensitivities alike.
+    """
+    G, noise = record_fit.error_root_K, record_fit.reading_noise_K
+    assert G is not None  # the caller's records have one
+    left_K = np.concatenate([_middle_K(s.channel.intervals) - s.mean_K for s in samples])
+    jacobian = np.concatenate([s.jacobian[:, free] for s in samples])
+    time_s = np.concatenate([s.time_s for s in samples])
+    channel = np.repeat(np.arange(len(samples)), [len(s.mean_K) for s in samples])
+    order = np.argsort(time_s, kind="stable")
+    order = order[np.isfinite(left_K[order])]
+    lower = np.linalg.cholesky(G[order] @ G[order].T + np.diag(noise[order] ** 2))
+    white = solve_triangular(lower, np.column_stack([left_K, jacobian])[order], lower=True)
+    found = []
+    for i, s in enumerate(samples):
+        rows = channel[order] == i
+        residual, sensitivity = white[rows, 0], white[rows, 1:]
+        name = f"{record_fit.record.name}/{s.channel.sensor.name}"
+        found.append(ChannelResiduals(name, time_s[order][rows], residual, np.ones(len(residual)), sensitivity))
+    return found
 
 
 def _middle_K(intervals: ReadingIntervals) -> FloatArray:

@@ -101,6 +101,16 @@ def word_intervals(
     return np.where(unrounded, reading_K, lower), np.where(unrounded, reading_K, upper)
 
 
+def middle_K(lower_K: FloatArray, upper_K: FloatArray) -> FloatArray:
+    """(reading,) middle of the interval of each reading [K], the finite end of an open one.
+
+    Source: docs/theory/estimation_statistics.md, equation 12.
+    """
+    return np.where(
+        np.isfinite(lower_K), np.where(np.isfinite(upper_K), 0.5 * (lower_K + upper_K), lower_K), upper_K
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Likelihood:
     """Log likelihood of each sample and its derivatives; 0 for a lost sample, NaN where the prediction is NaN.
@@ -153,19 +163,24 @@ def likelihood(samples: ReadingIntervals, mean_K: ArrayLike, sigma_K: ArrayLike)
     return Likelihood(**{name: np.where(samples.is_lost, 0.0, values) for name, values in of_samples.items()})
 
 
-def scores(samples: ReadingIntervals, mean_K: FloatArray, sigma_K: float) -> tuple[float, FloatArray, FloatArray]:
-    """Total log likelihood of samples with one noise level, and score and information of each.
+def scores(
+    samples: ReadingIntervals, mean_K: FloatArray, sigma_K: FloatArray | float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Total log likelihood of samples, and score and information of each.
 
-    Compiled for the inner loop of a fit; the values are those of `likelihood`.
+    Compiled for the inner loop of a fit with one noise for all samples; the values are those of `likelihood`.
 
     samples : (sample,) intervals [K]
     mean_K  : (sample,) predictions [K]
-    sigma_K : noise [K], one for all samples
+    sigma_K : () or (sample,) noise [K]
     returns : sum of log likelihoods; (sample,) scores [1/K]; (sample,) observed information [1/K2]; 0 for a lost sample
     raises  : InputError where sigma_K is not positive
 
     Source: docs/theory/estimation_statistics.md, equations 3 to 6.
     """
+    if np.ndim(sigma_K):
+        each = likelihood(samples, mean_K, sigma_K)
+        return float(np.sum(each.log_likelihood)), each.score, each.information
     score, information = np.empty((2, len(mean_K)))
     total = fill_scores(samples.lower_K, samples.upper_K, mean_K, float(_positive(sigma_K)), score, information)
     return total, score, information

@@ -134,8 +134,11 @@ class ModelError:
     flight     : the directions; None where the flight has no error
     sigma      : standard deviation of the heating's error [-];  correlation_s : its correlation time [s]
     noise      : of the sensors whose noise changes slowly, by their numbers
+    white_K    : (sensor, sample, value) change of a reading for one standard deviation of each value of the heating's
+                 white noise, which the noise of the conditions gives [K]; None without any
 
-    The unknowns u are those of the heating, of the flight and of the noise of each sensor, in this order.
+    The unknowns u are those of the heating, of the flight, of the noise of each sensor and of the heating's white
+    noise, in this order.
     """
 
     time_s: FloatArray
@@ -146,6 +149,12 @@ class ModelError:
     sigma: float
     correlation_s: float
     noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
+    white_K: FloatArray | None = None
+
+    @property
+    def is_noise_alone(self) -> bool:
+        """Whether only the conditions and the sensors have noise, and heating and flight are as the model has them."""
+        return self.sigma == 0.0 and self.flight is None
 
     @cached_property
     def correlation_root(self) -> FloatArray:
@@ -203,6 +212,7 @@ class ModelError:
         """
         k = np.searchsorted(self.sample_s, time_s)
         others = [np.zeros((len(k), len(n.time_s))) if i != sensor else n.at(time_s) for i, n in self.noise.items()]
+        others += [] if self.white_K is None else [self.white_K[sensor, k]]
         return self.heating_K[sensor, k], np.column_stack([self.flight_K[sensor, k], *others])
 
 

@@ -10,8 +10,17 @@ bounds (Bertsekas, "Projected Newton Methods for Optimization Problems with Simp
 watchdog technique for forcing convergence", Math. Programming Study 16 (1982)); then all fractions of it in one call,
 and from then on the whole step and its fractions together, until a whole step helps again.
 Levenberg damping where M + P is singular, more where no fraction helps. Converged when a full step predicts an
-improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma. Derived in
-docs/theory/estimation_statistics.md, equations 13 to 17.
+improvement below `min_improvement` and changes no parameter by more than `min_step` of its sigma.
+
+A likelihood may have a kink: an onset at an angle that was flown for long is one. There the gradient points uphill and
+no step raises the posterior. The gradient just beyond then points back, and a change y of the gradient over so short a
+step s is information across the kink,
+
+    K = y y' / (y' s),   y = g(p) - g(p + s) - (M + P + K_before) s,
+
+that joins M + P for the next steps: they follow the kink.
+Converged where such a step is a small part of each sigma, or where no step helps and the whole one is that small.
+Derived in docs/theory/estimation_statistics.md, equations 13 to 17a.
 """
 
 from __future__ import annotations
@@ -49,6 +58,13 @@ step is tried together with its fractions.
 """
 RECENT = 3
 """Steps whose largest gain is what each step left may gain, in `needed_log_likelihood`."""
+SETTLED_STEP = 0.02
+"""Step over the sigma of each parameter [-] at which a search in which no step helps has converged, on a kink or many
+small ones."""
+SHORTENINGS = 2
+"""Times that a step which does not help is shortened to its smallest fraction, in search of a kink."""
+MOST_CLOSER, NEAREST = 16, 0.02
+"""Evaluations that a kink is found by at most, and how near to an end of what it is within, over its length [-]."""
 SHORTER = 0.5
 """Factor on `trust_radius` after whole steps did not help; it grows back after they do."""
 
@@ -114,6 +130,7 @@ class Status(Enum):
     """How an iteration ended."""
 
     CONVERGED = "converged"
+    KINK = "converged; the likelihood has a kink here"
     ITERATIONS = "not converged within the iterations allowed; start nearer or allow more"
     STALLED = "diverged: no step, however short, raises the likelihood; its gradient or the model is not smooth here"
     BEHIND = "not converged: ended far below the likelihood that was needed"
@@ -163,11 +180,12 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the log posterior [-] has its maximum here, on a bound or along an unidentified direction included.
+        """Whether the log posterior [-] has its maximum here, on a bound, along an unidentified direction or at a kink
+        included.
 
         Criterion: docs/theory/estimation_statistics.md, equation 17.
         """
-        return self.status is Status.CONVERGED
+        return self.status in (Status.CONVERGED, Status.KINK)
 
     @property
     def sigma(self) -> FloatArray:
@@ -354,6 +372,10 @@ class _NewtonSearch:
         self.history = [at]
         self.reached: list[float] = []
         """Log posterior at the start and after each step [-]."""
+        self.kink = np.zeros((len(at), len(at)))
+        """(parameter, parameter) information across the kinks that are met, equation 17a."""
+        self.kink_at = at
+        """Where the last kink was met."""
 
     def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
         self.at, self.likelihood = at, likelihood
@@ -369,7 +391,11 @@ class _NewtonSearch:
         for _ in range(self.settings.iterations):
             step = self.step(self.damping, self.trust)
             if self.is_converged(step):
-                return Status.CONVERGED
+                if not np.any(self.kink):
+                    return Status.CONVERGED
+                if not (yield from self.leaves_kink()):
+                    return Status.KINK
+                continue
             if self.watched:
                 whole = yield from self.take_whole_steps(step)
                 accepted = whole or (yield from self.take_fraction(step)) > 0.0
@@ -377,6 +403,14 @@ class _NewtonSearch:
                 # along a bent valley whole steps keep failing: do not pay for one and its gradient before its fractions
                 taken = yield from self.take_fraction(step, whole_first=True)
                 whole, accepted = taken == 1.0, taken > 0.0
+            if not accepted:
+                begin = self.at
+                at_kink = yield from self.meets_kink(step)
+                accepted = self.at is not begin
+                if at_kink and not accepted:
+                    continue
+                if not accepted and self.is_settled():
+                    return Status.CONVERGED if self.is_within_rounding() else Status.KINK
             self.trust = min(self.trust / SHORTER, 1.0) if whole else SHORTER * self.trust
             self.watched = WATCHED if whole else 0
             while not accepted and self.damping < LARGEST_DAMPING:
@@ -394,7 +428,9 @@ class _NewtonSearch:
                 return Status.BEHIND
             # damping dies out, so that the last steps are Newton's own and the end is quadratic
             self.damping *= LESS if self.damping > FIRST_DAMPING else 0.0
-        return Status.CONVERGED if self.is_converged(self.step(self.damping, self.trust)) else Status.ITERATIONS
+        if not self.is_converged(self.step(self.damping, self.trust)):
+            return Status.ITERATIONS
+        return Status.KINK if np.any(self.kink) else Status.CONVERGED
 
     def step(self, damping: float, trust: float) -> FloatArray:
         """(parameter,) damped step of the parameters that are not on a bound, the best one within the box.
@@ -407,8 +443,9 @@ class _NewtonSearch:
         step, free = np.zeros_like(self.at), ~self.on_bound
         if not free.any():
             return step
-        values, vectors = scaled_eigenvectors(self.found.information[np.ix_(free, free)])
-        s = scale(self.found.information[np.ix_(free, free)])
+        information = (self.found.information + self.kink)[np.ix_(free, free)]
+        values, vectors = scaled_eigenvectors(information)
+        s = scale(information)
         lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
         root = np.sqrt(lifted + damping)
         target = vectors.T @ (s * self.found.gradient[free]) / root
@@ -448,7 +485,75 @@ class _NewtonSearch:
         improvement = 0.5 * float(self.found.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
         small = np.abs(step) <= self.settings.min_step * np.where(self.on_bound, np.inf, sigma)
-        return improvement < self.settings.min_improvement and bool(np.all(small))
+        # at a kink the gradient does not vanish: what a step across it promises says nothing
+        return (improvement < self.settings.min_improvement or bool(np.any(self.kink))) and bool(np.all(small))
+
+    def is_settled(self) -> bool:
+        """Whether the undamped step, which does not help, is so small a part of each sigma that nothing is gained."""
+        sigma = np.sqrt(np.diag(self.covariance()))
+        step = np.abs(self.step(0.0, 1.0))
+        return bool(np.all(step <= SETTLED_STEP * np.where(self.on_bound, np.inf, sigma)))
+
+    def meets_kink(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
+        """Whether the gradient turns about within the smallest fraction of a step that does not help.
+
+        The kink is then found to `min_step` of each sigma, and the change of the gradient across it is information
+        (equation 17a). Where so short a step helps it is taken.
+        """
+        fraction = min(self.settings.step_fractions)
+        for k in range(1, SHORTENINGS + 1):
+            candidate = np.clip(self.at + fraction**k * step, self.posterior.lower, self.posterior.upper)
+            beyond = (candidate, (yield candidate))
+            found = self.posterior.evaluation(*beyond)
+            if not _finite(found):
+                continue
+            if found.log_likelihood > self.found.log_likelihood:
+                self.move_to(*beyond)
+                return False
+            if self.found.gradient @ step > 0.0 > found.gradient @ step:
+                return (yield from self.close_in(beyond))
+        return False
+
+    def close_in(self, beyond: tuple[FloatArray, Evaluation]) -> Generator[FloatArray, Any, bool]:
+        """Move to a kink between here and a point beyond it, and note the information across it."""
+        ends = [(self.at, self.likelihood), beyond]
+        sigma = np.sqrt(np.diag(self.covariance()))
+        for k in range(MOST_CLOSER):
+            (a, of_a), (b, of_b) = ends
+            if np.all(np.abs(b - a) <= self.settings.min_step * sigma):
+                break
+            before, after = self.posterior.evaluation(a, of_a), self.posterior.evaluation(b, of_b)
+            up, down = float(before.gradient @ (b - a)), float(after.gradient @ (b - a))
+            # where the tangents at both ends meet; every other time the middle
+            t = (after.log_likelihood - before.log_likelihood - down) / (up - down) if k % 2 == 0 else 0.5
+            between = a + np.clip(t, NEAREST, 1.0 - NEAREST) * (b - a)
+            likelihood = yield between
+            found = self.posterior.evaluation(between, likelihood)
+            if not _finite(found):
+                return False
+            ends[0 if found.gradient @ (b - a) > 0.0 else 1] = (between, likelihood)
+        (a, of_a), (b, of_b) = ends
+        before, after = self.posterior.evaluation(a, of_a), self.posterior.evaluation(b, of_b)
+        if self.kink_at is not self.at:  # along a kink that was followed, the information may have changed
+            self.kink = np.zeros_like(self.kink)
+        self.move_to(*ends[0 if before.log_likelihood >= after.log_likelihood else 1])
+        self.kink_at = self.at
+        y = before.gradient - after.gradient - (self.found.information + self.kink) @ (b - a)
+        if y @ (b - a) <= 0.0:
+            return False
+        self.kink = self.kink + np.outer(y, y) / (y @ (b - a))
+        self.damping, self.trust, self.watched = 0.0, 1.0, 0
+        return True
+
+    def leaves_kink(self) -> Generator[FloatArray, Any, bool]:
+        """Whether a step that knows nothing of the kinks helps, where those along them have converged; it is taken."""
+        before, kink = self.found.log_likelihood, self.kink
+        self.kink = np.zeros_like(kink)
+        yield from self.take_fraction(self.step(0.0, 1.0))
+        if self.found.log_likelihood - before > self.settings.min_improvement:
+            return True
+        self.kink = kink
+        return False
 
     def is_out_of_reach(self) -> bool:
         """Whether the steps that are left would not lead to the log likelihood that is needed, as far as gains tell."""

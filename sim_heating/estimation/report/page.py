@@ -16,7 +16,7 @@ from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.estimate_file import PAIR, Estimate, FitErrors
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, ratio_limits
 from sim_heating.estimation.report.ratio_plot import derivatives_about
-from sim_heating.estimation.report.remarks import floor_in_words, further_warnings
+from sim_heating.estimation.report.remarks import floor_in_words, further_warnings, samples_in_words
 from sim_heating.estimation.trend import Trend
 from sim_heating.simulation.report.charts import flown_panels
 
@@ -30,19 +30,21 @@ def estimate_page(
     parameters: Table,
     fit_pictures: Sequence[Path],
     pictures: Sequence[tuple[Path, str]],
+    profiles: Path | None = None,
 ) -> Page:
     """The report of a fit as a page.
 
     parameters   : the table of the estimated parameters
     fit_pictures : of each record, the picture of its fit
     pictures     : further ones with their captions; files that do not exist are left out
+    profiles     : that of the profiles of the likelihood
     """
     records = [p.record for p in fitted.after]
     titles = dict.fromkeys(r.declared.title or r.declared.control_point for r in records)
     subtitle = f"Record{'s' if len(records) > 1 else ''} {', '.join(r.name for r in records)}, {found.vehicle or ''}"
     sections = [
-        _parameters_section(found, parameters), _errors_section(found), _comparison_section(fitted, fit_pictures),
-        _residuals_section(found), *_pictures_section(pictures),
+        _parameters_section(fitted, found, parameters), *_profiles_section(profiles), _errors_section(found),
+        _comparison_section(fitted, fit_pictures), _residuals_section(found), *_pictures_section(pictures),
         credibility_section(fitted.credibility.as_json()),
     ]  # fmt: skip
     return Page(
@@ -71,7 +73,7 @@ def _declared(found: Estimate, segments: str) -> FitErrors | None:
     return None if errors is None else FitErrors.model_validate(errors, from_attributes=True)
 
 
-def _parameters_section(found: Estimate, parameters: Table) -> Section:
+def _parameters_section(fitted: FitResult, found: Estimate, parameters: Table) -> Section:
     about = derivatives_about(found.parameters, found.reference_condition.values())
     text = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
     points = [
@@ -80,6 +82,7 @@ def _parameters_section(found: Estimate, parameters: Table) -> Section:
         if n not in found.not_estimated
     ]
     points += [f"{n}: tied to {other}" for n, other in found.ties.items() if n != other]
+    points += [p.in_words() for p in fitted.profiles.values()]
     points += [f"{n}: not estimated, {why}" for n, why in found.not_estimated.items()]
     points += [remark.in_words for remark in found.remarks]
     strongest = sorted(found.correlation.items(), key=lambda item: -abs(item[1]))
@@ -106,6 +109,8 @@ def _errors_section(found: Estimate) -> Section:
         Column("samples", format=".0f"),
     ]  # fmt: skip
     caption = "Errors of the plain march, with no measurement assimilated; held-out samples entered no fit."
+    samples = samples_in_words((found.model_extra or {}).get("samples", {}))
+    caption += f" {samples[0].upper()}{samples[1:]}." if samples else ""
     return Section("Errors", tables=[Table(caption, columns, rows)])
 
 
@@ -135,6 +140,17 @@ def _residuals_section(found: Estimate) -> Section:
     ]  # fmt: skip
     caption = "Residuals over their noise: for the true model the mean is 0, the RMS 1, and p-values are not small."
     return Section("Residuals", tables=[Table(caption, columns, rows, sortable=len(rows) > SORTABLE)])
+
+
+def _profiles_section(picture: Path | None) -> list[Section]:
+    """Profiles of the likelihood, where some were asked for."""
+    if picture is None or not picture.is_file():
+        return []
+    caption = (
+        "Twice the fall of the log likelihood along a parameter, the others refitted. Shaded: the 95 % interval; "
+        "dashed: the parabola of its sigma."
+    )
+    return [Section("Profiles of the likelihood", pictures=[SavedPicture(picture, caption)])]
 
 
 def _pictures_section(pictures: Sequence[tuple[Path, str]]) -> list[Section]:

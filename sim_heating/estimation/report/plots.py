@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from sim_heating.base.report.figure import (
     save_figure,
 )
 from sim_heating.base.report.page import Picture, SavedPicture
+from sim_heating.estimation.inference.profile import LIMIT, Profile
 from sim_heating.estimation.trend import Trend
 from sim_heating.inputs.record import Record
 from sim_heating.simulation.predict import Prediction
@@ -48,6 +49,29 @@ def draw_fit(path: Path, before: Prediction, after: Prediction, *, filtered: boo
     figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, fitted)])
     title = record.declared.title or record.declared.control_point
     save_figure(figure, path, f"{record.name}: declared and fitted\n{title}", axes)
+
+
+@replaced_if_undrawable
+def draw_profiles(path: Path, profiles: Sequence[Profile], sigmas: Mapping[str, float]) -> None:
+    """Draw D of each profile against the parameter, its 95 % interval shaded, and the parabola of its sigma.
+
+    sigmas : one standard deviation of each parameter by its label, in its unit
+    """
+    figure, axes = new_figure(6.0, 2.9 * len(profiles) + 0.5, len(profiles))
+    for a, p in zip(axes, profiles, strict=True):
+        ends = [max(p.lower, p.values[0]), min(p.upper, p.values[-1])]
+        a.axvspan(*ends, color="0.9", linewidth=0, label="95 % interval")
+        a.plot(p.values, p.deviance, "o-", color=AFTER, markersize=3.5, linewidth=1.2, label="profile")
+        sigma = sigmas.get(p.name, 0.0)
+        if np.isfinite(sigma) and sigma > 0.0:
+            x = np.linspace(p.values[0], p.values[-1], 200)
+            a.plot(x, ((x - p.value) / sigma) ** 2, "--", color=BEFORE, linewidth=1.0, label="by sigma")
+        a.axhline(LIMIT, color="0.3", linewidth=0.8)
+        a.set_ylim(0.0, 2.0 * LIMIT)
+        a.set_xlabel(p.name if p.unit == "1" else f"{p.name}, {p.unit}")
+        a.set_ylabel("2 x fall of log likelihood")
+        legend_above(a)
+    save_figure(figure, path, "Profiles of the likelihood", axes)
 
 
 def fit_figure(record: Record, curves: Sequence[tuple[Prediction, str, str]]) -> tuple[Figure, np.ndarray]:

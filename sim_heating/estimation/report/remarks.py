@@ -6,8 +6,9 @@ Each states the parameters, if it is about any, what is remarkable, and what it 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,23 @@ def floor_in_words(found: Estimate) -> str:
         return ""
     circular = any(r.kind == NOISE for r in found.remarks)
     return f"{found.noise_floor_K:.2f} K{', from the misfit itself' if circular else ''}"
+
+
+def samples_in_words(samples: Mapping[str, Any]) -> str:
+    """How many readings of the fit segments count, and why the others do not; empty where all do.
+
+    samples : `fit`, and `left_out` by the reason
+
+    >>> from sim_heating.estimation.report.remarks import samples_in_words
+    >>> samples_in_words({"fit": 45, "holdout": 0, "left_out": {"slack of the clock": 4}})
+    '45 of 49 readings of the fit segments are fitted; left out: 4 (slack of the clock)'
+    """
+    left_out = samples.get("left_out", {})
+    if not left_out:
+        return ""
+    whole = samples["fit"] + sum(left_out.values())
+    reasons = ", ".join(f"{count} ({reason})" for reason, count in left_out.items())
+    return f"{samples['fit']} of {whole} readings of the fit segments are fitted; left out: {reasons}"
 
 
 def further_warnings(warnings: Sequence[str], found: Sequence[Remark]) -> list[str]:

@@ -79,6 +79,9 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "predicted": None
             if any(r.lacks_ratio for r in records)
             else {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            "samples": sample_counts(fitted),
+            "profiles": {name: found.as_json() for name, found in fitted.profiles.items()},
+            "outliers": [outlier.as_json() for outlier in fitted.outliers],
             "innovations": _innovations(fitted),
             "degrees_of_freedom": fitted.bounds.dof,
             "log_likelihood": fitted.fit.log_likelihood,
@@ -170,6 +173,19 @@ def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | N
     return None if found is None else FitErrors.model_validate(found)
 
 
+def sample_counts(fitted: FitResult) -> dict[str, Any]:
+    """Numbers of readings that were fitted, that are held out, and that were left out by the reason."""
+    left_out: dict[str, int] = {}
+    for record_fit in fitted.problem.record_fits:
+        for reason, count in record_fit.left_out.items():
+            left_out[reason] = left_out.get(reason, 0) + count
+    if fitted.outliers:
+        left_out["outliers"] = len(fitted.outliers)
+    held_out = _errors(fitted.after, "holdout")
+    count = sum(len(c.samples) for record_fit in fitted.problem.record_fits for c in record_fit.channels)
+    return {"fit": count, "holdout": 0 if held_out is None else held_out.n, "left_out": left_out}
+
+
 def _innovations(fitted: FitResult) -> dict[str, float] | None:
     """Errors of the filter's predictions [K], pooled over the fitted samples; None in an output-error fit."""
     if fitted.innovations is None:
@@ -241,16 +257,18 @@ def _test(test: HypothesisTest | None) -> dict[str, float] | None:
 
 TREND = TREND_CSV, TREND_PICTURE, TREND_PAGE = "trend.csv", "trend.png", "report.html"
 FIT_FILES = TEMPERATURES, FIT_PICTURE, RATIO_PICTURE = "temperatures.csv", "fit.png", "ratio.png"
+PROFILE_PICTURE = "profiles.png"
 PAGE = "report.html"
 
 
-def output_files(records: Sequence[Record], *, filtered: bool = False) -> list[str]:
-    """Names of all files that a fit of some records may write; `filtered` where it has process noise."""
+def output_files(records: Sequence[Record], *, filtered: bool = False, profiles: bool = False) -> list[str]:
+    """Names of all files that a fit of some records may write; `filtered` with process noise, `profiles` with these."""
     from sim_heating.estimation.report import filtered as filter_report
 
     folders = [""] if len(records) == 1 else [f"{record.name}/" for record in records]
     names = [*FIT_FILES, *(filter_report.FILES if filtered else ())]
-    return [NAME, PAGE, *(f"{folder}{name}" for folder in folders for name in names)]
+    of_fit = [NAME, PAGE, *([PROFILE_PICTURE] if profiles else [])]
+    return [*of_fit, *(f"{folder}{name}" for folder in folders for name in names)]
 
 
 def write_trend(trend: Trend, out: Path) -> list[str]:
@@ -309,8 +327,9 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
                 for f, p in zip(folders, fitted.after, strict=True)
                 for name, caption in captions.items()
             ]
+            profiles = folder / PROFILE_PICTURE if fitted.profiles else None
             table, fits = estimate_table("", found), [f / FIT_PICTURE for f in folders]
-            write_page(folder / PAGE, lambda: estimate_page(fitted, found, table, fits, pictures))
+            write_page(folder / PAGE, lambda: estimate_page(fitted, found, table, fits, pictures, profiles))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
 
 
@@ -321,11 +340,14 @@ def write_fit_data(fitted: FitResult, found: Estimate, folder: Path) -> list[Cal
     returns : functions that draw its pictures there, for `draw_files`
     """
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
-    from sim_heating.estimation.report.plots import draw_fit  # matplotlib is slow to import
+    from sim_heating.estimation.report.plots import draw_fit, draw_profiles  # matplotlib is slow to import
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
     write_estimate(folder / NAME, found)
     draws: list[Callable[[], object]] = []
+    if fitted.profiles:
+        sigmas = dict(zip(fitted.labels, fitted.bounds.sigma.tolist(), strict=True))
+        draws.append(partial(draw_profiles, folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas))
     parts = zip(fitted.problem.record_fits, fitted.before, fitted.after, _record_folders(fitted, folder), strict=True)
     for record_fit, before, after, own in parts:
         own.mkdir(exist_ok=True, parents=True)

@@ -38,7 +38,7 @@ from sim_heating.estimation.filter.online import (
     no_readings,
     own_readings,
 )
-from sim_heating.estimation.filter.records import middle_K
+from sim_heating.estimation.inference.likelihood import middle_K
 from sim_heating.estimation.starts import START_SIGMA_K
 from sim_heating.live.filtering.estimates import Innovation, LiveEstimate, LiveOptions
 from sim_heating.live.filtering.heated_start import reading_sigma_K, start_of_heated

@@ -42,7 +42,7 @@ class SensorTable:
         self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
         self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
         sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
-        self.sigma_K, self.variance_K2 = np.array(sigma), np.array(sigma) ** 2
+        self.sigma_K, self.per_K = np.array(sigma), np.array([s.noise_per_K for s in self.sensors])
         words = [s.bits is not None and s.range_K is not None for s in self.sensors]
         pairs = list(zip(self.sensors, words, strict=True))
         self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
@@ -92,7 +92,8 @@ class SensorTable:
             for q, n in enumerate(number):
                 self._add_terms(q, int(n), t[q], filters, gain, bias, direct)
         lower = np.where(skipped, np.nan, lower)
-        point, node, variance = self.point[number], self.node[number], self.variance_K2[number]
+        point, node = self.point[number], self.node[number]
+        variance = self.sigma_K[number] ** 2 + np.nan_to_num(self.per_K[number] * value) ** 2
         return PointReadings(point, t, node, lower, upper, variance, gain, bias, direct)
 
     def _add_terms(
@@ -127,8 +128,10 @@ class SensorTable:
         found = {}
         if not self._any_terms and not self.curved and not np.any(self.tau_s):
             nodes = list(point.mesh.sensors)
-            sigma = np.hypot(state.sigma_K[nodes], self.sigma_K[self.of_point[i]]).tolist()
-            pairs = zip(point.sensors, state.temperature_K[nodes].tolist(), sigma, strict=True)
+            T_K, of_point = state.temperature_K[nodes], self.of_point[i]
+            noise = np.hypot(self.sigma_K[of_point], self.per_K[of_point] * T_K)
+            sigma = np.hypot(state.sigma_K[nodes], noise).tolist()
+            pairs = zip(point.sensors, T_K.tolist(), sigma, strict=True)
             return {sensor.name: SensorEstimate(T, own) for sensor, T, own in pairs}
         values = dict(zip(state.names, state.values.tolist(), strict=True))
         for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
@@ -149,5 +152,6 @@ class SensorTable:
                 row = wrong.gain * per_T + terms[:, 0] + terms[:, 1] * T
                 variance = float(row @ state.covariance @ row)
                 variance += wrong.gain**2 * float(state.state_covariance[node, node])
-            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + float(self.sigma_K[n]) ** 2))
+            noise_K2 = float(self.sigma_K[n] ** 2 + (self.per_K[n] * mean) ** 2)
+            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + noise_K2))
         return found

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DESCRIPTIONS, SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import display_path, output_directory
+from sim_heating.estimation.record_fit import LONGEST_STEP_S
 from sim_heating.heating.atmosphere import free_stream
-from sim_heating.inputs.points import conditions_behind_walls
+from sim_heating.inputs.first_readings import other_start
+from sim_heating.inputs.points import conditions_behind_walls, conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
 from sim_heating.live.filtering.estimator import BRIDGED_S
+from sim_heating.live.filtering.heated_start import start_of_heated
 from sim_heating.live.filtering.timeline import Placed, Timeline
 from sim_heating.live.recording.journal import damage_of, journal_file, read_head, read_journal
 from sim_heating.live.sources import decoder_of
@@ -28,8 +31,12 @@ from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.sources.mapping import FieldMapping
 from sim_heating.live.spec import Link, LinkPoint, make_link
 from sim_heating.live.types import Frame, Sample
+from sim_heating.march.ensemble import condition_history
+from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.simulation.synthesize import flown_columns, ratio_table_of, record_declaration, turbulent_table_of
 
+FIRST_S = 2.0
+"""Time after the first frame within which a first reading is one of the start [s]."""
 RECORDS = "records"
 """Folder of the records in the directory of a link's results."""
 
@@ -129,10 +136,12 @@ def records_of(link: Link, stretch: Stretch) -> dict[str, Record]:
     columns: dict[str, FloatArray] = {"time_s": np.array(times)}
     for name in stretch.frames[times[0]]:
         columns[name] = np.array([stretch.frames[t].get(name, np.nan) for t in times])
+    declared_start = link.declared.estimate.start == "declared"
     found = {
-        point.name: _record(link, point, columns, measured)
+        point.name: record if declared_start else with_heated_start(record)
         for point in link.points
         if (measured := _measured(point, stretch, times[0], times[-1])) is not None
+        for record in [_record(link, point, columns, measured)]
     }
     if not found:
         raise InputError(f"{where}: no reading of a thermocouple came within the time of the conditions; no record")
@@ -164,6 +173,31 @@ def _record(
     declared = record_declaration(vehicle, own, sensors, link.title, link.path.stem, measured=True)
     table, turbulent = ratio_table_of(own), turbulent_table_of(own)
     return make_record(declared, flown_columns(conditions), measured, table, point.name, turbulent)
+
+
+def with_heated_start(record: Record) -> Record:
+    """A record that begins in flight with the temperatures in depth [K] that conduct to its first readings.
+
+    The record as it is where it begins as declared, or where no heating conducts to its readings. Source:
+    docs/theory/clocks_and_starts.md, equation 8.
+    """
+    if other_start(record) is None:
+        return record
+    model, begin_s = point_of_record(record), float(record.conditions.time_s[0])
+    mesh = choose_meshes([model], LONGEST_STEP_S)[0][0]
+    soon = (record.time_s >= begin_s) & (record.time_s <= begin_s + FIRST_S)
+    columns = zip(mesh.sensors, record.sensors, record.temperatures_K()[:, soon], strict=True)
+    read_K = {node: float(T[np.isfinite(T)][0]) for node, s, T in columns if s.used and np.any(np.isfinite(T))}
+    if not read_K:
+        return record
+    conditions = condition_history(conditions_of_record(record).at(np.array([begin_s])))[0]
+    try:
+        profile_K, _ = start_of_heated(model, mesh, read_K, conditions)
+    except RunError:
+        return record
+    rows = [[float(x), round(float(T), 2)] for x, T in zip(mesh.depth_m, profile_K, strict=True)]
+    stack = record.declared.stack.model_copy(update={"initial": "profile", "initial_profile": rows})
+    return replace(record, declared=record.declared.model_copy(update={"stack": stack}))
 
 
 def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]) -> Record:

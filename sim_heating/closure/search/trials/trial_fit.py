@@ -36,8 +36,8 @@ from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.observability import default_names, parameters_without_heating
-from sim_heating.estimation.problem import SKEW_SPAN_S, FitOptions, FitProblem
-from sim_heating.estimation.record_fit import PredictedSamples, RecordFit, least_sigma_K
+from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.record_fit import SKEW_SPAN_S, PredictedSamples, RecordFit, least_sigma_K
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import EffectUse
 from sim_heating.inputs.points import conditions_of_record
