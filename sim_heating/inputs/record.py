@@ -55,7 +55,7 @@ from sim_heating.heating.ratio.table import (
     ratio_table_text,
     read_ratio_table,
 )
-from sim_heating.heating.recorded_columns import implausible_values, with_density
+from sim_heating.heating.recorded.plausible import implausible_values, with_density
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems

@@ -18,7 +18,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
-from sim_heating.heating.recorded_columns import implausible_values, with_density
+from sim_heating.heating.recorded.plausible import implausible_values, with_density
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
