@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
+from sim_heating.base.conditions import DESCRIPTIONS
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import plain_number, suggestion
-from sim_heating.base.files.units import converted
+from sim_heating.base.files.units import converted, known_unit
 from sim_heating.base.limits import quantity as range_of
+from sim_heating.heating.recorded.fields import ConditionField, column_unit
 
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number, with a decimal point or a decimal comma."""
+
+
 def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> float:
     """A number with a unit in SI units. Only a 0 may stand without one, where it is the same in all units.
 
@@ -38,6 +43,27 @@ def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> 
     if known is not None and (problem := known.problem(si)) is not None:
         raise InputError(f"{option}: `{text.strip()}`: {problem}")
     return si
+
+
+def stated_field(column: str, text: str, names: Collection[str] = ()) -> ConditionField:
+    """What an option `--field COLUMN=TEXT` states: a field, `NAME:UNIT`, or a constant with its unit, `0deg`.
+
+    names  : of the fields of the file; a text that is one of them is that field
+    raises : InputError, one line, for a column that is none and a constant of another quantity
+    """
+    if column not in DESCRIPTIONS:
+        raise InputError(f"--field {column}: unknown column of flight conditions{suggestion(column, DESCRIPTIONS)}")
+    if text in names:
+        return ConditionField(field=text)
+    name, colon, unit = text.rpartition(":")
+    if colon and name and known_unit(unit) is not None:
+        return ConditionField(field=name, unit=unit)
+    if re.fullmatch(rf"{NUMBER}\s*\S*", text) is None:
+        return ConditionField(field=text)
+    plain = column_unit(column)
+    if not plain:
+        return ConditionField(constant=plain_number(text.replace(",", ".")))
+    return ConditionField(constant=quantity(text, plain, f"--field {column}", f"--field {column}=0{plain}", column))
 
 
 def require_known(names: dict[str, str], known: list[str], option: str) -> None:

@@ -32,7 +32,7 @@ WORDS = {
     "msecs": "ms", "millis": "ms", "millisec": "ms", "milliseconds": "ms", "usec": "us", "micros": "us",
     "microseconds": "us", "btu": "BTU", "btus": "BTU", "fps": "ft/s", "kts": "knot", "psf": "lbf/ft**2",
     "pcf": "lb/ft**3", "slugs": "slug", "feet": "ft", "meters": "m", "metres": "m", "watt": "W", "watts": "W",
-    "psi": "psi", "psia": "psi", "volt": "V", "volts": "V",
+    "psi": "psi", "psia": "psi", "gm": "g", "lbm": "lb", "volt": "V", "volts": "V",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
 LETTERS = {

@@ -85,7 +85,7 @@ def derived_conditions(
     _add_density(c, notes, air, wanted)
     _add_free_stream(c, notes, air, wanted, length_m)
     columns = {name: values for name, values in c.items() if name not in (REYNOLDS, SOUND, GEOPOTENTIAL)}
-    return DerivedConditions(columns, tuple([*notes, *air.notes]), tuple(n for n in AIR if n in air.of_model))
+    return DerivedConditions(columns, (*notes, *air.notes), tuple(n for n in AIR if n in air.of_model))
 
 
 class _Air:

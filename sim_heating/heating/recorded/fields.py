@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field, model_validator
 
 from sim_heating.base.conditions import DESCRIPTIONS
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import Declared, LocatedError
-from sim_heating.base.files.units import NO_DIMENSION, Conversion, conversion, known_unit
+from sim_heating.base.files import Declared, LocatedError, Location, suggestion
+from sim_heating.base.files.units import NO_DIMENSION, Conversion, conversion, converted, known_unit, name_and_unit
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "deg": "deg", "K": "K", "Pa": "Pa", "kg_m3": "kg/m3", "W_m2": "W/m2",
@@ -75,8 +75,8 @@ VOCABULARY: dict[str, tuple[str, ...]] = {
 """Column -> names of it in small letters, words apart; a name of several columns is the one that its unit fits."""
 PLAIN = ("mach", "log10_re", "jets", REYNOLDS)
 """Columns that are numbers without a unit."""
-BRACKETS = re.compile(r"(.*?)\s*[\[(<]\s*([^\])>]*?)\s*[\])>]\s*$")
-BEHIND_SIGN = re.compile(r"(.*\S)\s*[/,]\s*(\S.*)")
+AS_IT_IS = Conversion(1.0, 0.0)
+CLOSING = ")]>"
 MACH_UNITS = ("mach", "Mach", "MACH", "Ma")
 
 
@@ -100,6 +100,28 @@ class ConditionField(Declared):
         return self
 
 
+def field_or_table(value: Any) -> str:
+    """Which of the two forms a declared field has: the name of it, or a table."""
+    return "field" if isinstance(value, str) else "table"
+
+
+def check_columns(fields: dict[str, Any], of_time: str = "") -> dict[str, Any]:
+    """Declared fields whose columns all are flight conditions.
+
+    of_time : rule of a message about `time_s`, where that is not declared here
+    raises  : LocatedError for a column that is none
+    """
+    known = [name for name in DESCRIPTIONS if name != "time_s" or not of_time]
+    problems: list[tuple[Location, str]] = [
+        ((name,), of_time if name == "time_s" else f"unknown column of flight conditions{suggestion(name, known)}")
+        for name in fields
+        if name not in known
+    ]
+    if problems:
+        raise LocatedError(*problems)
+    return fields
+
+
 @dataclass(frozen=True)
 class FlightField:
     """A field that is a column of flight conditions.
@@ -118,7 +140,7 @@ class FlightField:
     @property
     def is_plain(self) -> bool:
         """Whether it is a column by name and unit already."""
-        return self.name == self.column and self.convert == Conversion(1.0, 0.0)
+        return self.name == self.column and self.convert == AS_IT_IS
 
 
 def column_unit(column: str) -> str:
@@ -132,6 +154,10 @@ def column_unit(column: str) -> str:
         if (ending := "_".join(parts[first:])) in UNITS:
             return UNITS[ending]
     return ""
+
+
+QUANTITIES = tuple(dict.fromkeys(unit for column in VOCABULARY if (unit := column_unit(column))))
+"""Units of the columns: what the end of a name has to convert to, to be a unit."""
 
 
 def unit_conversion(given: str, required: str, place: str) -> Conversion:
@@ -155,10 +181,8 @@ def unit_of_name(name: str, column: str) -> str | None:
     >>> unit_of_name("h_ft", "altitude_m"), unit_of_name("V [kts]", "velocity_m_s"), unit_of_name("v", "velocity_m_s")
     ('ft', 'kts', None)
     """
-    for _, unit, _ in _names_and_units(name):
-        if unit and _conversion(unit, column) is not None:
-            return unit
-    return None
+    unit = _name_and_unit(name)[1]
+    return unit if unit and _conversion(unit, column) is not None else None
 
 
 def field_of_name(name: str, unit: str | None = None) -> FlightField | None:
@@ -166,32 +190,26 @@ def field_of_name(name: str, unit: str | None = None) -> FlightField | None:
 
     unit : of a row of units below the names, None without one
 
-    >>> field_of_name("vel_ft_s").column, field_of_name("V_{Total} (ft/s)").convert.factor
+    >>> field_of_name("vel_ft_s").column, round(field_of_name("V_{Total} (ft/s)").convert.factor, 12)
     ('velocity_m_s', 0.3048)
-    >>> field_of_name("Velocity (Mach)").column, field_of_name("Altitude").unit, field_of_name("Elevator Position (deg)")
+    >>> field_of_name("Velocity (Mach)").column, field_of_name("Altitude").unit, field_of_name("Gear Position (deg)")
     ('mach', None, None)
     """
     if name in DESCRIPTIONS and unit is None:
-        return FlightField(name, name, column_unit(name), Conversion(1.0, 0.0))
-    candidates = _names_and_units(name) if unit is None else [(name, unit, True)]
-    unknown: FlightField | None = None
-    for base, stated, is_certain in candidates:
-        columns = _columns(base)
-        if stated in MACH_UNITS and "velocity_m_s" in columns:
-            return FlightField(name, "mach", stated, Conversion(1.0, 0.0))
-        for column in columns:
-            if stated is None:
-                return unknown or _without_unit(name, column)
-            convert = _conversion(stated, column)
-            if convert is not None:
-                return FlightField(name, column, stated, convert)
-        if columns and is_certain and stated:
-            unknown = unknown or FlightField(name, columns[0], None, Conversion(1.0, 0.0))
-    return unknown
-
-
-def _without_unit(name: str, column: str) -> FlightField:
-    return FlightField(name, column, "" if column in PLAIN else None, Conversion(1.0, 0.0))
+        return FlightField(name, name, column_unit(name), AS_IT_IS)
+    base, stated = _name_and_unit(name) if unit is None else (name, unit)
+    columns = _columns(base)
+    if stated in MACH_UNITS and "velocity_m_s" in columns:
+        return FlightField(name, "mach", stated, AS_IT_IS)
+    for column in columns if stated else ():
+        convert = _conversion(stated, column)
+        if convert is not None:
+            return FlightField(name, column, stated, convert)
+    is_ending = unit is None and name.rstrip()[-1:] not in CLOSING
+    columns = _columns(_visible(name)) if stated and is_ending else columns
+    return (
+        FlightField(name, columns[0], "" if columns[0] in PLAIN and not stated else None, AS_IT_IS) if columns else None
+    )
 
 
 def _conversion(unit: str, column: str) -> Conversion | None:
@@ -199,30 +217,16 @@ def _conversion(unit: str, column: str) -> Conversion | None:
     target = "" if column in PLAIN else column_unit(column)
     if (unit in NO_DIMENSION) != (target == ""):
         return None
-    scale, own = known_unit(unit), known_unit(target)
-    return None if scale is None or own is None else conversion(scale, own)
+    return converted(unit, target)
 
 
-def _names_and_units(text: str) -> Iterator[tuple[str, str | None, bool]]:
-    """(name, unit, whether it can be nothing but a unit) of each way to read a field's name; the unit None for none."""
-    plain = _visible(text)
-    if (found := BRACKETS.fullmatch(plain)) is not None and found[1]:
-        yield found[1], found[2], True
-        plain = plain if found[2] else found[1]
-    if (found := BEHIND_SIGN.fullmatch(plain)) is not None:
-        yield found[1], found[2], False
-    parts = [p for p in re.split(r"[_\s]+", plain) if p]
-    for first in range(1, len(parts)):
-        base, ending = " ".join(parts[:first]), parts[first:]
-        yield base, ending[0] + ("/" + ".".join(ending[1:]) if ending[1:] else ""), False
-        if len(ending) > 1:
-            yield base, " ".join(ending), False
-            yield base, f"{ending[0]}/({'.'.join(ending[1:])})", False
-    yield plain, None, False
+def _name_and_unit(text: str) -> tuple[str, str]:
+    """Name and unit of a field; the unit is empty where none is stated."""
+    return name_and_unit(_visible(text), QUANTITIES)
 
 
 def _visible(text: str) -> str:
-    """A text without the characters that have no glyph, such as the blank of no width that OpenRocket has for a unit."""
+    """A text without characters that have no glyph, such as the blank of no width that OpenRocket has for a unit."""
     return "".join(c for c in text if unicodedata.category(c) != "Cf").strip().strip("\"'")
 
 
@@ -232,7 +236,8 @@ def _columns(base: str) -> list[str]:
         return ["T_inf_K"]
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", base)
     words = " ".join(re.findall(r"[a-z]+|\d+", apart.lower()))
-    return [column for column, names in VOCABULARY.items() if words in names or words.replace("log 10", "log10") in names]
+    words = words.replace("log 10", "log10")
+    return [column for column, names in VOCABULARY.items() if words in names]
 
 
 def columns_of_fields(

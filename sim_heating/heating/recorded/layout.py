@@ -1,8 +1,8 @@
-"""Files of flight conditions as tools write them: CSV, JSON lines, lists of fixed columns, with their names and units.
+"""Files of flight conditions as tools write them: CSV, JSON lines, lists in columns, with their names and units.
 
-Read are commas, semicolons, tabs and blanks between cells, names in the last comment line (OpenRocket), comments between
-the rows, units in a row below the names, and one JSON object a line or a list of them. A column that holds texts is no
-condition; an empty cell or `NaN` is no number.
+Read are commas, semicolons, tabs and blanks between cells, names in the last comment line (OpenRocket), comments
+between the rows, units in a row below the names, and one JSON object a line or a list of them. A column that holds
+texts is no condition; an empty cell or `NaN` is no number.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, read_text
 from sim_heating.base.files.units import NO_DIMENSION, known_unit
-from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields
+from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
 
 SAME = 2e-3
 """Relative difference of two fields of one column that are the same but for rounding."""
+DERIVABLE = {"T_inf_K", "p_inf_Pa", "rho_kg_m3", "mach", "log10_re", "p_surface_Pa"}
+"""Columns that may follow from others."""
 RULE = re.compile(r"^[\s|+\-=]{3,}$")
 """A line of dashes, which separates the names of a list from its rows."""
 
@@ -86,6 +88,34 @@ class FlightFields:
         return CsvTable(dict(columns), self.header, self.path, self.lines)
 
 
+def states_columns(path: Path, required: Sequence[str], one_of: Sequence[Sequence[str]] = ()) -> bool:
+    """Whether a file is CSV with the columns of the contract, by their names, so that nothing is to be derived.
+
+    required : columns, all of which have to be there
+    one_of   : groups of columns, one of each has to be there
+    """
+    names = _first_names(path)
+    return set(required) <= names and all(names & set(group) for group in one_of)
+
+
+def lacks_only_derived(path: Path, required: Sequence[str]) -> bool:
+    """Whether what a file lacks may follow from what it has, or fields of it have other names than the columns."""
+    names = _first_names(path)
+    renamed = any((f := field_of_name(name)) is not None and not f.is_plain for name in names)
+    return renamed or not names or set(required) - names <= DERIVABLE
+
+
+def _first_names(path: Path) -> set[str]:
+    """Names in the first line that is no comment; of a file that cannot be read none."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            first = next((line for line in file if line.strip() and not line.startswith("#")), "")
+    except (OSError, UnicodeDecodeError):
+        return set()
+    names = {name.strip().strip('"') for name in first.split(",")}
+    return names if not any(re.fullmatch(r"[-+\d.eE]+", name) for name in names) else set()
+
+
 def column_has(f: FlightField) -> bool:
     """Whether the name of a field states its unit, so that a note need not."""
     return not f.unit or f.unit in f.name
@@ -141,8 +171,8 @@ def _one(
         apart = ~(np.abs(other - values[first]) <= SAME * np.maximum(np.abs(values[first]), 1.0))
         if not plain and np.any(apart & np.isfinite(other) & np.isfinite(values[first])):
             raise InputError(
-                f"{display_path(path)}: `{fields[first].name}` and `{fields[k].name}` may both be {column}, and differ; "
-                f'name one: --field {column}="{fields[first].name}"'
+                f"{display_path(path)}: `{fields[first].name}` and `{fields[k].name}` may both be {column}, and "
+                f'differ; name one: --field {column}="{fields[first].name}"'
             )
     return fields[first], values[first]
 
@@ -205,7 +235,8 @@ def _rows(path: Path, text: str) -> Rows:
     ragged = [i for i, c in body if len(c) != width]
     if ragged and sign != " ":
         more = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
-        raise InputError(f"{file}, row {ragged[0]}: does not have {width} cells as the other rows; mend or remove it{more}")
+        rule = f"does not have {width} cells as the other rows; mend or remove it{more}"
+        raise InputError(f"{file}, row {ragged[0]}: {rule}")
     whole = [(i, c) for i, c in body if len(c) == width]
     comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in whole[0][1])
     cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in whole]

@@ -6,6 +6,7 @@ told; the air of the standard atmosphere in place of that of the day lowers the 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, raise_problems
 from sim_heating.heating.recorded.derive import AIR, derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
 from sim_heating.heating.recorded.layout import FlightFields, read_fields
 from sim_heating.heating.recorded.sounding import Sounding
+from sim_heating.heating.surface_pressure import (
+    FractionOfStagnation,
+    ModifiedNewtonian,
+    PressureModel,
+    surface_pressure,
+)
 
 LOWER = {"A": "B", "B": "C", "C": "C"}
 """Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
@@ -47,6 +55,8 @@ def option_hint(column: str, name: str | None, unit: str) -> str:
     if name is not None:
         field = f"{column}={name}:{unit}"
         return f'--field "{field}"' if " " in field else f"--field {field}"
+    if column == "p_surface_Pa":
+        return "--local-angle 5deg for modified Newtonian theory, --pressure, or --field p_surface_Pa=NAME"
     zero = f", or --field {column}=0{column_unit(column)}" if column.endswith("_deg") else ""
     return f"--field {column}=NAME{zero}"
 
@@ -65,12 +75,14 @@ def name_hint(column: str, name: str | None, unit: str) -> str:
 
 
 def lowered_confidence(stated: str) -> str:
-    """The confidence of conditions whose density is of the standard atmosphere; C where none was stated.
+    """The confidence of conditions whose density is of the standard atmosphere; C where no letter begins it.
 
     >>> lowered_confidence("A"), lowered_confidence("B: from the report"), lowered_confidence("")
     ('B', 'C: from the report', 'C')
     """
-    return LOWER.get(stated[:1], "C") + stated[1:]
+    if re.match(r"[ABC]\b", stated):
+        return LOWER[stated[0]] + stated[1:]
+    return f"C: density of the standard atmosphere; {stated}" if stated else "C"
 
 
 def read_flight(
@@ -81,6 +93,7 @@ def read_flight(
     fields: Mapping[str, ConditionField | str] | None = None,
     length_m: float | None = None,
     sounding: Sounding | None = None,
+    pressure: PressureModel | None = None,
 ) -> FlightTable:
     """Flight conditions of a file by the names and units of its fields, with what follows from them.
 
@@ -89,25 +102,55 @@ def read_flight(
     fields   : column -> field, field with unit, or constant, that prevails over the names
     length_m : reference length of a derived Reynolds number [m]; None for that of a metre
     sounding : air of the day
+    pressure : model of the surface pressure where it is required and absent
     raises   : InputError, one line, with everything that the file lacks; or the first cell without a number
     """
     found = read_fields(path, fields)
     found, assumed = _with_time(found)
-    derived = derived_conditions(
-        found.columns, length_m=length_m, sounding=sounding, wanted={*required, "rho_kg_m3"} | ({*AIR} & {*required})
-    )
-    problems = _lacking(found, derived.columns, required, hint)
+    derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted={*required, "rho_kg_m3"})
+    columns, of_pressure = _with_pressure(derived.columns, required, pressure)
+    problems = _lacking(found, columns, required, hint)
     if problems:
         raise InputError(f"{display_path(path)}: needs {' and '.join(problems)}")
-    columns = {name: derived.columns[name] for name in (*required, *(n for n in derived.columns if n not in required))}
+    columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
     raise_problems(_empty_cells(found, columns))
-    notes = [*found.notes, *assumed, *derived.notes]
+    notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
     if found.empty:
         notes.append(f"no numbers in {', '.join(f'`{n}`' for n in found.empty)}")
     if found.unused:
         notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa"} & set(found.columns)
     return FlightTable(found.table(columns), tuple(notes), of_model)
+
+
+def local_pressure(local_angle_deg: float | None) -> PressureModel:
+    """Model of the surface pressure: modified Newtonian at an angle against the x axis [deg], else of the stagnation
+    point."""
+    if local_angle_deg is None:
+        return FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+    return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)
+
+
+def _with_pressure(
+    columns: Mapping[str, FloatArray], required: Collection[str], model: PressureModel | None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Conditions with the surface pressure [Pa] of a model, where it is required and absent, and a note of it."""
+    absent = "p_surface_Pa" in required and "p_surface_Pa" not in columns
+    needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
+    if not absent or model is None or (needed and needed != {"alpha_deg"}):
+        return dict(columns), []
+    if not all(np.all(np.isfinite(columns[n])) for n in columns):
+        return {**columns, "p_surface_Pa": np.full(len(columns["rho_kg_m3"]), np.nan)}, []
+    rest = np.zeros(len(columns["rho_kg_m3"]))
+    angles = dict.fromkeys(("alpha_deg", "beta_deg", *SURFACES), rest)
+    # Only the rows count here, not the clock, which is checked where the table is.
+    rows = {"time_s": np.arange(len(rest), dtype=float)}
+    flown = Conditions({**angles, **columns, **rows})
+    if isinstance(model, ModifiedNewtonian):
+        note = f"p_surface_Pa by modified Newtonian theory at {model.inclination_deg:g} deg to the x axis"
+    else:
+        note = "p_surface_Pa of the stagnation point, behind a normal shock"
+    return {**columns, "p_surface_Pa": surface_pressure(model, flown)}, [note]
 
 
 def _with_time(found: FlightFields) -> tuple[FlightFields, list[str]]:
@@ -138,7 +181,9 @@ def _lacking(
     follows = {"mach", "log10_re", *AIR} if any(n in needed or n in found.asked for n in ("altitude_m",)) else set()
     follows |= {"mach", "log10_re"} if "velocity_m_s" in needed else set()
     absent = [
-        f"{column} ({hint(column, None, '')})" for column in needed if column not in found.asked and column not in follows
+        f"{column} ({hint(column, None, '')})"
+        for column in needed
+        if column not in found.asked and column not in follows
     ]
     return [*units, *absent]
 

@@ -54,9 +54,7 @@ class Sounding:
         z = np.asarray(altitude_m, dtype=float)
         return np.asarray((z >= self.altitude_m[0] - EDGE_M) & (z <= self.altitude_m[-1] + EDGE_M))
 
-    def at(
-        self, altitude_m: FloatArray, standard: Mapping[str, FloatArray]
-    ) -> tuple[dict[str, FloatArray], list[str]]:
+    def at(self, altitude_m: FloatArray, standard: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
         """Air [K], [Pa], [kg/m3] by column at altitudes [m], and notes on altitudes that the sounding does not reach.
 
         standard : the same columns of the standard atmosphere, which are taken there
@@ -72,8 +70,8 @@ class Sounding:
         if not np.all(inside):
             top = float(self.rho_kg_m3[-1] / us76(self.altitude_m[-1])[2])
             notes.append(
-                f"air above and below the sounding ({z[~inside].min() / 1e3:.3g} to {z[~inside].max() / 1e3:.3g} km) of "
-                f"the standard atmosphere; at its highest level the sounding has {top:.3f} of its density"
+                f"air above and below the sounding ({z[~inside].min() / 1e3:.3g} to {z[~inside].max() / 1e3:.3g} km) "
+                f"of the standard atmosphere; at its highest level the sounding has {top:.3f} of its density"
             )
         return {name: np.where(inside, values, standard[name]) for name, values in own.items()}, notes
 
@@ -95,8 +93,8 @@ def read_sounding(path: Path) -> Sounding:
         problems.append("two of temperature, pressure and density")
     if problems:
         raise InputError(
-            f"{display_path(path)}: a sounding needs {', '.join(problems)}; write names with units, as `Altitude (km)`, "
-            "`Temperature (K)`, `Pressure (hPa)`"
+            f"{display_path(path)}: a sounding needs {', '.join(problems)}; write names with units, as "
+            "`Altitude (km)`, `Temperature (K)`, `Pressure (hPa)`"
         )
     names = [n for n in ("altitude_m", "T_inf_K", "p_inf_Pa", "rho_kg_m3") if n in c]
     whole = np.all([np.isfinite(c[n]) for n in names], axis=0)
@@ -105,7 +103,8 @@ def read_sounding(path: Path) -> Sounding:
     keep = order[np.concatenate(([True], np.diff(c["altitude_m"][order]) > 0.0))] if len(order) else order
     c = {n: values[keep] for n, values in c.items()}
     if len(keep) < LEAST_LEVELS:
-        raise InputError(f"{display_path(path)}: a sounding needs {LEAST_LEVELS} levels with numbers; it has {len(keep)}")
+        rule = f"a sounding needs {LEAST_LEVELS} levels with numbers; it has {len(keep)}"
+        raise InputError(f"{display_path(path)}: {rule}")
     if "T_inf_K" not in c:
         c["T_inf_K"] = c["p_inf_Pa"] / (R_AIR * c["rho_kg_m3"])
     c.setdefault("p_inf_Pa", R_AIR * c.get("rho_kg_m3", c["T_inf_K"]) * c["T_inf_K"])
@@ -123,9 +122,8 @@ def _check_air(path: Path, c: Mapping[str, FloatArray]) -> None:
     for name, low, high in (("T_inf_K", 100.0, 5000.0), ("p_inf_Pa", 0.0, 2e5), ("rho_kg_m3", 0.0, 3.0)):
         bad = np.flatnonzero(~((c[name] > low) & (c[name] < high)))
         if bad.size:
-            raise InputError(
-                f"{display_path(path)}: {name} is {c[name][bad[0]]:g} at {z[bad[0]]:g} m, as no air has it; check its unit"
-            )
+            rule = f"{name} is {c[name][bad[0]]:g} at {z[bad[0]]:g} m, as no air has it; check its unit"
+            raise InputError(f"{display_path(path)}: {rule}")
     inside = (z >= LOWEST_M) & (z <= UPPER_BASE_M)
     if not np.any(inside):
         return

@@ -91,4 +91,3 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
         found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
     return found
-
