@@ -106,6 +106,8 @@ class Thermocouples(FileReference):
 class FlightUncertainty(Declared):
     """How far the flight may be from its conditions: one standard deviation of each error, 0 where it is not stated."""
 
+    quantities: ClassVar = {"density_scale_m": "scale_height_m"}
+
     time_shift_s: float = Field(default=0.0, ge=0.0, description="of the clock of the conditions")
     time_stretch: float = Field(default=0.0, ge=0.0, lt=1.0, description="of the duration of the flight, relative")
     density_relative: float = Field(default=0.0, ge=0.0, le=1.0, description="of the density, smooth in altitude")

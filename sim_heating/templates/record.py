@@ -31,7 +31,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
-from sim_heating.heating.recorded.reading import local_pressure, lowered_confidence, option_hint, read_flight
+from sim_heating.heating.recorded.reading import OPTION, local_pressure, lowered_confidence, read_flight
 from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.record import (
     BY_CONFIDENCE,
@@ -298,7 +298,7 @@ def flown_heat(
     flown = read_flight(
         path,
         required,
-        hint=option_hint,
+        statement=OPTION,
         fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
         length_m=reference_length_m,
         sounding=None if atmosphere is None else read_sounding(atmosphere),

@@ -22,7 +22,7 @@ from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, with_density
-from sim_heating.heating.recorded.reading import FlightTable, read_flight, table_hint
+from sim_heating.heating.recorded.reading import TABLE, FlightTable, read_flight
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -107,7 +107,7 @@ def read_recording(
     if not fields and states_columns(path, required, (DENSITY,)):
         spared = [name for name in SURFACES if name not in surfaces]
         return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
-    return read_flight(path, [*required, "rho_kg_m3"], hint=table_hint, fields=fields, length_m=length_m)
+    return read_flight(path, [*required, "rho_kg_m3"], statement=TABLE, fields=fields, length_m=length_m)
 
 
 def _problems(table: CsvTable) -> list[str]:

@@ -7,7 +7,7 @@ told; the air of the standard atmosphere in place of that of the day lowers the 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,9 +17,9 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, raise_problems
-from sim_heating.heating.recorded.derive import AIR, derived_conditions
+from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
-from sim_heating.heating.recorded.layout import FlightFields, read_fields
+from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.heating.surface_pressure import (
     FractionOfStagnation,
@@ -32,8 +32,6 @@ LOWER = {"A": "B", "B": "C", "C": "C"}
 """Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
 SMALL_KM, SMALL_KM_S = 400.0, 20.0
 """Largest altitude and speed that a message proposes km and km/s for."""
-Hint = Callable[[str, str | None, str], str]
-"""What states a column: called with the column, the field whose unit is not known or None, and a unit that may fit."""
 
 
 @dataclass(frozen=True)
@@ -50,28 +48,47 @@ class FlightTable:
     has_model_density: bool = False
 
 
-def option_hint(column: str, name: str | None, unit: str) -> str:
-    """How `new record` and `new scenario` are told a column: `--field altitude_m=ALT:km`, `--field alpha_deg=0deg`."""
-    if name is not None:
-        field = f"{column}={name}:{unit}"
-        return f'--field "{field}"' if " " in field else f"--field {field}"
-    if column == "p_surface_Pa":
-        return "--local-angle 5deg for modified Newtonian theory, --pressure, or --field p_surface_Pa=NAME"
-    zero = f", or --field {column}=0{column_unit(column)}" if column.endswith("_deg") else ""
-    return f"--field {column}=NAME{zero}"
+@dataclass(frozen=True)
+class Statement:
+    """How a person states a column that a file lacks, for the message that asks for it.
+
+    lead     : of the message
+    field    : of a field whose unit is not known
+    column   : of an absent column
+    constant : of an absent angle in addition
+    joint    : between two of them
+    """
+
+    lead: str
+    field: str
+    column: str
+    constant: str
+    joint: str
+
+    def of(self, asked: Mapping[str, tuple[str, str]], absent: Sequence[str]) -> str:
+        """The statements of fields without unit, (name, a unit that may fit) by column, and of absent columns."""
+        stated = [
+            self.field.format(column=c, name=n, unit=u, quote='"' if " " in n else "") for c, (n, u) in asked.items()
+        ]
+        stated += [PRESSURE if c == "p_surface_Pa" and self is OPTION else self.column.format(column=c) for c in absent]
+        angle = next((c for c in absent if c.endswith("_deg")), None)
+        more = "" if angle is None else self.constant.format(column=angle)
+        return f"{self.lead} {self.joint.join(stated)}{more}"
 
 
-def table_hint(column: str, name: str | None, unit: str) -> str:
-    """How a scenario is told a column, in [trajectory.fields]."""
-    if name is not None:
-        return f'[trajectory.fields] {column} = {{ field = "{name}", unit = "{unit}" }}'
-    zero = " or { constant = 0.0 }" if column.endswith("_deg") else ""
-    return f'[trajectory.fields] {column} = "NAME"{zero}'
-
-
-def name_hint(column: str, name: str | None, unit: str) -> str:
-    """How a record is told a column: by the name, which states the unit."""
-    return f"add `{column}`" if name is None else f"name it `{name} ({unit})`"
+OPTION = Statement(
+    "give", "--field {quote}{column}={name}:{unit}{quote}", "--field {column}=NAME",
+    " (or a constant, --field {column}=0deg)", " ",
+)  # fmt: skip
+"""By options of `new record` and `new scenario`."""
+TABLE = Statement(
+    "give in [trajectory.fields]", '{column} = {{ field = "{name}", unit = "{unit}" }}', '{column} = "NAME"',
+    " (or a constant, {column} = {{ constant = 0.0 }})", ", ",
+)  # fmt: skip
+"""By a table of a scenario."""
+NAMES = Statement("write", "`{name} ({unit})`", "`{column}`", "", ", ")
+"""By the names of the file alone."""
+PRESSURE = "--local-angle 5deg (modified Newtonian pressure) or --pressure"
 
 
 def lowered_confidence(stated: str) -> str:
@@ -89,7 +106,7 @@ def read_flight(
     path: Path,
     required: Sequence[str],
     *,
-    hint: Hint = name_hint,
+    statement: Statement = NAMES,
     fields: Mapping[str, ConditionField | str] | None = None,
     length_m: float | None = None,
     sounding: Sounding | None = None,
@@ -98,7 +115,7 @@ def read_flight(
     """Flight conditions of a file by the names and units of its fields, with what follows from them.
 
     required : columns that have to be there, or to follow from what is
-    hint     : how a column is stated, for the message
+    statement : how a column is stated, for the message
     fields   : column -> field, field with unit, or constant, that prevails over the names
     length_m : reference length of a derived Reynolds number [m]; None for that of a metre
     sounding : air of the day
@@ -109,9 +126,7 @@ def read_flight(
     found, assumed = _with_time(found)
     derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted={*required, "rho_kg_m3"})
     columns, of_pressure = _with_pressure(derived.columns, required, pressure)
-    problems = _lacking(found, columns, required, hint)
-    if problems:
-        raise InputError(f"{display_path(path)}: needs {' and '.join(problems)}")
+    _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
     raise_problems(_empty_cells(found, columns))
     notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
@@ -166,26 +181,29 @@ def _with_time(found: FlightFields) -> tuple[FlightFields, list[str]]:
     ]
 
 
-def _lacking(
-    found: FlightFields, columns: Mapping[str, FloatArray], required: Collection[str], hint: Hint
-) -> list[str]:
-    """What a file lacks, each with the way to state it."""
+def _refuse_lacking(
+    found: FlightFields,
+    columns: Mapping[str, FloatArray],
+    required: Collection[str],
+    statement: Statement,
+    *,
+    has_pressure: bool,
+) -> None:
+    """Ask for all that a file lacks, in one line.
+
+    has_pressure : whether the surface pressure follows from the others
+    raises       : InputError where anything is absent
+    """
     needed = [name for name in required if name not in columns]
     if not needed:
-        return []
-    units = [
-        f"the unit of `{f.name}` ({hint(column, f.name, _example(column, found.raw_of(f)))})"
-        for column, f in found.asked.items()
-    ]
+        return
+    asked = {c: (f.name, _example(c, found.raw_of(f))) for c, f in found.asked.items()}
     # what would follow from a column that is asked for is not asked for itself
-    follows = {"mach", "log10_re", *AIR} if any(n in needed or n in found.asked for n in ("altitude_m",)) else set()
-    follows |= {"mach", "log10_re"} if "velocity_m_s" in needed else set()
-    absent = [
-        f"{column} ({hint(column, None, '')})"
-        for column in needed
-        if column not in found.asked and column not in follows
-    ]
-    return [*units, *absent]
+    follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
+    absent = [column for column in needed if column not in asked and column not in follows]
+    units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
+    what = " and ".join(text for text in (units, ", ".join(absent)) if text)
+    raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
 
 
 def _example(column: str, values: FloatArray) -> str:
