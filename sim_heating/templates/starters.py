@@ -5,24 +5,38 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, suggestion, write_own_files, write_text_atomic
+from sim_heating.base.files import (
+    csv_text,
+    display_path,
+    roots_of,
+    suggestion,
+    write_own_files,
+    write_text_atomic,
+)
+from sim_heating.base.files.paths import real_path
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.heating.effects import effects
+from sim_heating.heating.recorded.reading import OPTION, lowered_confidence
+from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.scenario_check import check_scenario
+from sim_heating.templates.quantities import stated_field
 from sim_heating.templates.render import render, render_toml
 from sim_heating.templates.vehicle import shown_place
 from sim_heating.trajectory.aero import load_aero
+from sim_heating.trajectory.recorded import read_recording
 
 COMMAND = "new"
-SCENARIO, STUDY = "scenario.toml", "study.toml"
+SCENARIO, STUDY, TRAJECTORY = "scenario.toml", "study.toml", "trajectory.csv"
 LIFTING = 0.6
 """Lift over drag from which an entry may be as shallow as the Orbiter's."""
 SHALLOW_DEG, STEEP_DEG = -1.2, -1.5
@@ -69,33 +83,94 @@ def write_new_scenario(
     title: str = "",
     points: Sequence[str] = (),
     recorded: Path | None = None,
+    fields: Mapping[str, str] | None = None,
+    atmosphere: Path | None = None,
     initial: Mapping[str, float] | None = None,
     stop_mach: float = 2.0,
     manoeuvre: bool = False,
-) -> Path:
+    root: str | os.PathLike[str] | None = None,
+) -> tuple[Path, list[str]]:
     """Write DIR/scenario.toml, a flight of a vehicle, checked by flying it in three degrees of freedom.
 
-    recorded  : a CSV file of a trajectory in place of the built-in entry
-    initial   : altitude_m, velocity_m_s, gamma_deg of the entry, where not usual ones
-    stop_mach : Mach number at which the flight ends [-]
-    manoeuvre : whether it flies a pushover-pullup
-    returns   : the file
-    raises    : InputError where the vehicle, a point, or the flight does not work
+    recorded   : a file of a trajectory in place of the built-in entry
+    fields     : column -> what the option --field states of it, for the file of the trajectory
+    atmosphere : file of a sounding, the air of the day of that trajectory
+    initial    : altitude_m, velocity_m_s, gamma_deg of the entry, where not usual ones
+    stop_mach  : Mach number at which the flight ends [-]
+    manoeuvre  : whether it flies a pushover-pullup
+    root       : folder that the scenario may name files in
+    returns    : the file, and one line for each thing that was derived or assumed
+    raises     : InputError where the vehicle, a point, or the flight does not work
     """
-    loaded = load_vehicle(vehicle)
+    loaded = load_vehicle(vehicle, root=root)
     for name in points:
         loaded.control_point(name)
+    flown = _Recorded() if recorded is None else _recorded(Path(out), recorded, loaded, fields or {}, atmosphere, root)
     values: dict[str, Any] = {
         "vehicle": shown_place(vehicle, Path(out)),
         "title": title or f"Entry of {loaded.name}",
         "points": list(points),
         "source": "entry-3dof" if recorded is None else "recorded",
-        "file": None if recorded is None else Path(os.path.relpath(recorded, out)).as_posix(),
+        "file": flown.file,
+        "fields": flown.fields,
         "initial": ENTRY | {"gamma_deg": entry_angle_deg(loaded)} | dict(initial or {}),
         "stop_mach": stop_mach,
         "manoeuvre": {"at_velocity_m_s": 6096.0, "deg": 3.0} if manoeuvre else None,
     }
-    return _write(out, {SCENARIO: render_toml("scenario.toml.j2", "scenario", **values)}, _check_scenario)
+    text = render_toml("scenario.toml.j2", "scenario", **values)
+    if flown.text is not None:
+        _write(out, {TRAJECTORY: flown.text}, _no_check)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what is derived, which the notes tell
+        return _write(out, {SCENARIO: text}, lambda path: _check_scenario(path, root)), list(flown.notes)
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """A recorded trajectory as a scenario names it.
+
+    file   : relative to the scenario
+    fields : contents of [trajectory.fields]
+    text   : of the file, where it is written beside the scenario
+    """
+
+    file: str | None = None
+    fields: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    text: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _recorded(
+    out: Path,
+    path: Path,
+    vehicle: Vehicle,
+    fields: Mapping[str, str],
+    atmosphere: Path | None,
+    root: str | os.PathLike[str] | None,
+) -> _Recorded:
+    """A recorded trajectory: named where it is, or written beside the scenario in columns of the contract where it lies
+    outside the folders that the scenario may read, or has the air of a sounding.
+
+    raises : InputError, one line, with everything that the file lacks
+    """
+    stated = {column: stated_field(column, text) for column, text in fields.items()}
+    sounding = None if atmosphere is None else read_sounding(atmosphere)
+    flown = read_recording(
+        path, vehicle.reference_length_m, vehicle.surfaces, stated, statement=OPTION, sounding=sounding
+    )
+    roots = roots_of(out / SCENARIO, root, vehicle.directory)
+    inside = any(real_path(path).is_relative_to(folder) for folder in roots.folders)
+    if inside and sounding is None:
+        table = {column: declared.model_dump(exclude_none=True) for column, declared in stated.items()}
+        return _Recorded(Path(os.path.relpath(path, out)).as_posix(), table, None, flown.notes)
+    header = dict(flown.table.header)
+    air = "" if sounding is None else f", air of {sounding.title}"
+    header["source"] = f"{header.get('source') or f'recorded trajectory {path.name}'}{air}"
+    if flown.has_model_density:
+        header["confidence"] = lowered_confidence(header.get("confidence", ""))
+    text = csv_text(flown.table.columns, header=header)
+    note = f"{TRAJECTORY}: the trajectory in columns of conditions, beside the scenario"
+    return _Recorded(TRAJECTORY, {}, text, (*flown.notes, note))
 
 
 def entry_angle_deg(vehicle: Vehicle) -> float:
@@ -108,8 +183,8 @@ def entry_angle_deg(vehicle: Vehicle) -> float:
     return SHALLOW_DEG if CL / CD >= LIFTING else STEEP_DEG
 
 
-def _check_scenario(path: Path) -> None:
-    check_scenario(load_scenario(path))
+def _check_scenario(path: Path, root: str | os.PathLike[str] | None = None) -> None:
+    check_scenario(load_scenario(path, root=root))
 
 
 def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callable[[Path], None]) -> Path:

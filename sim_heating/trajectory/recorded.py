@@ -22,7 +22,8 @@ from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, with_density
-from sim_heating.heating.recorded.reading import TABLE, FlightTable, read_flight
+from sim_heating.heating.recorded.reading import TABLE, FlightTable, Statement, read_flight
+from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -97,17 +98,24 @@ def read_recording(
     length_m: float,
     surfaces: Collection[str] = SURFACES,
     fields: Mapping[str, ConditionField | str] | None = None,
+    *,
+    statement: Statement = TABLE,
+    sounding: Sounding | None = None,
 ) -> FlightTable:
     """Columns of a recorded flight by the names and units of the file, with what had to be converted or derived.
 
-    Arguments and errors as of `read_conditions`; a file with the columns of the contract is taken as it is, without a
-    note.
+    statement : how a column is stated, for the message
+    sounding  : air of the day
+    Other arguments and errors as of `read_conditions`; a file with the columns of the contract is taken as it is,
+    without a note.
     """
     required = [*REQUIRED, *(name for name in SURFACES if name in surfaces)]
-    if not fields and states_columns(path, required, (DENSITY,)):
+    if not fields and sounding is None and states_columns(path, required, (DENSITY,)):
         spared = [name for name in SURFACES if name not in surfaces]
         return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
-    return read_flight(path, [*required, "rho_kg_m3"], statement=TABLE, fields=fields, length_m=length_m)
+    return read_flight(
+        path, [*required, "rho_kg_m3"], statement=statement, fields=fields, length_m=length_m, sounding=sounding
+    )
 
 
 def _problems(table: CsvTable) -> list[str]:
