@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tempfile
@@ -11,6 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
@@ -28,6 +32,7 @@ from sim_heating.heating.recorded.reading import OPTION, lowered_confidence
 from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.run import fly_scenario, run
 from sim_heating.simulation.scenario_check import check_scenario
 from sim_heating.templates.quantities import stated_field
 from sim_heating.templates.render import render, render_toml
@@ -43,6 +48,10 @@ SHALLOW_DEG, STEEP_DEG = -1.2, -1.5
 """Path angles of entry at 120 km of a glider, and of a capsule [deg]."""
 ENTRY = {"altitude_m": 120000.0, "velocity_m_s": 7450.0}
 """Altitude and speed of an entry from a low orbit."""
+HEATED_FROM = 0.05
+"""Part of the largest heating from which a vehicle is heated [-]."""
+LEAST_SCATTER = 0.03
+"""Least standard deviation of a bell along a practice flight, weighted by its heating [-]."""
 VARIABLES: dict[str, tuple[str, float, float, float, float]] = {
     "mach": ("1", 12.0, 2.0, 1.0, 30.0),
     "alpha_deg": ("deg", 38.0, 3.0, -10.0, 60.0),
@@ -268,7 +277,10 @@ def write_new_effect(
     name     : of the effect, as in `shock-passage`
     variable : a column of the flight conditions, or `wall_K`, in which it is a bell
     returns  : the files: effect, scenario, check
-    raises   : InputError where the name is taken or is none, or the variable is unknown
+    raises   : InputError where the name is taken or is none, the variable is unknown, or the practice flight of the
+               vehicle would not show the effect
+
+    The bell is centred on what the vehicle flies while it is heated, where the usual centre lies outside of it.
     """
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"effect {name}: write a name of small letters, digits and -, such as shock-passage")
@@ -305,6 +317,7 @@ def write_new_effect(
         "gamma_deg": entry_angle_deg(flown),
         "truth": {"multiply": 0.25, "add": 0.1, "emittance": -0.2}[mode],
     }  # fmt: skip
+    values |= _on_practice_flight(folder, values, point)
     files = {
         f"{module}.py": render("effect.py.j2", **values),
         f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", **values),
@@ -312,6 +325,58 @@ def write_new_effect(
     }
     write_own_files(folder, COMMAND, files)
     return [folder / n for n in files]
+
+
+def _on_practice_flight(folder: Path, values: Mapping[str, Any], point: str) -> dict[str, float]:
+    """Centre and width of the bell of a new effect, so that its practice flight shows it.
+
+    raises : InputError where the variable hardly changes while the vehicle is heated
+    """
+    variable = str(values["variable"])
+    flown = _practice_flight(folder, values)
+    x, heat = flown[variable], flown["heat"]
+    heated = x[heat >= HEATED_FROM * np.max(heat)]
+    low, high = float(np.min(heated)), float(np.max(heated))
+    centre, width = float(values["centre"]), float(values["width"])
+    if not low <= centre <= high:
+        middle = float(np.median(heated))
+        centre = float(f"{min(max(middle, values['lower']), values['upper']):.3g}")
+    if high - low < 2.0 * width:
+        width = float(f"{max((high - low) / 4.0, width / 10.0):.2g}")
+    bell = np.exp(-0.5 * ((x - centre) / width) ** 2)
+    mean = float(np.average(bell, weights=heat))
+    scatter = math.sqrt(float(np.average((bell - mean) ** 2, weights=heat)))
+    if scatter < LEAST_SCATTER:
+        raise InputError(
+            f"--variable {variable}: the practice flight of {values['vehicle']} has {variable} from {low:.3g} to "
+            f"{high:.3g} while {point} is heated, which does not show the effect; name another --vehicle or --variable"
+        )
+    return {"centre": centre, "width": width}
+
+
+def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """The variable of an effect along its practice flight, and `heat`, the part of the heating of each sample [-]."""
+    text = render_toml("effect_scenario.toml.j2", "scenario", **values).split("[[truth.effect]]")[0]
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(prefix=".new-", suffix=".toml", dir=folder, delete=False) as trial:
+        place = Path(trial.name)
+    try:
+        write_text_atomic(place, text)
+        scenario = load_scenario(place)
+        if values["variable"] == "wall_K":
+            result = run(scenario)
+            flown = result.flight.conditions
+            history = result.points[str(values["point"])].history
+            wall = {"wall_K": np.interp(flown.time_s, history.time_s, history.surface_K)}
+        else:
+            flown = fly_scenario(scenario).conditions
+            wall = {}
+    finally:
+        place.unlink(missing_ok=True)
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    heat = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3 * flown.duration_s
+    return {**{n: flown[n] for n in flown.names}, **wall, "heat": heat / np.sum(heat)}
 
 
 def _manoeuvre(variable: str, vehicle: str) -> dict[str, Any] | None:
