@@ -129,9 +129,10 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, wanted: 
     """Density [kg/m3] of dynamic pressure, of pressure and temperature, or of the air at the altitude."""
     if "rho_kg_m3" in c or "rho_kg_m3" not in wanted:
         return
-    if "q_Pa" in c and "velocity_m_s" in c and np.all(c["velocity_m_s"] > 0.0):
-        c["rho_kg_m3"] = 2.0 * c["q_Pa"] / c["velocity_m_s"] ** 2
-        notes.append("rho_kg_m3 from q_Pa and velocity_m_s")
+    q = next((name for name in ("q_Pa", "qbar_Pa") if name in c), None)
+    if q is not None and "velocity_m_s" in c and np.all(c["velocity_m_s"] > 0.0):
+        c["rho_kg_m3"] = 2.0 * c[q] / c["velocity_m_s"] ** 2
+        notes.append(f"rho_kg_m3 from {q} and velocity_m_s")
     elif "p_inf_Pa" in c and "T_inf_K" in c and np.all(c["p_inf_Pa"] > 0.0):
         c["rho_kg_m3"] = c["p_inf_Pa"] / (R_AIR * c["T_inf_K"])
         notes.append("rho_kg_m3 from p_inf_Pa and T_inf_K")

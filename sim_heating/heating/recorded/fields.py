@@ -235,9 +235,8 @@ def _columns(base: str) -> list[str]:
     if base.strip() == "T":  # a time is written small
         return ["T_inf_K"]
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", base)
-    words = " ".join(re.findall(r"[a-z]+|\d+", apart.lower()))
-    words = words.replace("log 10", "log10")
-    return [column for column, names in VOCABULARY.items() if words in names]
+    spelled = {" ".join(re.findall(r"[a-z]+|\d+", text.lower())).replace("log 10", "log10") for text in (base, apart)}
+    return [column for column, names in VOCABULARY.items() if spelled & set(names)]
 
 
 def columns_of_fields(

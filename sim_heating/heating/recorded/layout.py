@@ -73,10 +73,6 @@ class FlightFields:
         ]
         return [f"read {', '.join(renamed)}"] if renamed else []
 
-    def raw_of(self, f: FlightField) -> FloatArray:
-        """(row,) numbers of a field as in the file."""
-        return self.numbers[f.name]
-
     def replaced(
         self, columns: Mapping[str, FloatArray], fields: Mapping[str, FlightField], asked: Mapping[str, FlightField]
     ) -> FlightFields:

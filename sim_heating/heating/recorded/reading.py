@@ -15,7 +15,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import CsvTable, display_path, raise_problems
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
@@ -124,17 +124,19 @@ def read_flight(
     """
     found = read_fields(path, fields)
     found, assumed = _with_time(found)
-    derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted={*required, "rho_kg_m3"})
+    raise_problems(_empty_cells(found, found.columns))
+    wanted = {*required, "rho_kg_m3"}
+    with error_context(display_path(path)):
+        derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
     columns, of_pressure = _with_pressure(derived.columns, required, pressure)
     _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
-    raise_problems(_empty_cells(found, columns))
     notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
     if found.empty:
         notes.append(f"no numbers in {', '.join(f'`{n}`' for n in found.empty)}")
     if found.unused:
         notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
-    of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa"} & set(found.columns)
+    of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
     return FlightTable(found.table(columns), tuple(notes), of_model)
 
 
@@ -154,8 +156,6 @@ def _with_pressure(
     needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
     if not absent or model is None or (needed and needed != {"alpha_deg"}):
         return dict(columns), []
-    if not all(np.all(np.isfinite(columns[n])) for n in columns):
-        return {**columns, "p_surface_Pa": np.full(len(columns["rho_kg_m3"]), np.nan)}, []
     rest = np.zeros(len(columns["rho_kg_m3"]))
     angles = dict.fromkeys(("alpha_deg", "beta_deg", *SURFACES), rest)
     # Only the rows count here, not the clock, which is checked where the table is.
@@ -175,7 +175,7 @@ def _with_time(found: FlightFields) -> tuple[FlightFields, list[str]]:
         return found, []
     renamed = FlightField(time.name, "time_s", "", time.convert)
     asked = {c: f for c, f in found.asked.items() if c != "time_s"}
-    columns = {"time_s": found.raw_of(time), **found.columns}
+    columns = {"time_s": found.numbers[time.name], **found.columns}
     return found.replaced(columns, {"time_s": renamed, **found.fields}, asked), [
         f"`{time.name}` states no unit: s assumed, as its steps and the change of altitude allow"
     ]
@@ -197,7 +197,7 @@ def _refuse_lacking(
     needed = [name for name in required if name not in columns]
     if not needed:
         return
-    asked = {c: (f.name, _example(c, found.raw_of(f))) for c, f in found.asked.items()}
+    asked = {c: (f.name, _example(c, found.numbers[f.name])) for c, f in found.asked.items()}
     # what would follow from a column that is asked for is not asked for itself
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
     absent = [column for column in needed if column not in asked and column not in follows]
