@@ -16,7 +16,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError, error_context
-from sim_heating.base.files import CsvTable, display_path, raise_problems
+from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
@@ -30,6 +30,8 @@ from sim_heating.heating.surface_pressure import (
 
 LOWER = {"A": "B", "B": "C", "C": "C"}
 """Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
+NEARLY = 0.85
+"""Similarity of names from which one is the other, misspelt."""
 SMALL_KM, SMALL_KM_S = 400.0, 20.0
 """Largest altitude and speed that a message proposes km and km/s for."""
 
@@ -124,7 +126,7 @@ def read_flight(
     """
     found = read_fields(path, fields)
     found, assumed = _with_time(found)
-    raise_problems(_empty_cells(found, found.columns))
+    raise_problems([*_misspelt(found, required), *_empty_cells(found, found.columns)])
     wanted = {*required, "rho_kg_m3"}
     with error_context(display_path(path)):
         derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
@@ -194,16 +196,28 @@ def _refuse_lacking(
     has_pressure : whether the surface pressure follows from the others
     raises       : InputError where anything is absent
     """
-    needed = [name for name in required if name not in columns]
+    needed = [name for name in required if name not in columns or name in found.asked]
     if not needed:
         return
-    asked = {c: (f.name, _example(c, found.numbers[f.name])) for c, f in found.asked.items()}
+    of = {c: f for c, f in found.asked.items() if c in (*required, "rho_kg_m3")}
+    asked = {c: (f.name, _example(c, found.numbers[f.name])) for c, f in of.items()}
     # what would follow from a column that is asked for is not asked for itself
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
     absent = [column for column in needed if column not in asked and column not in follows]
     units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
     what = " and ".join(text for text in (units, ", ".join(absent)) if text)
     raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
+
+
+def _misspelt(found: FlightFields, required: Sequence[str]) -> list[str]:
+    """Required columns that are absent, and whose name is nearly that of a field which is no condition."""
+    absent = [name for name in required if name not in found.columns and name not in found.asked]
+    near = {name: nearest_name(name, found.unused, cutoff=NEARLY) for name in absent}
+    return [
+        f"{display_path(found.path)}: there is no column `{name}`; nearest in the file: `{close}`"
+        for name, close in near.items()
+        if close
+    ]
 
 
 def _example(column: str, values: FloatArray) -> str:
