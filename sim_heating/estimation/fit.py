@@ -63,6 +63,7 @@ from sim_heating.estimation.record_fit import (
 )
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.inputs.averaged_record import averaged_record
 from sim_heating.inputs.parameter_owners import Owners
 from sim_heating.inputs.points import point_of_record, undeclared_effects
 from sim_heating.inputs.record import Record, load_record, load_records
@@ -231,6 +232,9 @@ def estimate(
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
                 the values found
 
+    Of a record with very many readings neighbours are averaged where nothing moves between them, with the noise of the
+    mean, and a warning says so (inputs/averaged_record.py).
+
     A name of all these may have an owner: a control point, `ratio.d_alpha@V09T9527`; for clocks and thermocouples a
     record or a flight, `clock.skew@STS-2`. A fit that does not converge is returned, with its status. Source:
     docs/theory/estimation_statistics.md, equations 13 to 26 and 31; 32 to 35 with process noise.
@@ -242,10 +246,13 @@ def estimate(
     >>> value, sigma = fit.parameters["ratio.scale"]
     """
     given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
-    loaded = load_records(given)
+    fewer = [averaged_record(record) for record in load_records(given)]
+    loaded, averaged = [record for record, _ in fewer], [line for _, lines in fewer for line in lines]
+    for line in averaged:
+        progress(0.0, line)
     check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
-    loaded, stuck = [record for record, _ in checked], [line for _, lines in checked for line in lines]
+    loaded, stuck = [record for record, _ in checked], [*averaged, *(line for _, lines in checked for line in lines)]
     options = FitOptions(
         effects,
         fixed=fixed,

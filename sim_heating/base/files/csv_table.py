@@ -29,6 +29,8 @@ from sim_heating.base.files.text import (
 
 COLDEST_K = 100.0
 """A lower temperature is taken for a value in Celsius [K]."""
+LARGE_TEXT = 3_000_000
+"""Characters from which a text is read as a whole, and cell by cell only where that fails."""
 NUMBERS = "fiub"
 """Kinds of numpy's types that are numbers."""
 
@@ -130,8 +132,12 @@ def csv_columns(
 
     Parameters, result and errors as in `read_csv_columns`.
     """
-    names, rows, lines, header = _cells(path, content)
     lost = set(allow_empty)
+    if len(content) > LARGE_TEXT and not text:
+        large = _large_table(path, content, required, optional, lost, keep_other)
+        if large is not None:
+            return large
+    names, rows, lines, header = _cells(path, content)
     problems = _name_problems(display_path(path), names, required, optional, lost)
     selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
@@ -150,6 +156,48 @@ def csv_columns(
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
     return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
+
+
+def _large_table(
+    path: Path, content: str, required: Sequence[str], optional: Sequence[str], lost: set[str], keep_other: bool
+) -> CsvTable | None:
+    """The table of a large text whose cells are plain numbers, or empty in columns of readings; None for any other,
+    which is read cell by cell, so that messages name the cell."""
+    import pandas as pd  # slow to import
+
+    above, head, body = _head(content)
+    names = [name.strip() for name in head.split(",")]
+    rows = body.count("\n") + (not body.endswith("\n"))
+    if '"' in content or "\r" in body or body.count(",") != rows * (len(names) - 1):
+        return None
+    if not all(names) or _name_problems("", names, required, optional, lost):
+        return None
+    wanted = [n for n in names if keep_other or n in {*required, *optional}]
+    try:
+        frame = pd.read_csv(
+            io.StringIO(body), header=None, names=names, usecols=wanted, dtype=np.float64, skipinitialspace=True,
+            keep_default_na=False, na_values=[""], skip_blank_lines=False, float_precision="round_trip",
+        )  # fmt: skip
+    except (ValueError, pd.errors.ParserError):
+        return None
+    columns = {name: frame[name].to_numpy(copy=True) for name in wanted}
+    whole = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
+    if len(frame) != rows or not whole:
+        return None
+    first = above.count("\n") + 2
+    header = dict(_header_entry(line) for line in above.splitlines() if ":" in line)
+    return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
+
+
+def _head(content: str) -> tuple[str, str, str]:
+    """Lines above the names, the line of the names, and the lines below it, without blank ones at the end."""
+    start = 0
+    while True:
+        end = content.find("\n", start)
+        line = content[start : end if end >= 0 else len(content)]
+        if end < 0 or (line.strip() and not line.startswith("#")):
+            return content[:start], line, content[end + 1 :].rstrip() if end >= 0 else ""
+        start = end + 1
 
 
 def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:
