@@ -82,7 +82,7 @@ def averaged_record(record: Record) -> tuple[Record, list[str]]:
 def _averaged_readings(record: Record) -> tuple[Record, str]:
     rows, n = len(record.time_s), math.ceil(len(record.time_s) / AIM)
     labels = record.fit_mask().astype(np.int8) + 2 * record.holdout_mask().astype(np.int8)
-    noise = {s.column: _noise_K(record.thermocouples[s.column]) for s in record.sensors}
+    noise = {s.column: _noise_K(record.thermocouples[s.column], s.noise_sigma_K) for s in record.sensors}
     coarse = [s for s in record.sensors if s.lsb_K > 0.0 and noise[s.column] < DITHER * s.lsb_K]
     while n > 1 and not coarse:
         groups = _groups(labels, n)
@@ -126,12 +126,12 @@ def _groups(labels: IntArray, n: int) -> _Groups:
     return _Groups(first, np.diff(np.concatenate((first, [len(labels)]))))
 
 
-def _noise_K(values: FloatArray) -> float:
-    """White noise of readings [K], by the differences of neighbours, robust against steps."""
+def _noise_K(values: FloatArray, declared_K: float | None) -> float:
+    """White noise of readings [K] by the differences of neighbours, robust against steps; no more than declared."""
     apart = np.abs(np.diff(values))
     apart = apart[np.isfinite(apart)]
     median = float(np.median(apart)) if apart.size else 0.0
-    return max(median / (0.6745 * math.sqrt(2.0)), SMALLEST_K)
+    return max(min(median / (0.6745 * math.sqrt(2.0)), declared_K or math.inf), SMALLEST_K)
 
 
 def _bent(means: FloatArray, sigma: float) -> BoolArray:

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -163,8 +164,6 @@ def _large_table(
 ) -> CsvTable | None:
     """The table of a large text whose cells are plain numbers, or empty in columns of readings; None for any other,
     which is read cell by cell, so that messages name the cell."""
-    import pandas as pd  # slow to import
-
     above, head, body = _head(content)
     names = [name.strip() for name in head.split(",")]
     rows = body.count("\n") + (not body.endswith("\n"))
@@ -172,17 +171,18 @@ def _large_table(
         return None
     if not all(names) or _name_problems("", names, required, optional, lost):
         return None
+    if not is_plain(body) or re.search(r"[a-df-zA-DF-Z#]", body):  # an e is that of an exponent
+        return None
+    if "," in body and lost:
+        body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
     wanted = [n for n in names if keep_other or n in {*required, *optional}]
     try:
-        frame = pd.read_csv(
-            io.StringIO(body), header=None, names=names, usecols=wanted, dtype=np.float64, skipinitialspace=True,
-            keep_default_na=False, na_values=[""], skip_blank_lines=False, float_precision="round_trip",
-        )  # fmt: skip
-    except (ValueError, pd.errors.ParserError):
+        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=[names.index(n) for n in wanted])
+    except ValueError:
         return None
-    columns = {name: frame[name].to_numpy(copy=True) for name in wanted}
+    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}
     whole = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
-    if len(frame) != rows or not whole:
+    if len(values) != rows or not whole:
         return None
     first = above.count("\n") + 2
     header = dict(_header_entry(line) for line in above.splitlines() if ":" in line)
