@@ -334,24 +334,39 @@ def _on_practice_flight(folder: Path, values: Mapping[str, Any], point: str) -> 
     """
     variable = str(values["variable"])
     flown = _practice_flight(folder, values)
-    x, heat = flown[variable], flown["heat"]
+    usual = float(values["centre"]), float(values["width"])
+    limits = float(values["lower"]), float(values["upper"])
+    try:
+        centre, width = practice_bell(flown[variable], flown["heat"], usual, limits)
+    except InputError as error:
+        raise InputError(
+            f"--variable {variable}: the practice flight of {values['vehicle']} has {variable} {error} while {point} "
+            "is heated, which does not show the effect; name another --vehicle or --variable"
+        ) from None
+    return {"centre": centre, "width": width}
+
+
+def practice_bell(
+    x: FloatArray, heat: FloatArray, usual: tuple[float, float], limits: tuple[float, float]
+) -> tuple[float, float]:
+    """Centre and width of a bell in a variable that a flight shows: the usual ones where they fit what is flown.
+
+    x, heat : (sample,) the variable, and the part of the heating of each sample [-]
+    usual   : centre and width;  limits : lowest and highest centre
+    raises  : InputError, the range flown in words, where the bell hardly changes along the flight
+    """
     heated = x[heat >= HEATED_FROM * np.max(heat)]
     low, high = float(np.min(heated)), float(np.max(heated))
-    centre, width = float(values["centre"]), float(values["width"])
+    centre, width = usual
     if not low <= centre <= high:
-        middle = float(np.median(heated))
-        centre = float(f"{min(max(middle, values['lower']), values['upper']):.3g}")
+        centre = float(f"{min(max(float(np.median(heated)), limits[0]), limits[1]):.3g}")
     if high - low < 2.0 * width:
         width = float(f"{max((high - low) / 4.0, width / 10.0):.2g}")
     bell = np.exp(-0.5 * ((x - centre) / width) ** 2)
     mean = float(np.average(bell, weights=heat))
-    scatter = math.sqrt(float(np.average((bell - mean) ** 2, weights=heat)))
-    if scatter < LEAST_SCATTER:
-        raise InputError(
-            f"--variable {variable}: the practice flight of {values['vehicle']} has {variable} from {low:.3g} to "
-            f"{high:.3g} while {point} is heated, which does not show the effect; name another --vehicle or --variable"
-        )
-    return {"centre": centre, "width": width}
+    if math.sqrt(float(np.average((bell - mean) ** 2, weights=heat))) < LEAST_SCATTER:
+        raise InputError(f"from {low:.3g} to {high:.3g}")
+    return centre, width
 
 
 def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, FloatArray]:
