@@ -23,6 +23,7 @@ from benchmarks.verification import (
     chosen,
     conduction,
     effects,
+    flights,
     gas,
     heating,
     inside,
@@ -56,6 +57,7 @@ SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Trim": trim.rows,
     "Optimal entry": optimum.rows,
     "Sensors": sensors.rows,
+    "Flights as tools write them": flights.rows,
 }
 
 

@@ -88,7 +88,10 @@ def _starts(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> An
 
 
 def _start(value: str | None) -> Any:
-    """Where a march begins, `declared` or `circuit:650` and the like, as a function that makes the initial state."""
+    """Where a march begins, `declared` or `circuit:650` and the like, as a function that makes the initial state.
+
+    Without a time it is the start of the record's first fit segment.
+    """
     from sim_heating.base.files import plain_number, suggestion
     from sim_heating.estimation.starts import STARTS
 
@@ -98,15 +101,28 @@ def _start(value: str | None) -> Any:
     if kind not in STARTS:
         raise InputError(f"--start: `{kind}` is not a way to start{suggestion(kind, ['declared', *STARTS])}")
     try:
-        time_s = plain_number(at)
+        time_s = plain_number(at) if at else None
     except ValueError:
         raise InputError(f"--start: `{at}` is not a time in s; write {kind}:650") from None
+    if time_s is None and kind == "lost":
+        raise InputError("--start: lost needs the time in s at which the readings come back; write lost:650")
 
     def start(record: Any, model: Any, mesh: Any) -> Any:
         with error_context(f"--start {value}"):
-            return STARTS[kind](record, model, mesh, time_s)
+            return STARTS[kind](record, model, mesh, _fit_start_s(record, kind) if time_s is None else time_s)
 
     return start
+
+
+def _fit_start_s(record: Any, kind: str) -> float:
+    """Start of the first fit segment of a record [s].
+
+    raises : InputError where it has none, so that there is nothing before a start
+    """
+    segments = record.declared.segments.fit
+    if not segments:
+        raise InputError(f"needs a time, or fit segments: write {kind}:650, or give --fit START,END")
+    return float(min(segments)[0])
 
 
 def _process_noise(nodes: str | None, ratio: str | None) -> Any:
@@ -162,8 +178,9 @@ def _level(text: str, hint: str) -> float:
     "--start",
     multiple=True,
     callback=_starts,
-    help="initial temperatures: declared (default), or circuit, profile, filter, lost:TIME_S (lost: heating unknown "
-    "until then); behind @ the flight, record or point, where not for all",
+    help="initial temperatures: declared (default), or circuit, profile or filter at the start of the first fit "
+    "segment, or at a time, filter:TIME_S; lost:TIME_S (heating unknown until then); behind @ the flight, record or "
+    "point, where not for all",
 )
 @click.option(
     "--fit",

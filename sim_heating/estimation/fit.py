@@ -68,6 +68,7 @@ from sim_heating.estimation.record_fit import (
 )
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.inputs.averaged_record import averaged_record
 from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.parameter_owners import Owners
 from sim_heating.inputs.points import point_of_record, undeclared_effects
@@ -259,6 +260,9 @@ def estimate(
     raises    : InputError where nothing can be estimated, RunError where the model cannot be marched at the start or at
                 the values found
 
+    Of a record with very many readings neighbours are averaged where nothing moves between them, with the noise of the
+    mean, and a warning says so (inputs/averaged_record.py).
+
     A name of all these may have an owner: a control point, `ratio.d_alpha@V09T9527`; for clocks and thermocouples a
     record or a flight, `clock.skew@STS-2`. A fit that does not converge is returned, with its status. Source:
     docs/theory/estimation_statistics.md, equations 13 to 26 and 31; 32 to 35 with process noise.
@@ -279,6 +283,11 @@ def estimate(
     cleaned = [without_outliers(record) for record in loaded]
     loaded, outliers = [record for record, _ in cleaned], [o for _, found in cleaned for o in found]
     notes += outlier_lines(outliers, {record.name: record for record in loaded})
+    fewer = [averaged_record(record) for record in loaded]
+    loaded, averaged = [record for record, _ in fewer], [line for _, lines in fewer for line in lines]
+    for line in averaged:
+        progress(0.0, line)
+    notes = [*averaged, *notes]
     options = FitOptions(
         effects,
         fixed=fixed,

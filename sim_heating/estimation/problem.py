@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +184,16 @@ class FitProblem:
         ]
         joint._group()
         return joint
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the marches, which hold addresses of compiled code and are made when they are asked for."""
+        groups, records = len(self.groups), len(self.record_fits)
+        return {
+            **self.__dict__,
+            "_marches": [None] * groups,
+            "_plain_marches": [None] * records,
+            "last_marches": [(None, [])] * groups,
+        }
 
     def with_correction(self, correction_K: FloatArray) -> FitProblem:
         """The problem of one record with another mesh correction.

@@ -96,7 +96,12 @@ FORMATS: tuple[FileFormat, ...] = (
         "`h_ref_kg_m2_s` and `H_r_J_kg` are needed with `reference = \"columns\"` alone; otherwise the reference "
         "heating that `[heating]` names is computed. A deflection may be left out where no ratio table depends on it. "
         "With `reference = \"none\"` only `time_s` is needed. Further "
-        "columns of numbers are kept; `axial_accel_g` serves as independent evidence.",
+        "columns of numbers are kept; `axial_accel_g` serves as independent evidence.\n\n"
+        "**Other names and units.** A file with other names states its units in them, `Altitude (ft)`, `vel_ft_s`, "
+        "`rho [slug/ft3]`; names of JSBSim, OpenRocket and RocketPy are known "
+        "([own_record](../../how_to/own_record.md)). What follows from what is there is derived, with a warning: air "
+        "of the standard atmosphere, Mach number, log10 Re of a metre, the pressure at the stagnation point or at "
+        "`local_angle_deg`. A density of the standard atmosphere lowers the confidence of `[conditions]` by a letter.",
         "scenarios/records/practice/p08/conditions.csv",
         _columns(*(name for name in STATE if name not in SURFACES), "p_surface_Pa"),
         _columns(*SURFACES, *HEATING[1:], *OPTIONAL_COLUMNS, "axial_accel_g"),
@@ -192,8 +197,11 @@ FORMATS: tuple[FileFormat, ...] = (
         "link", "LINK.toml", "link to a flight that is being flown: its telemetry, and what is estimated from it",
         "Read by `live`. Each `[[source]]` gives messages with fields; `[time]`, `[conditions]` and `[[sensor]]` state "
         "which field is what, in which unit. A column of flight conditions without an entry is a field of its own name "
-        "and unit; so is a sensor, by its `column`, or by `POINT.COLUMN` where several have that column. Units are "
-        "those that pint knows, such as `ft`, `ft/s`, `slug/ft3`, `degF`. A null or an empty text is a lost sample.\n\n"
+        "and unit; so is a sensor, by its `column`, or by `POINT.COLUMN` where several have that column. A field whose "
+        "name states its unit, `h_ft` or `Altitude (ft)`, is in that unit where none is given. `q_Pa` in place of "
+        "`rho_kg_m3` gives the density $2q/V^2$. Units are "
+        "those that pint knows, such as `ft`, `ft/s`, `slug/ft3`, `degF`, as loggers spell them: `C` is a temperature, "
+        "`mil` a length. A null or an empty text is a lost sample.\n\n"
         "**Columns in several messages.** A message with all columns is a frame at once. Columns that come apart are "
         "gathered by their time; where a later time comes first, absent ones have their latest values.\n\n"
         "**The journal.** Each message is given to the operating system as it comes and forced to the disk every "

@@ -175,8 +175,9 @@ def _schema_words(declared: ModelFormat) -> list[str]:
     ]
     if declared.language == "toml":
         words.append(
-            "Editors that know TOML complete and check a file whose first line is `#:schema PATH`. An unknown key is "
-            "an error that names the nearest known one."
+            f"Editors that know TOML complete and check a file whose first line is `#:schema PATH`; files that "
+            f"`sim-heating new` makes name `{declared.name}.schema.json` beside them, which the command above writes. "
+            "An unknown key is an error that names the nearest known one."
         )
     return [" ".join(words), ""]
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -55,7 +56,10 @@ from sim_heating.heating.ratio.table import (
     ratio_table_text,
     read_ratio_table,
 )
-from sim_heating.heating.recorded_columns import implausible_values, with_density
+from sim_heating.heating.recorded.fields import ConditionField
+from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
+from sim_heating.heating.recorded.plausible import implausible_values, with_density
+from sim_heating.heating.recorded.reading import local_pressure, lowered_confidence, read_flight
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
@@ -102,12 +106,30 @@ class Thermocouples(FileReference):
 class FlightUncertainty(Declared):
     """How far the flight may be from its conditions: one standard deviation of each error, 0 where it is not stated."""
 
+    quantities: ClassVar = {"density_scale_m": "scale_height_m"}
+
     time_shift_s: float = Field(default=0.0, ge=0.0, description="of the clock of the conditions")
     time_stretch: float = Field(default=0.0, ge=0.0, lt=1.0, description="of the duration of the flight, relative")
     density_relative: float = Field(default=0.0, ge=0.0, le=1.0, description="of the density, smooth in altitude")
     density_scale_m: float = Field(default=8000.0, gt=0.0, description="distance over which that error changes")
     velocity_relative: float = Field(default=0.0, ge=0.0, le=0.5, description="of the velocity")
     alpha_deg: float = Field(default=0.0, ge=0.0, le=20.0, description="of the angle of attack")
+
+
+BY_CONFIDENCE = {
+    "A": FlightUncertainty(
+        time_shift_s=0.5, time_stretch=5e-4, density_relative=0.05, velocity_relative=0.002, alpha_deg=0.25
+    ),
+    "B": FlightUncertainty(
+        time_shift_s=3.0, time_stretch=3e-3, density_relative=0.1, velocity_relative=0.005, alpha_deg=0.5
+    ),
+    "C": FlightUncertainty(
+        time_shift_s=20.0, time_stretch=0.02, density_relative=0.15, velocity_relative=0.01, alpha_deg=2.0
+    ),
+}
+"""Of a measured flight that states none, by the confidence of its conditions: A recorded on the flight (clocks set by
+hand, density by a sounding of the day), B reconstructed from the literature, and where none is stated; C a
+representative flight in place of the one flown, whose phases begin some tens of seconds earlier or later. Judged."""
 
 
 class FlightNoise(Declared):
@@ -748,12 +770,39 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
     spared = [name for name in SURFACES if not _depends_on_surface(name, heating, (table, turbulent))]
     required = tuple(c for c in required if c not in spared)
     optional = (*(c for c in (*STATE, *HEATING) if c not in required), *OPTIONAL_COLUMNS)
-    conditions = read_csv_columns(home / declared.conditions.file, required, optional)
+    conditions, declared = _conditions_of_file(home / declared.conditions.file, required, optional, declared)
     columns = [s.column for s in declared.thermocouples.sensor]
     thermocouples = read_csv_columns(
         home / declared.thermocouples.file, ("time_s", *columns), allow_empty=columns, keep_other=False
     )
     return _check_record(declared, conditions, thermocouples, (table, turbulent), home)
+
+
+def _conditions_of_file(
+    path: Path, required: Sequence[str], optional: Sequence[str], declared: RecordFile
+) -> tuple[CsvTable, RecordFile]:
+    """Conditions of a record's file, and its declaration; what follows from other columns is derived, with a warning.
+
+    A density of the standard atmosphere lowers the confidence of the conditions.
+    raises : InputError as `read_csv_columns`, or one line with everything that the file lacks
+    """
+    density = () if required == ("time_s",) else (("rho_kg_m3", "q_Pa"),)
+    constants = declared.conditions.constants
+    stated = tuple(group for group in density if not set(group) & set(constants))
+    if states_columns(path, required, stated) or not lacks_only_derived(path, required):
+        return read_csv_columns(path, required, optional), declared
+    heating, needed = declared.heating, tuple(dict.fromkeys((*required, *(("rho_kg_m3",) if stated else ()))))
+    fields = {name: ConditionField(constant=value) for name, value in constants.items()}
+    pressure = None
+    if heating.reference in STAGNATION or heating.local_angle_deg is not None:
+        pressure = local_pressure(heating.local_angle_deg)
+    flown = read_flight(path, needed, fields=fields, pressure=pressure)
+    warnings.warn(f"{display_path(path)}: {'; '.join(flown.notes)}", stacklevel=4)
+    table = replace(flown.table, columns={n: v for n, v in flown.table.columns.items() if n not in constants})
+    if not flown.has_model_density:
+        return table, declared
+    lower = declared.conditions.model_copy(update={"confidence": lowered_confidence(declared.conditions.confidence)})
+    return table, declared.model_copy(update={"conditions": lower})
 
 
 def _depends_on_surface(name: str, heating: Heating, tables: Sequence[RatioTable | None]) -> bool:

@@ -17,6 +17,7 @@ control_points = ["V09T9527"]       # all where absent
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from pydantic import Field, field_validator, model_validator
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
+    CsvTable,
     Declared,
     LocatedError,
     Location,
@@ -40,12 +42,14 @@ from sim_heating.base.files import (
     roots_of,
     suggestion,
 )
+from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.base.parameters import MODEL, layer_parameter
 from sim_heating.heating.edge_flow import EdgeFlow
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.recorded.layout import read_fields, states_columns
 from sim_heating.inputs.declared_effects import KEYS
 from sim_heating.inputs.record import Segments
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_place
@@ -550,8 +554,32 @@ def _history_folder(scenario: Path, vehicle: Vehicle, file: str) -> Path:
     return scenario.parent if own else vehicle.directory
 
 
+HISTORY = ("time_s", "temperature_K", "sigma_K")
+"""Columns of a measured history."""
+SIGMA = re.compile(r"(?i)sigma|std|uncert")
+
+
+def _history_table(file: Path) -> CsvTable:
+    """Time, temperature and its standard deviation of a file, in its columns or by names with units: `Time (min)`,
+    `Temperature (degF)`, `sigma (degF)`.
+
+    raises : InputError as `read_csv_columns` where the names state neither
+    """
+    if states_columns(file, HISTORY):
+        return read_csv_columns(file, HISTORY)
+    found = read_fields(file)
+    sigma = next((n for n in found.unused if SIGMA.search(n)), "")
+    scale = converted(name_and_unit(sigma, ["K"])[1], "K")
+    if "time_s" not in found.columns or "T_inf_K" not in found.columns or scale is None:
+        return read_csv_columns(file, HISTORY)
+    sigma_K = scale.factor * found.numbers[sigma]  # a difference of temperatures has no offset
+    columns = {"time_s": found.columns["time_s"], "temperature_K": found.columns["T_inf_K"], "sigma_K": sigma_K}
+    read = np.all([np.isfinite(v) for v in columns.values()], axis=0)  # an empty cell is a lost sample
+    return replace(found.table({n: v[read] for n, v in columns.items()}), lines=found.lines[read])
+
+
 def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:
-    table = read_csv_columns(file, ("time_s", "temperature_K", "sigma_K"))
+    table = _history_table(file)
     rule = f"K is no temperature of a surface; give K, at most {HOTTEST_K:g}"
     hot = table.problems_where_not("temperature_K", table["temperature_K"] <= HOTTEST_K, rule)
     raise_problems([*table.order_problems(), *table.celsius_problems("temperature_K"), *hot])

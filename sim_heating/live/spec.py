@@ -32,7 +32,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from sim_heating.base.conditions import DESCRIPTIONS, FRAME, SURFACES
+from sim_heating.base.conditions import FRAME, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     Declared,
@@ -48,6 +48,7 @@ from sim_heating.base.files import (
 )
 from sim_heating.base.files.roots import Roots
 from sim_heating.base.parameters import MODEL, layer_parameter
+from sim_heating.heating.recorded.fields import ConditionField, check_columns, field_or_table
 from sim_heating.inputs.fit_settings import dotted
 from sim_heating.inputs.record import Record, load_records
 from sim_heating.inputs.scenario import Scenario, load_scenario
@@ -165,24 +166,6 @@ class TimeField(Declared):
     field: str = Field(default="time_s", min_length=1, description="name of the field")
     unit: str = Field(default="s", description="its unit, as `s` or `ms`")
     zero: float = 0.0
-
-
-class ConditionField(Declared):
-    """A column of flight conditions: the field that holds it with its unit, or a constant in the column's unit."""
-
-    quantities: ClassVar = {"constant": None}
-
-    field: str | None = Field(default=None, min_length=1, description="name of the field")
-    unit: str | None = Field(default=None, description="unit of the field; that of the column where absent")
-    constant: float | None = Field(default=None, description="value at all times, in the unit of the column")
-
-    @model_validator(mode="after")
-    def _check_one(self) -> ConditionField:
-        if (self.field is None) == (self.constant is None):
-            raise ValueError("give either `field` or `constant`, not both and not neither")
-        if self.constant is not None and self.unit is not None:
-            raise LocatedError((("unit",), "is that of a field; a constant is in the unit of its column"))
-        return self
 
 
 class SensorField(Declared):
@@ -347,10 +330,6 @@ class JournalSettings(Declared):
     fsync_s: float = Field(default=1.0, ge=0.0, le=60.0)
 
 
-def _condition_tag(value: Any) -> str:
-    return "field" if isinstance(value, str) else "table"
-
-
 class LinkFile(Declared):
     """Contents of a link file.
 
@@ -372,7 +351,7 @@ class LinkFile(Declared):
     conditions: dict[
         str,
         Annotated[
-            Annotated[str, Tag("field")] | Annotated[ConditionField, Tag("table")], Discriminator(_condition_tag)
+            Annotated[str, Tag("field")] | Annotated[ConditionField, Tag("table")], Discriminator(field_or_table)
         ],
     ] = Field(default={})
     sensor: list[SensorField] = Field(default=[])
@@ -385,15 +364,7 @@ class LinkFile(Declared):
     @field_validator("conditions")
     @classmethod
     def _check_columns(cls, conditions: dict[str, Any]) -> dict[str, Any]:
-        known = [name for name in DESCRIPTIONS if name != "time_s"]
-        problems: list[tuple[Location, str]] = [
-            ((name,), "is the time; name its field in [time]" if name == "time_s" else _unknown_column(name, known))
-            for name in conditions
-            if name not in known
-        ]
-        if problems:
-            raise LocatedError(*problems)
-        return conditions
+        return check_columns(conditions, "is the time; name its field in [time]")
 
     @model_validator(mode="after")
     def _check_points(self) -> LinkFile:
@@ -410,10 +381,6 @@ class LinkFile(Declared):
                 (("output", "jsbsim"), 'goes with a [[source]] of kind = "jsbsim"; add one or remove this table')
             )
         return self
-
-
-def _unknown_column(name: str, known: Sequence[str]) -> str:
-    return f"unknown column of flight conditions{suggestion(name, known)}"
 
 
 # The link ------------------------------------------------------------------------------------------------------------
@@ -584,6 +551,8 @@ def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, 
         needed = [name for name in first.conditions.names if name != "time_s"]
         if first.declared.heating.reference == "none":  # a wall at rest: what is not sent is as it was at the start
             needed = [n for n in needed if n in declared.conditions or n in DRIVING]
+    if "q_Pa" in declared.conditions and "rho_kg_m3" not in declared.conditions:  # the density follows from it
+        needed = [n for n in needed if n != "rho_kg_m3"]
     return tuple(dict.fromkeys([*needed, *declared.conditions]))
 
 

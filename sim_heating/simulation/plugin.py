@@ -13,9 +13,10 @@ change quickly, one every `longest_wait_s` where they do not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -120,6 +121,10 @@ class HeatingPlugin:
         effects: Mapping[str, Sequence[EffectUse]] | None = None,
     ) -> None:
         names = list(vehicle.control_points) if control_points is None else list(control_points)
+        self._made_of = partial(
+            HeatingPlugin, vehicle, names, longest_step_s=longest_step_s, longest_wait_s=longest_wait_s, nodes=nodes,
+            parameters=parameters, effects=effects,
+        )  # fmt: skip
         self.points = [vehicle.control_point(name) for name in names]
         self.names = tuple(names)
         # A frame of a vehicle without control surfaces needs no deflections.
@@ -265,6 +270,10 @@ class HeatingPlugin:
         self._host[:] = snapshot.host
         self._published[:] = snapshot.published
 
+    def __reduce__(self) -> tuple[Callable[..., HeatingPlugin], tuple[Any, Snapshot]]:
+        """Made again from its vehicle at the present state: addresses of compiled code hold in one process alone."""
+        return _plugin_at, (self._made_of, self.snapshot())
+
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def temperatures(self) -> FloatArray:
@@ -313,6 +322,13 @@ class HeatingPlugin:
         failed = _counted(self.names, self.ensemble.failures)
         if failed:
             raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
+
+
+def _plugin_at(make: Callable[[], HeatingPlugin], snapshot: Snapshot) -> HeatingPlugin:
+    """A plug-in at a snapshot of another one that is made alike."""
+    plugin = make()
+    plugin.restore(snapshot)
+    return plugin
 
 
 def point_constants(vehicle: Vehicle, points: Sequence[ControlPoint]) -> k.PointConstants:

@@ -39,7 +39,7 @@ def check_scenario(scenario: Scenario) -> None:
     spec, where = scenario.declared.trajectory, f"{display_path(scenario.path)}, [trajectory]"
     if spec.source == "recorded":
         vehicle = scenario.vehicle
-        recorded.read_conditions(Path(str(spec.file)), vehicle.reference_length_m, vehicle.surfaces)
+        recorded.read_conditions(Path(str(spec.file)), vehicle.reference_length_m, vehicle.surfaces, spec.fields)
     elif spec.source in FLOWN:
         check_triggers(spec, scenario.vehicle, where)
 

@@ -17,6 +17,7 @@ from sim_heating.base.conditions import DERIVED, RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, text_bytes, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.credibility.facts.sources import conditions_of_scenario
 from sim_heating.heating.atmosphere import G0_M_S2
 from sim_heating.heating.effects import use
 from sim_heating.heating.effects.recombination import RECOMBINATION
@@ -268,8 +269,17 @@ def declaration(
 ) -> RecordFile:
     """Content of record.toml for a control point with these sensors, and the manoeuvres flown in these windows."""
     declared = record_declaration(scenario.vehicle, point, sensors, scenario.title, scenario.flight, windows)
-    source = f"synthetic: flown along {scenario.path.name}, {scenario.title}"
-    return declared.model_copy(update={"conditions": declared.conditions.model_copy(update={"source": source})})
+    return declared.model_copy(update={"conditions": declared.conditions.model_copy(update=_flight_pedigree(scenario))})
+
+
+def _flight_pedigree(scenario: Scenario) -> dict[str, str]:
+    """Source of the flight of a scenario; of a recorded trajectory that of the recording, with its confidence."""
+    if scenario.declared.trajectory.source != "recorded":
+        return {"source": f"synthetic: flown along {scenario.path.name}, {scenario.title}"}
+    (recording,) = conditions_of_scenario(scenario)
+    stated = f": {recording.source}" if recording.source else ""
+    letter = {} if recording.worst is None else {"confidence": recording.worst}
+    return {"source": f"recorded: {Path(scenario.declared.trajectory.file or '').name}{stated}", **letter}
 
 
 def record_declaration(

@@ -18,24 +18,27 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import HEATING, STATE
+from sim_heating.base.conditions import STATE
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import (
     COLDEST_K,
     celsius_rule,
     display_path,
     output_directory,
-    read_csv_columns,
     suggestion,
     write_csv,
     write_text_atomic,
 )
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
+from sim_heating.heating.recorded.reading import OPTION, local_pressure, lowered_confidence, read_flight
+from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.record import (
+    BY_CONFIDENCE,
     DECLARATION,
-    OPTIONAL_COLUMNS,
     REFERENCE_COLUMNS,
+    STAGNATION,
+    FlightUncertainty,
     Record,
     load_record,
     make_record,
@@ -43,7 +46,7 @@ from sim_heating.inputs.record import (
 )
 from sim_heating.templates.materials import LayerInput, describe_source
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, CsvColumn, MeasuredCsv, read_measured_csv
-from sim_heating.templates.quantities import NUMBER, quantity, require_known
+from sim_heating.templates.quantities import NUMBER, quantity, require_known, stated_field
 from sim_heating.templates.render import render_toml
 from sim_heating.thermal.stack import PressureTable, Sensor
 
@@ -51,7 +54,9 @@ RISE_S = 0.1
 """Time in which a lamp that is switched on or off changes its flux [s]."""
 UNEVEN_K = 2.0
 """Difference between the first readings of sensors from which the start is not at one temperature [K]."""
-FIRST_READINGS = 5
+FIRST_READINGS, LEAST_READINGS = 5, 3
+MOVES_SIGMA, MOVES_K = 3.0, 0.5
+"""Change of the first readings, in standard deviations about a line and in K, from which the wall is heated already."""
 SURFACE, BACK = "surface", "back"
 """Depths by name: the outer surface, and the inner face of the last layer."""
 COMMAND, RATIO_FILE = "new record", "ratio_table.csv"
@@ -71,12 +76,16 @@ class Heat:
     constants : (name, value, meaning) of [conditions]
     reference : heating.reference of the record
     note      : in words
+    notes     : what was converted and derived
+    uncertainty : of a flight whose density is not of the day; its confidence is then C
     """
 
     columns: Mapping[str, FloatArray]
     constants: tuple[tuple[str, float, str], ...]
     reference: str
     note: str
+    notes: tuple[str, ...] = ()
+    uncertainty: FlightUncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +97,8 @@ class RecordInput:
     back          : cooling of the back face, keys of `back`; None for an adiabatic one
     noise_K       : random error of all sensors [K]
     pressure_Pa   : of the air in the insulation [Pa]
+    nose_radius_m, running_length_m, sweep_deg, local_angle_deg, recovery : of the reference heating and of the point,
+                    keys of [heating]
     ratio, ratio_table : heating ratio of a flight [-], or the file of its table; neither where it is to be estimated
     """
 
@@ -104,6 +115,10 @@ class RecordInput:
     noise_K: float | None = None
     pressure_Pa: float | None = None
     nose_radius_m: float | None = None
+    running_length_m: float | None = None
+    sweep_deg: float | None = None
+    local_angle_deg: float | None = None
+    recovery: str | None = None
     ratio: float | None = None
     ratio_table: Path | None = None
     notes: tuple[str, ...] = field(default=())
@@ -256,18 +271,57 @@ def _unknown_flux(times: FloatArray, lit_s: tuple[float, float] | None) -> Heat:
     return Heat(flux, constants, "columns", note)
 
 
-def flown_heat(path: Path, reference: str | None) -> Heat:
-    """The conditions of a flight, from a file with the columns of a record's conditions.csv.
+def flown_heat(
+    path: Path,
+    reference: str | None,
+    *,
+    fields: Mapping[str, str] | None = None,
+    atmosphere: Path | None = None,
+    reference_length_m: float | None = None,
+    local_angle_deg: float | None = None,
+    has_pressure: bool = False,
+) -> Heat:
+    """The conditions of a flight, by the names and units of a file, with what follows from them.
 
-    reference : model of reference heating; None for the columns h_ref_kg_m2_s and H_r_J_kg of the file
-    raises    : InputError for columns that are missing or misspelt
+    reference          : model of reference heating; None for the columns h_ref_kg_m2_s and H_r_J_kg of the file
+    fields             : column -> what the option --field states of it
+    atmosphere         : file of a sounding, the air of the day
+    reference_length_m : of a derived Reynolds number [m]; None for that of a metre
+    local_angle_deg    : of the surface against the x axis, for its pressure [deg]
+    has_pressure       : whether the pressure in the insulation is stated, and is not one of the flight
+    raises             : InputError, one line, with everything that is not there and does not follow from what is
     """
-    required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "p_surface_Pa"]
+    required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "mach", "log10_re", "rho_kg_m3", "T_inf_K"]
+    required += ["p_inf_Pa", *(() if has_pressure else ("p_surface_Pa",))]
     required += REFERENCE_COLUMNS if reference is None else ()
-    table = read_csv_columns(path, required, [*STATE, *HEATING, *OPTIONAL_COLUMNS])
+    known = local_angle_deg is not None or reference in STAGNATION
+    flown = read_flight(
+        path,
+        required,
+        statement=OPTION,
+        fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
+        length_m=reference_length_m,
+        sounding=None if atmosphere is None else read_sounding(atmosphere),
+        pressure=local_pressure(local_angle_deg) if known else None,
+    )
+    columns = {name: values for name, values in flown.table.columns.items() if name != "q_Pa"}
     zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
-    constants = tuple((n, 0.0, "not in the file of the flight") for n in zero if n not in table.columns)
-    return Heat(table.columns, constants, reference or "columns", f"flight of {display_path(path)}")
+    absent = [n for n in zero if n not in columns]
+    constants = tuple((n, 0.0, "not in the file of the flight") for n in absent)
+    notes = list(flown.notes)
+    if absent:
+        notes.append(f"{', '.join(absent)} 0, as the file has none (--field {absent[0]}=2deg)")
+    uncertainty = None
+    if flown.has_model_density:
+        confidence = lowered_confidence("B")
+        share = BY_CONFIDENCE[confidence].density_relative
+        uncertainty = BY_CONFIDENCE["B"].model_copy(update={"density_relative": share})
+        notes.append(
+            f"confidence of the conditions {confidence}: the density is of the standard atmosphere, +-{share:.0%} "
+            "(--atmosphere FILE for a sounding of the day)"
+        )
+    note = f"flight of {display_path(path)}"
+    return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty)
 
 
 # The record ----------------------------------------------------------------------------------------------------------
@@ -327,7 +381,8 @@ def write_new_record(
         reference=given.heat.reference,
         lamp=lamp,
         unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
-        nose_radius_m=given.nose_radius_m,
+        lengths=_of_reference(given),
+        uncertainty=None if given.heat.uncertainty is None else given.heat.uncertainty.model_dump(exclude_unset=True),
         ratio=given.ratio,
         ratio_table=None if given.ratio_table is None else RATIO_FILE,
         first_s=float(times[0]),
@@ -346,7 +401,7 @@ def write_new_record(
         if given.ratio_table is not None:
             write_ratio_table(folder / RATIO_FILE, read_ratio_table(given.ratio_table))
         record = load_record(folder)
-    return record, [f"heated by {given.heat.note}", *notes, *given.notes]
+    return record, [f"heated by {given.heat.note}", *given.heat.notes, *notes, *given.notes]
 
 
 def _ratio_notes(given: RecordInput) -> list[str]:
@@ -372,9 +427,18 @@ OPTIONS = {
     ", [conditions]: `p_surface_Pa`:": "--pressure:",
     ", [heating]: `reference`:": "--reference:",
     ", [heating]: `nose_radius_m`:": "--nose-radius:",
+    ", [heating]: `running_length_m`:": "--running-length:",
+    ", [heating]: `sweep_deg`:": "--sweep:",
+    ", [heating]: `recovery`:": "--recovery:",
+    ", [heating]: `local_angle_deg`:": "--local-angle:",
     ", [heating]: `ratio`:": "--ratio:",
 }
 """Place in record.toml -> the option that states what is there."""
+KEYS = {
+    "nose_radius_m": "--nose-radius", "running_length_m": "--running-length", "sweep_deg": "--sweep",
+    "local_angle_deg": "--local-angle", "recovery": "--recovery", "reference": "--reference",
+}  # fmt: skip
+"""Key of [heating] -> the option that states it."""
 
 
 @contextmanager
@@ -392,7 +456,9 @@ def _of_option(line: str, declaration: str) -> str:
     for place, option in OPTIONS.items():
         if line.startswith(f"{declaration}{place}"):
             rule = line.removeprefix(f"{declaration}{place}")
-            return f"{option}{rule.replace('`nose_radius_m`; add it', '--nose-radius; give it')}"
+            for key, named in KEYS.items():
+                rule = rule.replace(f"`{key}`; add it", f"{named}; give it").replace(f"`{key}`", named)
+            return f"{option}{rule}"
     return line
 
 
@@ -404,6 +470,20 @@ def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
     except InputError as error:
         made, shown = display_path(folder), display_path(Path(out))
         raise InputError(*(line.replace(made, shown) for line in error.problems)) from None
+
+
+def _of_reference(given: RecordInput) -> dict[str, Any]:
+    """Keys of [heating] of a flight's reference heating, as far as stated; an angle without an edge is of the pressure
+    alone."""
+    edge = given.recovery in ("edge-laminar", "edge-turbulent")
+    keys = {
+        "nose_radius_m": given.nose_radius_m,
+        "running_length_m": given.running_length_m,
+        "sweep_deg": given.sweep_deg,
+        "recovery": given.recovery,
+        "local_angle_deg": given.local_angle_deg if edge else None,
+    }
+    return {key: value for key, value in keys.items() if value is not None}
 
 
 def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
@@ -426,18 +506,30 @@ def _initial(given: RecordInput, times: FloatArray, sensors: Sequence[CsvColumn]
             raise InputError(f"--initial {given.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
         return given.initial_K, [f"wall at {given.initial_K:g} K at the start (--initial)"]
     cold = times <= _heated_from_s(given.heat)
-    first = []
+    first, risen = [], []
     for s in sensors:
-        before, found = s.si[cold & np.isfinite(s.si)], s.si[np.isfinite(s.si)]
+        read = np.isfinite(s.si)
+        before, start = s.si[cold & read], s.si[read][:FIRST_READINGS]
+        risen.append(not len(before) and _moves(times[read][:FIRST_READINGS], start))
         # median: without a known start of the heating the last of them may be heated
-        first.append(float(np.mean(before) if len(before) else np.median(found[:FIRST_READINGS])))
+        first.append(float(np.mean(before) if len(before) else start[0] if risen[-1] else np.median(start)))
     mean = float(f"{np.mean(first):.5g}")
-    which = "readings before the heating" if cold.any() else "first readings"
-    notes = [f"wall at {mean:g} K at the start, the mean of the {which} (--initial)"]
+    which = "the mean of the readings before the heating" if cold.any() else "the mean of the first readings"
+    if any(risen):
+        which = "the first reading, since it changes from there on"
+    notes = [f"wall at {mean:g} K at the start, {which} (--initial)"]
     if max(first) - min(first) > UNEVEN_K:
         apart = max(first) - min(first)
         notes.append(f"the first readings differ by {apart:.1f} K: state initial_profile in [stack] where that is real")
     return mean, notes
+
+
+def _moves(times: FloatArray, T: FloatArray) -> bool:
+    """Whether the first readings [K] at times [s] change by more than they scatter about a straight line."""
+    if len(T) < LEAST_READINGS:
+        return False
+    line = np.polyval(np.polyfit(times - times[0], T, 1), times - times[0])
+    return bool(abs(line[-1] - line[0]) > MOVES_SIGMA * np.std(T - line) + MOVES_K)
 
 
 def _heated_from_s(heat: Heat) -> float:
@@ -506,13 +598,14 @@ def like_record(
     for column in columns:
         name = re.sub(r"\s+", "_", column.name)
         depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
-        noise = noise_K if noise_K is not None or column.name not in known else known[column.name].noise_sigma_K
         sensors.append(
-            Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise)
+            Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise_K)
         )
+        other = known[column.name].noise_sigma_K if column.name in known else None
         notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
-        if noise is not None and noise_K is None:
-            notes.append(f"noise of {column.name} {noise:g} K, as in {model.name}; --noise states that of yours")
+        if noise_K is None:
+            of_other = "" if other is None else f"; the {other:g} K of {model.name} are of its recorder"
+            notes.append(f"noise of {column.name} estimated (--noise 0.5K states it){of_other}")
     thermocouples = declared.thermocouples.model_copy(update={"sensor": sensors})
     update = {
         "thermocouples": thermocouples,

@@ -2,33 +2,56 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, suggestion, write_own_files, write_text_atomic
+from sim_heating.base.files import (
+    csv_text,
+    display_path,
+    roots_of,
+    suggestion,
+    write_own_files,
+    write_text_atomic,
+)
+from sim_heating.base.files.paths import real_path
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.heating.effects import effects
+from sim_heating.heating.recorded.reading import OPTION, lowered_confidence
+from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
+from sim_heating.simulation.run import fly_scenario, run
 from sim_heating.simulation.scenario_check import check_scenario
+from sim_heating.templates.quantities import stated_field
 from sim_heating.templates.render import render, render_toml
 from sim_heating.templates.vehicle import shown_place
 from sim_heating.trajectory.aero import load_aero
+from sim_heating.trajectory.recorded import read_recording
 
 COMMAND = "new"
-SCENARIO, STUDY = "scenario.toml", "study.toml"
+SCENARIO, STUDY, TRAJECTORY = "scenario.toml", "study.toml", "trajectory.csv"
 LIFTING = 0.6
 """Lift over drag from which an entry may be as shallow as the Orbiter's."""
 SHALLOW_DEG, STEEP_DEG = -1.2, -1.5
 """Path angles of entry at 120 km of a glider, and of a capsule [deg]."""
 ENTRY = {"altitude_m": 120000.0, "velocity_m_s": 7450.0}
 """Altitude and speed of an entry from a low orbit."""
+HEATED_FROM = 0.05
+"""Part of the largest heating from which a vehicle is heated [-]."""
+LEAST_SCATTER = 0.03
+"""Least standard deviation of a bell along a practice flight, weighted by its heating [-]."""
 VARIABLES: dict[str, tuple[str, float, float, float, float]] = {
     "mach": ("1", 12.0, 2.0, 1.0, 30.0),
     "alpha_deg": ("deg", 38.0, 3.0, -10.0, 60.0),
@@ -69,33 +92,94 @@ def write_new_scenario(
     title: str = "",
     points: Sequence[str] = (),
     recorded: Path | None = None,
+    fields: Mapping[str, str] | None = None,
+    atmosphere: Path | None = None,
     initial: Mapping[str, float] | None = None,
     stop_mach: float = 2.0,
     manoeuvre: bool = False,
-) -> Path:
+    root: str | os.PathLike[str] | None = None,
+) -> tuple[Path, list[str]]:
     """Write DIR/scenario.toml, a flight of a vehicle, checked by flying it in three degrees of freedom.
 
-    recorded  : a CSV file of a trajectory in place of the built-in entry
-    initial   : altitude_m, velocity_m_s, gamma_deg of the entry, where not usual ones
-    stop_mach : Mach number at which the flight ends [-]
-    manoeuvre : whether it flies a pushover-pullup
-    returns   : the file
-    raises    : InputError where the vehicle, a point, or the flight does not work
+    recorded   : a file of a trajectory in place of the built-in entry
+    fields     : column -> what the option --field states of it, for the file of the trajectory
+    atmosphere : file of a sounding, the air of the day of that trajectory
+    initial    : altitude_m, velocity_m_s, gamma_deg of the entry, where not usual ones
+    stop_mach  : Mach number at which the flight ends [-]
+    manoeuvre  : whether it flies a pushover-pullup
+    root       : folder that the scenario may name files in
+    returns    : the file, and one line for each thing that was derived or assumed
+    raises     : InputError where the vehicle, a point, or the flight does not work
     """
-    loaded = load_vehicle(vehicle)
+    loaded = load_vehicle(vehicle, root=root)
     for name in points:
         loaded.control_point(name)
+    flown = _Recorded() if recorded is None else _recorded(Path(out), recorded, loaded, fields or {}, atmosphere, root)
     values: dict[str, Any] = {
         "vehicle": shown_place(vehicle, Path(out)),
         "title": title or f"Entry of {loaded.name}",
         "points": list(points),
         "source": "entry-3dof" if recorded is None else "recorded",
-        "file": None if recorded is None else Path(os.path.relpath(recorded, out)).as_posix(),
+        "file": flown.file,
+        "fields": flown.fields,
         "initial": ENTRY | {"gamma_deg": entry_angle_deg(loaded)} | dict(initial or {}),
         "stop_mach": stop_mach,
         "manoeuvre": {"at_velocity_m_s": 6096.0, "deg": 3.0} if manoeuvre else None,
     }
-    return _write(out, {SCENARIO: render_toml("scenario.toml.j2", "scenario", **values)}, _check_scenario)
+    text = render_toml("scenario.toml.j2", "scenario", **values)
+    if flown.text is not None:
+        _write(out, {TRAJECTORY: flown.text}, _no_check)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what is derived, which the notes tell
+        return _write(out, {SCENARIO: text}, lambda path: _check_scenario(path, root)), list(flown.notes)
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """A recorded trajectory as a scenario names it.
+
+    file   : relative to the scenario
+    fields : contents of [trajectory.fields]
+    text   : of the file, where it is written beside the scenario
+    """
+
+    file: str | None = None
+    fields: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    text: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _recorded(
+    out: Path,
+    path: Path,
+    vehicle: Vehicle,
+    fields: Mapping[str, str],
+    atmosphere: Path | None,
+    root: str | os.PathLike[str] | None,
+) -> _Recorded:
+    """A recorded trajectory: named where it is, or written beside the scenario in columns of the contract where it lies
+    outside the folders that the scenario may read, or has the air of a sounding.
+
+    raises : InputError, one line, with everything that the file lacks
+    """
+    stated = {column: stated_field(column, text) for column, text in fields.items()}
+    sounding = None if atmosphere is None else read_sounding(atmosphere)
+    flown = read_recording(
+        path, vehicle.reference_length_m, vehicle.surfaces, stated, statement=OPTION, sounding=sounding
+    )
+    roots = roots_of(out / SCENARIO, root, vehicle.directory)
+    inside = any(real_path(path).is_relative_to(folder) for folder in roots.folders)
+    if inside and sounding is None:
+        table = {column: declared.model_dump(exclude_none=True) for column, declared in stated.items()}
+        return _Recorded(Path(os.path.relpath(path, out)).as_posix(), table, None, flown.notes)
+    header = dict(flown.table.header)
+    air = "" if sounding is None else f", air of {sounding.title}"
+    header["source"] = f"{header.get('source') or f'recorded trajectory {path.name}'}{air}"
+    if flown.has_model_density:
+        header["confidence"] = lowered_confidence(header.get("confidence", ""))
+    text = csv_text(flown.table.columns, header=header)
+    note = f"{TRAJECTORY}: the trajectory in columns of conditions, beside the scenario"
+    return _Recorded(TRAJECTORY, {}, text, (*flown.notes, note))
 
 
 def entry_angle_deg(vehicle: Vehicle) -> float:
@@ -108,8 +192,8 @@ def entry_angle_deg(vehicle: Vehicle) -> float:
     return SHALLOW_DEG if CL / CD >= LIFTING else STEEP_DEG
 
 
-def _check_scenario(path: Path) -> None:
-    check_scenario(load_scenario(path))
+def _check_scenario(path: Path, root: str | os.PathLike[str] | None = None) -> None:
+    check_scenario(load_scenario(path, root=root))
 
 
 def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callable[[Path], None]) -> Path:
@@ -193,7 +277,10 @@ def write_new_effect(
     name     : of the effect, as in `shock-passage`
     variable : a column of the flight conditions, or `wall_K`, in which it is a bell
     returns  : the files: effect, scenario, check
-    raises   : InputError where the name is taken or is none, or the variable is unknown
+    raises   : InputError where the name is taken or is none, the variable is unknown, or the practice flight of the
+               vehicle would not show the effect
+
+    The bell is centred on what the vehicle flies while it is heated, where the usual centre lies outside of it.
     """
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"effect {name}: write a name of small letters, digits and -, such as shock-passage")
@@ -230,6 +317,7 @@ def write_new_effect(
         "gamma_deg": entry_angle_deg(flown),
         "truth": {"multiply": 0.25, "add": 0.1, "emittance": -0.2}[mode],
     }  # fmt: skip
+    values |= _on_practice_flight(folder, values, point)
     files = {
         f"{module}.py": render("effect.py.j2", **values),
         f"{module}.toml": render_toml("effect_scenario.toml.j2", "scenario", **values),
@@ -237,6 +325,73 @@ def write_new_effect(
     }
     write_own_files(folder, COMMAND, files)
     return [folder / n for n in files]
+
+
+def _on_practice_flight(folder: Path, values: Mapping[str, Any], point: str) -> dict[str, float]:
+    """Centre and width of the bell of a new effect, so that its practice flight shows it.
+
+    raises : InputError where the variable hardly changes while the vehicle is heated
+    """
+    variable = str(values["variable"])
+    flown = _practice_flight(folder, values)
+    usual = float(values["centre"]), float(values["width"])
+    limits = float(values["lower"]), float(values["upper"])
+    try:
+        centre, width = practice_bell(flown[variable], flown["heat"], usual, limits)
+    except InputError as error:
+        raise InputError(
+            f"--variable {variable}: the practice flight of {values['vehicle']} has {variable} {error} while {point} "
+            "is heated, which does not show the effect; name another --vehicle or --variable"
+        ) from None
+    return {"centre": centre, "width": width}
+
+
+def practice_bell(
+    x: FloatArray, heat: FloatArray, usual: tuple[float, float], limits: tuple[float, float]
+) -> tuple[float, float]:
+    """Centre and width of a bell in a variable that a flight shows: the usual ones where they fit what is flown.
+
+    x, heat : (sample,) the variable, and the part of the heating of each sample [-]
+    usual   : centre and width;  limits : lowest and highest centre
+    raises  : InputError, the range flown in words, where the bell hardly changes along the flight
+    """
+    heated = x[heat >= HEATED_FROM * np.max(heat)]
+    low, high = float(np.min(heated)), float(np.max(heated))
+    centre, width = usual
+    if not low <= centre <= high:
+        centre = float(f"{min(max(float(np.median(heated)), limits[0]), limits[1]):.3g}")
+    if high - low < 2.0 * width:
+        width = float(f"{max((high - low) / 4.0, width / 10.0):.2g}")
+    bell = np.exp(-0.5 * ((x - centre) / width) ** 2)
+    mean = float(np.average(bell, weights=heat))
+    if math.sqrt(float(np.average((bell - mean) ** 2, weights=heat))) < LEAST_SCATTER:
+        raise InputError(f"from {low:.3g} to {high:.3g}")
+    return centre, width
+
+
+def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """The variable of an effect along its practice flight, and `heat`, the part of the heating of each sample [-]."""
+    text = render_toml("effect_scenario.toml.j2", "scenario", **values).split("[[truth.effect]]")[0]
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(prefix=".new-", suffix=".toml", dir=folder, delete=False) as trial:
+        place = Path(trial.name)
+    try:
+        write_text_atomic(place, text)
+        scenario = load_scenario(place)
+        if values["variable"] == "wall_K":
+            result = run(scenario)
+            flown = result.flight.conditions
+            history = result.points[str(values["point"])].history
+            wall = {"wall_K": np.interp(flown.time_s, history.time_s, history.surface_K)}
+        else:
+            flown = fly_scenario(scenario).conditions
+            wall = {}
+    finally:
+        place.unlink(missing_ok=True)
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    heat = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3 * flown.duration_s
+    return {**{n: flown[n] for n in flown.names}, **wall, "heat": heat / np.sum(heat)}
 
 
 def _manoeuvre(variable: str, vehicle: str) -> dict[str, Any] | None:

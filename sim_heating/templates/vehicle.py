@@ -197,7 +197,7 @@ def _values(name: str, given: VehicleInput) -> dict[str, Any]:
     }
     span_m = float(f"{min(given.length_m, 2.0 * math.sqrt(given.area_m2 / math.pi)):.4g}")
     deflections = list(DEFLECTIONS_DEG) if given.surfaces else [0.0]
-    top = max(2.0 * given.alpha_deg, 10.0)
+    alphas = _alphas_deg(given.alpha_deg)
     return {
         "name": name,
         "vehicle": name,
@@ -214,16 +214,22 @@ def _values(name: str, given: VehicleInput) -> dict[str, Any]:
         ],
         "surfaces": given.surfaces,
         "alpha_trim": given.alpha_deg,
-        "alpha_deg": [0.0, 0.5 * top, top],
+        "alpha_deg": alphas,
         "elevon_deg": deflections,
         "bodyflap_deg": deflections,
         "aero_source": f"CD {given.drag_coefficient:g} at all angles of attack, lift proportional to it, L/D "
         f"{given.lift_to_drag:g} at {given.alpha_deg:g} deg: estimates",
         "guidance_of": guidance_of,
         "guidance": guidance,
-        "points": [_point(p, given, [0.0, 0.5 * top, top]) for p in given.points],
+        "points": [_point(p, given, alphas) for p in given.points],
         "materials": {layer.name: layer.material for p in given.points for layer in p.layers},
     }
+
+
+def _alphas_deg(alpha_deg: float) -> list[float]:
+    """Nodes of the angle of attack [deg], rising from 0 to twice that of the entry, or to 0 where it is negative."""
+    end = math.copysign(max(2.0 * abs(alpha_deg), 10.0), alpha_deg)
+    return sorted([0.0, 0.5 * end, end])
 
 
 def _point(p: PointInput, given: VehicleInput, alpha_deg: Sequence[float]) -> dict[str, Any]:

@@ -40,7 +40,7 @@ from sim_heating.base.kernels.axis import cell_of
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.limits import QUANTITIES
 from sim_heating.heating.ratio.table import range_problems
-from sim_heating.heating.recorded_columns import BALLISTIC_KG_M2
+from sim_heating.heating.recorded.plausible import BALLISTIC_KG_M2
 from sim_heating.trajectory.spec import Guidance, Positive, TrajectorySpec
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]

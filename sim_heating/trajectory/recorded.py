@@ -1,24 +1,29 @@
-"""A flight as it was recorded: conditions from a CSV file in the contract's columns.
+"""A flight as it was recorded: conditions from a file, by the names and units of its columns.
 
-The columns that a host provides are required, with the density or the dynamic pressure `q_Pa` that it follows from;
-temperature, pressure, Mach and Reynolds number are taken as recorded, and derived by sim_heating.heating.atmosphere
+Time, altitude, speed and angles are required. Density is taken as recorded, else from the dynamic pressure `q_Pa`, from
+pressure and temperature, or of the standard atmosphere; temperature, pressure, Mach and Reynolds number are derived
 where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are absent.
-Further columns of numbers are kept.
+Further columns of numbers are kept where the names are those of the contract.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import warnings
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
+from sim_heating.base.files import CsvTable, display_path, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
-from sim_heating.heating.recorded_columns import implausible_values, with_density
+from sim_heating.heating.recorded.fields import ConditionField
+from sim_heating.heating.recorded.layout import states_columns
+from sim_heating.heating.recorded.plausible import implausible_values, with_density
+from sim_heating.heating.recorded.reading import TABLE, FlightTable, Statement, read_flight
+from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -51,7 +56,7 @@ def fly(
     """
     if spec.file is None:
         raise InputError('trajectory: source = "recorded" needs `file`, a CSV of flight conditions')
-    conditions = read_conditions(Path(spec.file), vehicle.reference_length_m, vehicle.surfaces)
+    conditions = read_conditions(Path(spec.file), vehicle.reference_length_m, vehicle.surfaces, spec.fields)
     if on_frame is not None:
         _send_frames(conditions, on_frame)
     if progress is not None:
@@ -59,23 +64,58 @@ def fly(
     return Flight(conditions)
 
 
-def read_conditions(path: Path, length_m: float, surfaces: Collection[str] = SURFACES) -> Conditions:
-    """Conditions of a CSV file; length_m [m] is the reference length of a derived Reynolds number.
+def read_conditions(
+    path: Path,
+    length_m: float,
+    surfaces: Collection[str] = SURFACES,
+    fields: Mapping[str, ConditionField | str] | None = None,
+) -> Conditions:
+    """Conditions of a file; length_m [m] is the reference length of a derived Reynolds number.
 
     surfaces : columns of control surfaces that the file needs; others may be absent, and are 0 [deg]
-    raises   : InputError naming file, row and column
+    fields   : column -> field, field with unit, or constant, that prevails over the names
+    raises   : InputError naming file, row and column; one line with everything that is asked for
+
+    A warning states which columns were renamed, converted or taken from the standard atmosphere.
     """
+    found = read_recording(path, length_m, surfaces, fields)
+    table = found.table
     spared = [name for name in SURFACES if name not in surfaces]
-    required = [*REQUIRED, *(name for name in SURFACES if name in surfaces)]
-    table = with_density(read_csv_columns(path, required, [*OPTIONAL, *spared]))
     table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))
+    if found.notes:
+        warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     # A column of the file takes precedence over the derived one.
     columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
     order = STATE + tuple(name for name in columns if name not in STATE)
     return Conditions({name: columns[name] for name in order})
+
+
+def read_recording(
+    path: Path,
+    length_m: float,
+    surfaces: Collection[str] = SURFACES,
+    fields: Mapping[str, ConditionField | str] | None = None,
+    *,
+    statement: Statement = TABLE,
+    sounding: Sounding | None = None,
+) -> FlightTable:
+    """Columns of a recorded flight by the names and units of the file, with what had to be converted or derived.
+
+    statement : how a column is stated, for the message
+    sounding  : air of the day
+    Other arguments and errors as of `read_conditions`; a file with the columns of the contract is taken as it is,
+    without a note.
+    """
+    required = [*REQUIRED, *(name for name in SURFACES if name in surfaces)]
+    if not fields and sounding is None and states_columns(path, required, (DENSITY,)):
+        spared = [name for name in SURFACES if name not in surfaces]
+        return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
+    return read_flight(
+        path, [*required, "rho_kg_m3"], statement=statement, fields=fields, length_m=length_m, sounding=sounding
+    )
 
 
 def _problems(table: CsvTable) -> list[str]:

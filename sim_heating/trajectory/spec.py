@@ -12,11 +12,22 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, Field, ValidationInfo, create_model, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    create_model,
+    field_validator,
+    model_validator,
+)
 
 from sim_heating.base.files import Convertible, Location
 from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast
 from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.heating.recorded.fields import ConditionField, check_columns, field_or_table
 
 Axis = Literal["mach", "velocity_m_s"]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -493,6 +504,8 @@ class TrajectorySpec(Convertible):
     rate_hz : integration frames a second (communication steps of an FMU); default 60, 4 for the 3-DOF entry
     sample_s: interval of the stored conditions
     file    : recorded CSV or FMU, relative to the scenario
+    fields  : column of flight conditions -> field of the recorded file, with its unit, or a constant; by the names and
+              units in the file where absent
     manoeuvre : what is flown besides guidance; `kind` names the manoeuvre
     """
 
@@ -500,6 +513,12 @@ class TrajectorySpec(Convertible):
     rate_hz: float = Field(default=60.0, gt=0.0, le=2000.0)
     sample_s: Positive = 1.0
     file: str | None = None
+    fields: dict[
+        str,
+        Annotated[
+            Annotated[str, Tag("field")] | Annotated[ConditionField, Tag("table")], Discriminator(field_or_table)
+        ],
+    ] = Field(default={})
     initial: Initial | None = None
     stop: Stop = Stop()
     vehicle: VehicleState = VehicleState()
@@ -517,8 +536,15 @@ class TrajectorySpec(Convertible):
             return {"rate_hz": 4.0} | data
         return data
 
+    @field_validator("fields")
+    @classmethod
+    def _check_fields(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        return check_columns(fields)
+
     @model_validator(mode="after")
     def _check_source(self) -> TrajectorySpec:
+        if self.fields and self.source != "recorded":
+            raise ValueError('[trajectory.fields] names fields of a file: it goes with source = "recorded"')
         if self.source == "recorded":
             if self.file is None:
                 raise ValueError('source = "recorded" needs `file`, a CSV of flight conditions')

@@ -13,6 +13,7 @@ from benchmarks.verification import (
     PAGE,
     atmosphere,
     effects,
+    flights,
     gas,
     heating,
     inside,
@@ -25,8 +26,8 @@ from benchmarks.verification.row import Row, number, text_table
 
 SAMPLE = (
     atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas,
-    effects.rows, gas.partition_functions, heating.rows, inside.rows, surface.lumped, trim.rows, sensors.rows,
-    wall_steps.laminar_rows, wall_steps.turbulent_rows,
+    effects.rows, flights.rows, gas.partition_functions, heating.rows, inside.rows, surface.lumped, trim.rows,
+    sensors.rows, wall_steps.laminar_rows, wall_steps.turbulent_rows,
 )  # fmt: skip
 
 

@@ -192,6 +192,16 @@ def test_each_flight_has_its_own_segment_and_start(workdir: Path, tmp_path: Path
     assert found["fit"]["n"] == (51 + 51) * 5  # of the second flight from 70 s on
 
 
+@pytest.mark.thorough
+def test_a_start_without_a_time_is_that_of_the_fit_segment(workdir: Path, tmp_path: Path) -> None:
+    own = ["--parameters", "ratio.scale", "--fit", "80,130"]
+    found, at = (
+        estimate("first", *own, "--start", start, out=tmp_path / name)
+        for start, name in (("filter", "plain"), ("filter:80", "at"))
+    )
+    assert found["parameters"] == at["parameters"]
+
+
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
@@ -201,6 +211,8 @@ def test_each_flight_has_its_own_segment_and_start(workdir: Path, tmp_path: Path
         (["--parameters", "ratio.sclae"], "ratio.scale"),
         (["--reference", "alpha=40"], "did you mean `alpha_deg`"),
         (["--start", "circut:80"], "did you mean `circuit`"),
+        (["--start", "lost"], "lost needs the time in s at which the readings come back; write lost:650"),
+        (["--start", "filter:soon"], "`soon` is not a time in s; write filter:650"),
     ],
 )
 def test_invalid_options_are_refused_in_one_line_and_leave_no_files(

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.close import close_loop
-from sim_heating.closure.prior.model_error import BY_CONFIDENCE, flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
 from sim_heating.closure.report import closure_json
 from sim_heating.closure.search.search import search_effects
 from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.points import conditions_of_record
-from sim_heating.inputs.record import FlightUncertainty, HeatingUncertainty, load_record
+from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, HeatingUncertainty, load_record
 from tests.support.paths import ROOT
 
 RECORDS = ROOT / "scenarios" / "records"

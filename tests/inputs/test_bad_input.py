@@ -157,7 +157,7 @@ def test_a_damaged_declaration_is_answered_with_table_key_and_rule(tile: Path, c
 
 
 CONDITIONS = {
-    "missing column": (without("T_inf_K"), "there is no column `T_inf_K`; add it"),
+    "missing column": (without("alpha_deg"), "there is no column `alpha_deg`; add it"),
     "reference column missing": (without("H_r_J_kg"), "there is no column `H_r_J_kg`"),
     "column misspelt": (swap("T_inf_K", "Tinf_K"), "there is no column `T_inf_K`; nearest in the file: `Tinf_K`"),
     "optional column misspelt": (swap("q_add_W_m2", "q_add_Wm2"), "unknown column `q_add_Wm2`; did you mean `q_add_W_m2`?"),
@@ -174,7 +174,7 @@ CONDITIONS = {
     "time back": (cell(9, "time_s", "55"), "row 9, column time_s: 55 does not come after 60; sort the rows by time_s"),
     "time twice": (cell(9, "time_s", "60"), "row 9, column time_s: 60 does not come after 60"),
     "T_inf in Celsius": (column("T_inf_K", celsius), "row 2, column T_inf_K: -68.15 is below 100 K and looks like Celsius"),
-    "T_inf_C": (column("T_inf_K", celsius, "T_inf_C"), "there is no column `T_inf_K`; nearest in the file: `T_inf_C`"),
+    "T_inf in counts": (swap("T_inf_K", "T_inf (counts)"), "needs the unit of `T_inf (counts)`; write `T_inf (counts) (K)`"),
     "velocity in ft/s": (column("velocity_m_s", lambda v: f"{float(v) / 0.3048:.0f}"), "row 2, column velocity_m_s: 22310 is not a speed in m/s"),
     "time in us": (column("time_s", lambda v: f"{float(v) * 1e6:.0f}"), "row 3, column time_s: 1e+07 is more than 1e+06 s after the first row and looks like ms or us; give s (and 20 more rows)"),
     "altitude in km": (column("altitude_m", lambda v: f"{float(v) / 1000}"), "row 2, column altitude_m: 75 is too low for its speed and looks like km"),
@@ -185,7 +185,7 @@ CONDITIONS = {
     "jets above one": (cell(3, "jets", "2"), "row 3, column jets: 2 is not a share of jets firing (0 to 1)"),
     "semicolons": (lambda t: t.replace(",", ";"), "cells are separated by ';'; separate them by commas"),
     "names only": (rows(lambda r: r[:1]), "there are no rows below the column names"),
-    "no names": (rows(lambda r: r[1:]), "there is no column `time_s`"),
+    "no names": (rows(lambda r: r[1:]), "the row of column names is missing"),
     "comments only": (lambda _: "# source: none\n", "the row of column names is missing"),
 }  # fmt: skip
 

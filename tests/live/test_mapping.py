@@ -7,7 +7,8 @@ import math
 import pytest
 
 from sim_heating.base.errors import InputError
-from sim_heating.live.sources.mapping import GRACE_MESSAGES, FieldMapping, column_unit
+from sim_heating.heating.recorded.fields import column_unit
+from sim_heating.live.sources.mapping import GRACE_MESSAGES, FieldMapping
 from sim_heating.live.types import Frame, Message, Reading
 from tests.live.links import FRAME, link
 
@@ -43,6 +44,24 @@ def test_units_of_a_range_become_si_units():
     assert frame.values["alpha_deg"] == pytest.approx(math.degrees(0.7))
     assert frame.values["beta_deg"] == 0.5
     assert reading.value_K == pytest.approx((1500.0 - 32.0) / 1.8 + 273.15)
+
+
+def test_a_unit_in_the_name_of_a_field_is_that_of_the_field():
+    mapped = link(conditions={"altitude_m": "Altitude ASL (ft)", "velocity_m_s": "v_kts"})
+    values = {n: v for n, v in FRAME.items() if n not in ("altitude_m", "velocity_m_s")}
+    (frame,) = FieldMapping(mapped).apply(message(**values, **{"Altitude ASL (ft)": 240000.0, "v_kts": 13000.0}))
+    assert frame.values["altitude_m"] == pytest.approx(240000.0 * 0.3048)
+    assert frame.values["velocity_m_s"] == pytest.approx(13000.0 * 1852.0 / 3600.0)
+
+
+def test_dynamic_pressure_in_place_of_density_is_the_density():
+    """rho = 2 q / V^2; a field of the density need not be sent."""
+    mapped = link(conditions={"q_Pa": {"field": "qbar", "unit": "psf"}})
+    values = {n: v for n, v in FRAME.items() if n != "rho_kg_m3"}
+    (frame,) = FieldMapping(mapped).apply(message(**values, qbar=20.0))
+    assert frame.values["rho_kg_m3"] == pytest.approx(2.0 * 20.0 * 47.880259 / 6800.0**2)
+    with pytest.raises(InputError, match=r"q_Pa = 957\.605 at 0 m/s gives no density; no frame at 0 s"):
+        FieldMapping(mapped).apply(message(**{**values, "velocity_m_s": 0.0}, qbar=20.0))
 
 
 def test_a_word_of_a_recorder_is_its_temperature():

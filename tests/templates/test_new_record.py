@@ -12,7 +12,6 @@ from click.testing import CliRunner, Result
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_toml
-from sim_heating.base.files.schema import schema_path
 from sim_heating.cli import cli, main
 from sim_heating.estimation.fit import estimate
 from sim_heating.inputs.record import load_record
@@ -206,16 +205,17 @@ def test_depths_and_layers_that_are_missing_are_asked_for_on_a_terminal(monkeypa
 
 
 def test_temperatures_of_ones_own_on_a_tile_that_has_flown() -> None:
-    """Stack, flight, heating and noise of a shipped record; one CSV file and no other edit."""
+    """Stack, flight and heating of a shipped record; one CSV file and no other edit. The noise is of a recorder."""
     flown = load_record(RECORDS / "sts96_480")
     T_C = flown.thermocouples["STS96_480_surface_K"] - 270.0
     rows = [f"{t:g};{T:.1f}" for t, T in zip(flown.time_s, T_C, strict=True)]
     Path("mine.csv").write_text("\n".join(["time [s];my tile [C]", *rows]))
     made = run("new", "record", "--csv", "mine.csv", "--like", RECORDS / "sts96_480", "--out", "mine")
     assert made.exit_code == 0, made.exception
-    assert "noise of my tile 6 K, as in sts96_480; --noise states that of yours" in " ".join(made.output.split())
+    said = " ".join(made.output.split())
+    assert "noise of my tile estimated (--noise 0.5K states it); the 6 K of sts96_480 are of its recorder" in said
     record = load_record("mine")
-    assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, 6.0)]
+    assert [(s.column, s.depth_m, s.noise_sigma_K) for s in record.sensors] == [("my_tile_K", 0.000305, None)]
     assert record.thermocouples["my_tile_K"][0] == pytest.approx(T_C[0] + 273.15, abs=0.06)
     assert record.declared.heating == flown.declared.heating
 
@@ -373,9 +373,9 @@ def test_a_unit_that_contradicts_the_file_prevails_with_a_warning_that_names_bot
     read_measured_csv(Path("t.csv"), temperature_unit="C")  # another word for the same unit: no warning
 
 
-def test_a_record_that_is_moved_still_leads_editors_to_its_schema() -> None:
+def test_a_record_names_its_schema_and_no_machine() -> None:
     Path("t.csv").write_text("time_s,TC_K\n0,300\n1,301\n2,302\n")
     assert run(*LAMP, "--out", "a/b/c").exit_code == 0
     shutil.move("a/b/c", "moved")
     line = Path("moved/record.toml").read_text().partition("\n")[0]
-    assert line == f"#:schema {schema_path('record').as_uri()}"
+    assert line == "#:schema record.schema.json"

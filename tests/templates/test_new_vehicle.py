@@ -181,7 +181,8 @@ def test_a_trajectory_of_a_vehicle_with_surfaces_needs_their_deflections() -> No
         "time_s,altitude_m,velocity_m_s,alpha_deg,beta_deg,rho_kg_m3\n0,70000,6000,35,0,8e-5\n10,69000,5900,35,0,9e-5\n"
     )
     refused = run("new", "scenario", "--vehicle", "glider", "--trajectory", "track.csv", "--out", "flight")
-    assert "there is no column `elevon_deg`" in str(refused.exception)
+    said = str(refused.exception)
+    assert "needs elevon_deg, bodyflap_deg; give --field elevon_deg=NAME --field bodyflap_deg=NAME" in said
     assert not Path("flight").exists()
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, read_csv_columns, write_csv
-from sim_heating.heating.recorded_columns import implausible_values
+from sim_heating.heating.recorded.plausible import implausible_values
 from sim_heating.inputs.record import load_record
 from sim_heating.trajectory.recorded import OPTIONAL, REQUIRED, read_conditions
 from tests.support.paths import PRACTICE, RECORDS, SCENARIOS

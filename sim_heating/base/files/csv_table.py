@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,6 +30,8 @@ from sim_heating.base.files.text import (
 
 COLDEST_K = 100.0
 """A lower temperature is taken for a value in Celsius [K]."""
+LARGE_TEXT = 3_000_000
+"""Characters from which a text is read as a whole, and cell by cell only where that fails."""
 NUMBERS = "fiub"
 """Kinds of numpy's types that are numbers."""
 
@@ -130,8 +133,12 @@ def csv_columns(
 
     Parameters, result and errors as in `read_csv_columns`.
     """
-    names, rows, lines, header = _cells(path, content)
     lost = set(allow_empty)
+    if len(content) > LARGE_TEXT and not text:
+        large = _large_table(path, content, required, optional, lost, keep_other)
+        if large is not None:
+            return large
+    names, rows, lines, header = _cells(path, content)
     problems = _name_problems(display_path(path), names, required, optional, lost)
     selected = [n for n in names if n and (keep_other or n in {*required, *optional, *text})]
     raise_problems(problems)
@@ -150,6 +157,47 @@ def csv_columns(
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
     return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
+
+
+def _large_table(
+    path: Path, content: str, required: Sequence[str], optional: Sequence[str], lost: set[str], keep_other: bool
+) -> CsvTable | None:
+    """The table of a large text whose cells are plain numbers, or empty in columns of readings; None for any other,
+    which is read cell by cell, so that messages name the cell."""
+    above, head, body = _head(content)
+    names = [name.strip() for name in head.split(",")]
+    rows = body.count("\n") + (not body.endswith("\n"))
+    if '"' in content or "\r" in body or body.count(",") != rows * (len(names) - 1):
+        return None
+    if not all(names) or _name_problems("", names, required, optional, lost):
+        return None
+    if not is_plain(body) or re.search(r"[a-df-zA-DF-Z#]", body):  # an e is that of an exponent
+        return None
+    if "," in body and lost:
+        body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
+    wanted = [n for n in names if keep_other or n in {*required, *optional}]
+    try:
+        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=[names.index(n) for n in wanted])
+    except ValueError:
+        return None
+    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}
+    whole = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
+    if len(values) != rows or not whole:
+        return None
+    first = above.count("\n") + 2
+    header = dict(_header_entry(line) for line in above.splitlines() if ":" in line)
+    return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
+
+
+def _head(content: str) -> tuple[str, str, str]:
+    """Lines above the names, the line of the names, and the lines below it, without blank ones at the end."""
+    start = 0
+    while True:
+        end = content.find("\n", start)
+        line = content[start : end if end >= 0 else len(content)]
+        if end < 0 or (line.strip() and not line.startswith("#")):
+            return content[:start], line, content[end + 1 :].rstrip() if end >= 0 else ""
+        start = end + 1
 
 
 def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int], dict[str, str]]:

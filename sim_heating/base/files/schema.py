@@ -49,10 +49,15 @@ def schema_line(name: str, folder: str | os.PathLike[str] | None = None) -> str:
     """First line of a TOML file, by which editors find the schema of its format.
 
     folder : of a file that is moved together with the schemas, whose path is then relative to it; None for a file of a
-             user, which may be moved alone, and has the URI of the installed schema
+             user, which may go to another machine, and names the schema beside it
+
+    `sim-heating formats record --schema > record.schema.json` puts that of a record there.
+
+    >>> schema_line("record")
+    '#:schema record.schema.json'
     """
     target = schema_path(name)
-    where = target.as_uri() if folder is None else Path(os.path.relpath(target, Path(folder).resolve())).as_posix()
+    where = target.name if folder is None else Path(os.path.relpath(target, Path(folder).resolve())).as_posix()
     return f"#:schema {where}"
 
 

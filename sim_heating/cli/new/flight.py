@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
-from sim_heating.cli.console import COMPILING, OUT, PATH, progress_line
-from sim_heating.cli.new.options import points_option, quantity_option, title_option
+from sim_heating.base.errors import InputError
+from sim_heating.cli.console import COMPILING, OUT, PATH, ROOT, progress_line
+from sim_heating.cli.new.options import flight_options, points_option, quantity_option, title_option
 from sim_heating.cli.new.printing import print_made, print_notes
 
 
@@ -29,11 +30,16 @@ from sim_heating.cli.new.printing import print_made, print_notes
     help="Mach number at which the flight ends",
 )
 @click.option(
-    "--trajectory", type=PATH, metavar="FILE", help="a recorded trajectory in place of the built-in entry, CSV"
+    "--trajectory",
+    type=PATH,
+    metavar="FILE",
+    help="a recorded trajectory in place of the built-in entry: CSV or JSON lines, names with units",
 )
+@flight_options
 @click.option("--manoeuvre", is_flag=True, help="fly a pushover-pullup at 6096 m/s (20,000 ft/s)")
+@ROOT
 @title_option("scenario")
-def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], **given: Any) -> None:
+def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], root: Path | None, **given: Any) -> None:
     """Make a scenario, DIR/scenario.toml: an entry of a vehicle for `run`, `synthesize` and `plan`.
 
     \b
@@ -42,24 +48,35 @@ def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], **given: Any)
     """
     from sim_heating.templates.starters import write_new_scenario
 
+    for option, name in (("--field", "fields"), ("--atmosphere", "atmosphere")):
+        if given[name] and given["trajectory"] is None:
+            raise InputError(f"{option}: is of a recorded trajectory; give --trajectory FILE, or leave it out")
+
     initial = {"altitude_m": given["altitude"], "velocity_m_s": given["speed"], "gamma_deg": given["gamma"]}
     with progress_line("new scenario") as progress:
         progress(0.1, COMPILING)
-        path = write_new_scenario(
+        path, notes = write_new_scenario(
             out,
             vehicle,
             title=given["title"],
             points=points,
             recorded=given["trajectory"],
+            fields=given["fields"],
+            atmosphere=given["atmosphere"],
             initial={name: value for name, value in initial.items() if value is not None},
             stop_mach=given["until_mach"],
             manoeuvre=given["manoeuvre"],
+            root=root,
         )
+    if notes:
+        print_notes(notes)
+    below = "" if root is None else f" --root {root}"
     print_made(
         f"scenario of {vehicle}",
         path,
-        f"sim-heating run {path} --out {out}/run",
-        f"sim-heating synthesize {path} --out {out}/records",
+        f"sim-heating run {path} --out {out}/run{below}",
+        f"sim-heating synthesize {path} --out {out}/records{below}",
+        notes=notes,
     )
 
 

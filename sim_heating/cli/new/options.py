@@ -75,3 +75,27 @@ def two_times(_: click.Context, option: click.Parameter, value: str | None) -> t
 def interactive() -> bool:
     """Whether a person at a terminal can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def flight_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options for what a file of a flight does not state: fields of columns, and the air of the day."""
+    from sim_heating.cli.console import PATH
+    from sim_heating.cli.named_values import named_texts
+
+    field = click.option(
+        "--field",
+        "fields",
+        multiple=True,
+        callback=named_texts("altitude_m=ALT:ft"),
+        metavar="COLUMN=NAME:UNIT",
+        help="field of the flight's file that is a column of conditions, with its unit: altitude_m=ALT:ft; or a "
+        "constant: alpha_deg=0deg; repeat; default: by names and units in the file",
+    )
+    air = click.option(
+        "--atmosphere",
+        type=PATH,
+        metavar="FILE",
+        help="the air of the day: altitude, temperature, pressure of a radiosonde or an atmosphere model; default: the "
+        "standard atmosphere where the flight has none",
+    )
+    return field(air(command))

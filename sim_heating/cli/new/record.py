@@ -11,7 +11,14 @@ import click
 from sim_heating.base.errors import InputError
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
 from sim_heating.cli.named_values import named_texts
-from sim_heating.cli.new.options import fraction_option, interactive, quantity_option, title_option, two_times
+from sim_heating.cli.new.options import (
+    flight_options,
+    fraction_option,
+    interactive,
+    quantity_option,
+    title_option,
+    two_times,
+)
 from sim_heating.cli.new.printing import print_made, print_notes
 
 if TYPE_CHECKING:
@@ -66,14 +73,30 @@ if TYPE_CHECKING:
     "--pressure", "Pa", "p_surface_Pa", "1013hPa", "P", "air pressure, for porous insulation; default: sea level"
 )
 @click.option(
-    "--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV with the columns of conditions.csv"
+    "--conditions", "flight", type=PATH, help="a flight in place of a lamp: CSV or JSON lines, names with units"
+)
+@flight_options
+@quantity_option(
+    "--reference-length", "m", "reference_length_m", "1m", "L", "of the Reynolds number; default: that of a metre"
 )
 @click.option(
     "--reference", help="model of reference heating of that flight; default: its columns h_ref_kg_m2_s, H_r_J_kg"
 )
 @click.option("--ratio", type=float, help="constant heating ratio of that flight, over its reference heating")
 @click.option("--ratio-table", "ratio_table", type=PATH, help="CSV file of its heating ratio, copied into the record")
-@quantity_option("--nose-radius", "m", "nose_radius_m", "0.3m", "R", "radius of the reference sphere")
+@quantity_option("--nose-radius", "m", "nose_radius_m", "0.3m", "R", "radius of the reference sphere or cylinder")
+@quantity_option(
+    "--running-length", "m", "running_length_m", "0.8m", "X", "distance from the leading edge, for a flat plate"
+)
+@quantity_option("--sweep", "deg", "sweep_deg", "45deg", "ANGLE", "sweep of the reference cylinder")
+@quantity_option(
+    "--local-angle", "deg", "local_angle_deg", "5deg", "ANGLE", "of the surface to the x axis: its pressure, its edge"
+)
+@click.option(
+    "--recovery",
+    type=click.Choice(["total", "edge-laminar", "edge-turbulent", "attachment-line"]),
+    help="enthalpy that the ratio is reduced with; default: that of --reference",
+)
 @click.option(
     "--like",
     type=PATH,
@@ -152,6 +175,10 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
                 noise_K=given["noise"],
                 pressure_Pa=given["pressure"],
                 nose_radius_m=given["nose_radius"],
+                running_length_m=given["running_length"],
+                sweep_deg=given["sweep"],
+                local_angle_deg=given["local_angle"],
+                recovery=given["recovery"],
                 ratio=given["ratio"],
                 ratio_table=given["ratio_table"],
             ),
@@ -217,7 +244,16 @@ def _heat(measured: MeasuredCsv, lamp: str | None, given: dict[str, Any]) -> Any
     if given["flight"] is not None:
         if lamp is not None:
             raise InputError("--lamp: goes with a test on the ground, --conditions with a flight; give one of the two")
-        return flown_heat(given["flight"], given["reference"])
+        return flown_heat(
+            given["flight"],
+            given["reference"],
+            fields=given["fields"],
+            atmosphere=given["atmosphere"],
+            reference_length_m=given["reference_length"],
+            local_angle_deg=given["local_angle"],
+            has_pressure=given["pressure"] is not None,
+        )
+    _refuse_without_flight(given)
     fluxes = [c.name for c in measured.of_kind(FLUX)]
     if lamp is None and len(fluxes) == 1:
         lamp = fluxes[0]
@@ -230,6 +266,18 @@ def _heat(measured: MeasuredCsv, lamp: str | None, given: dict[str, Any]) -> Any
             "and a flux"
         )
     return lamp_heat(measured, lamp, given["lit"], given["absorptance"])
+
+
+def _refuse_without_flight(given: dict[str, Any]) -> None:
+    """Refuse options of a flight where there is none.
+
+    raises : InputError with the first of them
+    """
+    for name in ("fields", "atmosphere", "reference", "reference_length", "nose_radius", "running_length", "sweep",
+                 "local_angle", "recovery"):  # fmt: skip
+        if given[name] not in (None, {}):
+            option = "--field" if name == "fields" else f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: is of a flight; give --conditions FLIGHT.csv, or leave it out")
 
 
 def _back(given: dict[str, Any], measured: MeasuredCsv) -> dict[str, float] | None:

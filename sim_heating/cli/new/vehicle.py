@@ -54,10 +54,10 @@ from sim_heating.cli.new.printing import print_made, print_notes
 @click.option(
     "--alpha",
     "alpha_deg",
-    type=click.FloatRange(0.0, 60.0),
+    type=click.FloatRange(-60.0, 60.0),
     default=20.0,
     show_default=True,
-    help="angle of attack of the entry in deg",
+    help="angle of attack of the entry in deg, negative for a capsule that trims there",
 )
 @click.option(
     "--drag-coefficient",

@@ -21,27 +21,13 @@ from sim_heating.closure.prior.changed_flight import (
 )
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.inputs.points import conditions_of_record
-from sim_heating.inputs.record import FlightUncertainty, Record
+from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, Record
 
 RELATIVE = 0.05
 """Scale of the half-normal prior of the error of the heating, for a measured flight that states none [-]. The flux of a
 lamp is what its record states."""
 SHORTEST_S, LONGEST_S = 60.0, 600.0
 """Limits of the log-uniform prior of its correlation time [s]."""
-BY_CONFIDENCE = {
-    "A": FlightUncertainty(
-        time_shift_s=0.5, time_stretch=5e-4, density_relative=0.05, velocity_relative=0.002, alpha_deg=0.25
-    ),
-    "B": FlightUncertainty(
-        time_shift_s=3.0, time_stretch=3e-3, density_relative=0.1, velocity_relative=0.005, alpha_deg=0.5
-    ),
-    "C": FlightUncertainty(
-        time_shift_s=20.0, time_stretch=0.02, density_relative=0.15, velocity_relative=0.01, alpha_deg=2.0
-    ),
-}
-"""Of a measured flight that states none, by the confidence of its conditions: A recorded on the flight (clocks set by
-hand, density by a sounding of the day), B reconstructed from the literature, and where none is stated; C a
-representative flight in place of the one flown, whose phases begin some tens of seconds earlier or later. Judged."""
 DENSITY = "density_relative"
 FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
 """Columns that the error of a flight acts through.

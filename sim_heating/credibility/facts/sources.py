@@ -12,11 +12,13 @@ from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
+from sim_heating.heating.recorded.reading import lowered_confidence
 from sim_heating.inputs.declared_effects import Catalysis, Transition
 from sim_heating.inputs.record import DECLARATION, Record
 from sim_heating.inputs.scenario import Scenario
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.thermal.stack import Construction
+from sim_heating.trajectory.recorded import read_recording
 
 IN = "`{{key}}` in {}"
 CONFIDENCES = "ABC"
@@ -148,15 +150,20 @@ def conditions_of_scenario(scenario: Scenario) -> list[DeclaredInput]:
     """What produced the flight conditions of a scenario: a recording, or the data of the vehicle that was simulated."""
     spec, directory = scenario.declared.trajectory, scenario.vehicle.directory
     if spec.source == "recorded":
-        return [_recording(Path(spec.file or ""))]
+        path = Path(spec.file or "")
+        flown = read_recording(path, scenario.vehicle.reference_length_m, scenario.vehicle.surfaces, spec.fields)
+        return [_recording(path, flown.has_model_density)]
     if spec.source == "fmu":
         return [DeclaredInput(f"trajectory FMU {Path(spec.file or '').name}", "", "")]
     files = [p for p in (directory / "aero" / "aero.toml", directory / "guidance.toml") if p.is_file()]
     return [_toml_source(path, path.relative_to(directory).as_posix()) for path in files]
 
 
-def _recording(path: Path) -> DeclaredInput:
-    """A recorded trajectory, whose head of `# key: value` lines may state its source and confidence."""
+def _recording(path: Path, has_model_density: bool) -> DeclaredInput:
+    """A recorded trajectory, whose head of `# key: value` lines may state its source and confidence.
+
+    has_model_density : whether its density is of the standard atmosphere, which lowers its confidence
+    """
     head = []
     with path.open(encoding="utf-8") as lines:
         for line in lines:
@@ -165,6 +172,8 @@ def _recording(path: Path) -> DeclaredInput:
             head.append(line[1:].strip())
     stated = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in head)}
     confidence = stated.get("confidence") or " ".join(head)  # many heads state one for each column, in their text
+    if has_model_density:
+        confidence = lowered_confidence(confidence)
     place = f"`# {{key}}: ...` at the head of {path.name}"
     return DeclaredInput(f"recording {path.name}", stated.get("source", ""), confidence, measured=True, place=place)
 

@@ -176,9 +176,7 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
     ends = np.cumsum([len(m) for m in means_K])[:-1]
 
     def at(u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        total, score, weight = _scored(
-            record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)]
-        )
+        total, score, weight = _scored(record_fit, [m + d for m, d in zip(means_K, np.split(G @ u, ends), strict=True)])
         return total - 0.5 * float(u @ u), score, weight
 
     lower, volume = record_fit.error_factor

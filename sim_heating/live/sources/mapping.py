@@ -1,6 +1,7 @@
 """From fields of a message to frames and readings: names, units and recorder words as the link file declares them.
 
-    value = factor field + offset                     by the units (pint)
+    value = factor field + offset                     by the units (sim_heating.heating.recorded.fields)
+    rho   = 2 q / V^2                                 where a link has `q_Pa` in place of `rho_kg_m3`
     T     = c0 + c1 w + c2 w^2 + ...                  of a word w with a calibration, then by its unit
     T     = low + w LSB                               of a code w of a recorder that declares bits and range_K
 
@@ -18,33 +19,16 @@ from dataclasses import dataclass, field
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_problems, suggestion
 from sim_heating.base.files.text import abbreviated
-from sim_heating.base.files.units import Conversion, conversion, known_unit
+from sim_heating.base.files.units import Conversion
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.live.spec import ConditionField, Link, SensorField
+from sim_heating.heating.recorded.fields import ConditionField, column_unit, unit_conversion, unit_of_name
+from sim_heating.live.spec import Link, SensorField
 from sim_heating.live.types import Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
 
-UNITS = {
-    "s": "s", "m": "m", "m_s": "m/s", "deg": "deg", "K": "K", "Pa": "Pa", "kg_m3": "kg/m3", "W_m2": "W/m2",
-    "kg_m2_s": "kg/(m2.s)", "J_kg": "J/kg", "g": "", "": "",
-}  # fmt: skip
-"""Ending of a column's name -> its unit for pint; what has no unit is a plain number."""
 GRACE_MESSAGES = 50
 """Messages after which a field that never came is reported."""
-
-
-def column_unit(column: str) -> str:
-    """Unit of a column of flight conditions by the end of its name, as pint reads it; "" for a plain number.
-
-    >>> column_unit("h_ref_kg_m2_s"), column_unit("mach"), column_unit("alpha_deg")
-    ('kg/(m2.s)', '', 'deg')
-    """
-    parts = column.split("_")
-    for first in range(1, len(parts)):
-        if (ending := "_".join(parts[first:])) in UNITS:
-            return UNITS[ending]
-    return ""
 
 
 def default_fields(sensors: Sequence[tuple[str, str, str]]) -> dict[tuple[str, str], str]:
@@ -57,21 +41,6 @@ def default_fields(sensors: Sequence[tuple[str, str, str]]) -> dict[tuple[str, s
     return {
         (point, name): column if columns.count(column) == 1 else f"{point}.{column}" for point, name, column in sensors
     }
-
-
-def unit_conversion(given: str, required: str, place: str) -> Conversion:
-    """The conversion from a unit to another one.
-
-    place  : of the message, as `popu.toml, [conditions]: altitude_m`
-    raises : InputError where pint does not know the unit, or it measures something else
-    """
-    scale, target = known_unit(given), known_unit(required)
-    if scale is None or target is None:
-        raise InputError(f"{place}: unknown unit `{given}`; give one that pint knows, such as `{required or '1'}`")
-    found = conversion(scale, target)
-    if found is None:
-        raise InputError(f"{place}: unit `{given}` does not convert to `{required or '1'}`; correct the unit")
-    return found
 
 
 @dataclass(frozen=True)
@@ -242,11 +211,14 @@ class FieldMapping:
             if not c.low <= value <= c.high:
                 return [], [f"field `{c.field}`: {value:g} {c.rule}; no frame at {time_s:g} s"]
             given[c.column] = value
-        if len(given) == len(self._columns):
-            return [self._frame(time_s, given)], []
-        if not given:
+        if not given and self._columns:
             return [], []
-        return self._gather(time_s, given), []
+        try:
+            whole = len(given) == len(self._columns)
+            return [self._frame(time_s, given)] if whole else self._gather(time_s, given), []
+        except InputError as error:
+            self._open = None
+            return [], list(error.problems)
 
     def _gather(self, time_s: float, given: dict[str, float]) -> list[Frame]:
         """Frames of columns that come in several messages."""
@@ -268,7 +240,17 @@ class FieldMapping:
         return frames
 
     def _frame(self, time_s: float, given: Mapping[str, float]) -> Frame:
-        return Frame(time_s, {**given, **self._constants})
+        """A frame; its density is 2 q / V^2 where the link has `q_Pa` and no `rho_kg_m3`.
+
+        raises : InputError where that is none, at a speed or a dynamic pressure of 0
+        """
+        values = {**given, **self._constants}
+        if "q_Pa" in given and "rho_kg_m3" not in values:
+            V, q = values["velocity_m_s"], values["q_Pa"]
+            if V <= 0.0 or q <= 0.0:
+                raise InputError(f"q_Pa = {q:g} at {V:g} m/s gives no density; no frame at {time_s:g} s")
+            values["rho_kg_m3"] = 2.0 * q / V**2
+        return Frame(time_s, values)
 
     def _readings(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Reading], list[str]]:
         readings: list[Reading] = []
@@ -333,6 +315,7 @@ def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
         else:
             source, unit = declared, None
         own = column_unit(name)
+        unit = unit_of_name(source, name) if unit is None and source != name else unit
         try:
             convert = unit_conversion(own if unit is None else unit, own, f"{place}, [conditions]: `{name}`")
         except InputError as error:

@@ -109,4 +109,3 @@ def told_flight(
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
         found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
     return found
-

@@ -307,9 +307,7 @@ def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     information = np.array([p.sigma**-2.0 for p in parameters])
     distance = np.array([p.value for p in parameters]) - trial.fit.values
     samples = trial.problem.samples(trial.fit.values)
-    return error_size(
-        trial.problem.record_fits[0], samples, (information, distance), ~trial.fit.on_bound, prior
-    )
+    return error_size(trial.problem.record_fits[0], samples, (information, distance), ~trial.fit.on_bound, prior)
 
 
 def _declared_problem(

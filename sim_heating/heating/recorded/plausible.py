@@ -9,6 +9,7 @@ damaged, never a flight with scatter, in another gas, or with an atmosphere that
     |dh/dt| <= V      a time in minutes or hours lies outside
     mass / (C_D A)    = int rho V^3 / 2 dt / -(change of V^2 / 2 + g h), of gliding flight; a time in ms lies outside
     log10 Re          = log10(rho V L / mu) with one length L; natural logarithms lie outside
+    p over h          near that of the standard atmosphere at 0.3048 h alone: altitudes in ft lie outside
     rho over h        falls by at least e in 100 km, which no planet's atmosphere exceeds
 """
 
@@ -52,6 +53,12 @@ PROFILE_M = 20e3
 STANDARD_RANGE = (1.0 / 30.0, 30.0)
 """Density over the standard one below 100 km."""
 STANDARD_BELOW_M, STANDARD_SPAN_M = 100e3, 5e3
+FOOT_M = 0.3048
+LEAST_ROWS = 3
+FEET_FROM_M = 3e3
+"""Altitude [m] from which one in ft is told from one in m by the air."""
+NEAR_STANDARD, FAR_FROM_STANDARD = 0.2, 0.3
+"""Logarithms of the ratio to the standard atmosphere: of air that is near it, and of air that is not."""
 PART_M = 5e3
 """Change of altitude of the parts of a flight over which it is compared with the path [m]."""
 RATE_SLACK_M_S = 100.0
@@ -231,6 +238,27 @@ def profile_problems(table: CsvTable) -> list[str]:
     return [f"{found[0]}: is {found[1]:.3g} of the standard atmosphere's; {hint}"]
 
 
+def feet_problems(table: CsvTable) -> list[str]:
+    """Altitudes in ft: pressure and density are those of the standard atmosphere at 0.3048 of the altitude."""
+    z, names = table["altitude_m"], [n for n in ("p_inf_Pa", "rho_kg_m3") if n in table.columns]
+    used = (z >= FEET_FROM_M) & (z <= HIGHEST_M) & (FOOT_M * z <= STANDARD_BELOW_M)
+    used &= np.all([table[n] > 0.0 for n in names], axis=0)
+    if not names or np.count_nonzero(used) < LEAST_ROWS:
+        return []
+    as_metres, as_feet = (
+        dict(zip(("T_inf_K", "p_inf_Pa", "rho_kg_m3"), us76(scale * z[used]), strict=True)) for scale in (1.0, FOOT_M)
+    )
+    near, far = (
+        [float(np.median(np.abs(np.log(table[n][used] / air[n])))) for n in names] for air in (as_feet, as_metres)
+    )
+    if max(near) > NEAR_STANDARD or min(far) < FAR_FROM_STANDARD + 3.0 * max(near):
+        return []
+    first, name = int(np.flatnonzero(used)[0]), names[0]
+    rule = f"looks like ft: {name} there is {table[name][first]:.4g}, that of the standard atmosphere at"
+    write = f"{FOOT_M * z[first]:.0f} m; give m, or name the column `altitude_ft`"
+    return [f"{table.problem(first, 'altitude_m', rule)} {write}"]
+
+
 def speed_problems(table: CsvTable) -> list[str]:
     """Speeds in km/s."""
     V, z = table["velocity_m_s"], table["altitude_m"]
@@ -287,6 +315,7 @@ def swapped_problems(table: CsvTable) -> list[str]:
 
 
 RELATIONS: tuple[Callable[[CsvTable], list[str]], ...] = (
-    speed_problems, gas_problems, mach_problems, reynolds_problems, profile_problems, clock_problems, swapped_problems,
+    feet_problems, speed_problems, gas_problems, mach_problems, reynolds_problems, profile_problems, clock_problems,
+    swapped_problems,
 )  # fmt: skip
 """Relations between columns, each with the problems of a table whose columns are possible by themselves."""

@@ -1,0 +1,284 @@
+"""Files of flight conditions as tools write them: CSV, JSON lines, lists in columns, with their names and units.
+
+Read are commas, semicolons, tabs and blanks between cells, names in the last comment line (OpenRocket), comments
+between the rows, units in a row below the names, and one JSON object a line or a list of them. A column that holds
+texts is no condition; an empty cell or `NaN` is no number.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import CsvTable, display_path, read_text
+from sim_heating.base.files.units import NO_DIMENSION, known_unit
+from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
+
+SAME = 2e-3
+"""Relative difference of two fields of one column that are the same but for rounding."""
+DERIVABLE = {"T_inf_K", "p_inf_Pa", "rho_kg_m3", "mach", "log10_re", "p_surface_Pa"}
+"""Columns that may follow from others."""
+RULE = re.compile(r"^[\s|+\-=]{3,}$")
+"""A line of dashes, which separates the names of a list from its rows."""
+
+
+@dataclass(frozen=True)
+class FlightFields:
+    """The fields of a file that are flight conditions.
+
+    path         : of the file
+    columns      : column -> (row,) in its unit; NaN where a cell holds no number
+    fields       : column -> the field that it comes from
+    asked        : column -> field whose unit is not known
+    unused       : fields that are no condition
+    empty        : fields of conditions without any number
+    header       : `# key: value` lines above the names
+    lines        : (row,) line of the file
+    numbers      : field -> (row,) as in the file; NaN where a cell holds no number
+    """
+
+    path: Path
+    columns: Mapping[str, FloatArray]
+    fields: Mapping[str, FlightField]
+    asked: Mapping[str, FlightField]
+    unused: tuple[str, ...]
+    empty: tuple[str, ...]
+    header: dict[str, str]
+    lines: NDArray[np.int64]
+    numbers: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def without_unit(self) -> list[str]:
+        """Fields of conditions whose unit is not known."""
+        return [f.name for f in self.asked.values()]
+
+    @property
+    def notes(self) -> list[str]:
+        """One line on the fields that have other names or units than the columns that they are."""
+        renamed = [
+            f"{column} from `{f.name}`{'' if column_has(f) else f', in {f.unit}'}"
+            for column, f in self.fields.items()
+            if not f.is_plain
+        ]
+        return [f"read {', '.join(renamed)}"] if renamed else []
+
+    def replaced(
+        self, columns: Mapping[str, FloatArray], fields: Mapping[str, FlightField], asked: Mapping[str, FlightField]
+    ) -> FlightFields:
+        """The fields of the file with other columns, and other fields that are asked for."""
+        return replace(self, columns=columns, fields=fields, asked=asked)
+
+    def table(self, columns: Mapping[str, FloatArray]) -> CsvTable:
+        """Columns as a table whose rows are those of the file."""
+        return CsvTable(dict(columns), self.header, self.path, self.lines)
+
+
+def states_columns(path: Path, required: Sequence[str], one_of: Sequence[Sequence[str]] = ()) -> bool:
+    """Whether a file is CSV with the columns of the contract, by their names, so that nothing is to be derived.
+
+    required : columns, all of which have to be there
+    one_of   : groups of columns, one of each has to be there
+    """
+    names = _first_names(path)
+    return set(required) <= names and all(names & set(group) for group in one_of)
+
+
+def lacks_only_derived(path: Path, required: Sequence[str]) -> bool:
+    """Whether what a file lacks may follow from what it has, or fields of it have other names than the columns."""
+    names = _first_names(path)
+    renamed = any((f := field_of_name(name)) is not None and not f.is_plain for name in names)
+    return renamed or not names or set(required) - names <= DERIVABLE
+
+
+def _first_names(path: Path) -> set[str]:
+    """Names in the first line that is no comment; of a file that cannot be read none."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            first = next((line for line in file if line.strip() and not line.startswith("#")), "")
+    except (OSError, UnicodeDecodeError):
+        return set()
+    names = {name.strip().strip('"') for name in first.split(",")}
+    return names if not any(re.fullmatch(r"[-+\d.eE]+", name) for name in names) else set()
+
+
+def column_has(f: FlightField) -> bool:
+    """Whether the name of a field states its unit, so that a note need not."""
+    return not f.unit or f.unit in f.name
+
+
+def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = None) -> FlightFields:
+    """The flight conditions of a file, by the names and units of its fields.
+
+    stated : column -> field, field with unit, or constant, that prevails over the names
+    raises : InputError, one line a problem: no rows of numbers, two fields of one column that differ, a stated field
+             that is not there
+    """
+    names, units, cells, lines, header = _rows(path, read_text(path))
+    declared = stated or {}
+    try:
+        by_column = columns_of_fields(names, units, declared)
+    except InputError as error:
+        raise InputError(*(f"{display_path(path)}: {line}" for line in error.problems)) from None
+    numbers = {name: _numbers(cells[name]) for name in names}
+    columns: dict[str, FloatArray] = {}
+    used: dict[str, FlightField] = {}
+    asked: dict[str, FlightField] = {}
+    empty: list[str] = []
+    taken: set[str] = set()
+    for column, fields in by_column.items():
+        taken |= {f.name for f in fields}
+        filled = [f for f in fields if not np.all(np.isnan(numbers[f.name]))]
+        empty += [f.name for f in fields if f not in filled]
+        known = [f for f in filled if f.unit is not None]
+        if filled and not known:
+            asked[column] = filled[0]
+        if known:
+            used[column], columns[column] = _one(path, column, known, numbers)
+    for column, value in declared.items():
+        if isinstance(value, ConditionField) and value.constant is not None:
+            columns[column] = np.full(len(lines), value.constant)
+    unused = tuple(n for n in names if n not in taken)
+    rows = np.array(lines, dtype=np.int64)
+    return FlightFields(path, columns, used, asked, unused, tuple(empty), header, rows, numbers)
+
+
+def _one(
+    path: Path, column: str, fields: Sequence[FlightField], numbers: Mapping[str, FloatArray]
+) -> tuple[FlightField, FloatArray]:
+    """The field that a column is taken from, and its values.
+
+    raises : InputError where several fields are the column and differ
+    """
+    values = [np.asarray(f.convert(numbers[f.name])) for f in fields]  # type: ignore[arg-type]
+    plain = [k for k, f in enumerate(fields) if f.name == column]
+    first = plain[0] if plain else 0
+    for k, other in enumerate(values):
+        apart = ~(np.abs(other - values[first]) <= SAME * np.maximum(np.abs(values[first]), 1.0))
+        if not plain and np.any(apart & np.isfinite(other) & np.isfinite(values[first])):
+            raise InputError(
+                f"{display_path(path)}: `{fields[first].name}` and `{fields[k].name}` may both be {column}, and "
+                f'differ; name one: --field {column}="{fields[first].name}"'
+            )
+    return fields[first], values[first]
+
+
+def _numbers(cells: Sequence[Any]) -> FloatArray:
+    """(row,) numbers of a column; NaN where a cell holds none."""
+    try:
+        return np.array(cells, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array([_number(cell) for cell in cells])
+
+
+def _number(cell: Any) -> float:
+    if isinstance(cell, bool) or cell is None:
+        return math.nan
+    try:
+        value = float(cell)
+    except (TypeError, ValueError):
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+Rows = tuple[list[str], dict[str, str], dict[str, Sequence[Any]], list[int], dict[str, str]]
+"""Names, unit by name, cells by name, line of each row, and the header."""
+
+
+def _rows(path: Path, text: str) -> Rows:
+    """The rows of a file.
+
+    raises : InputError where there are no names, or no rows of numbers
+    """
+    if text.lstrip()[:1] in ("{", "["):
+        return _json_rows(path, text)
+    content = list(enumerate(text.splitlines(), 1))
+    lines = [(i, line) for i, line in content if line.strip() and not RULE.match(line)]
+    comments = [(i, line) for i, line in lines if line.lstrip().startswith("#")]
+    rest = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
+    sign = _separator([line for _, line in rest[:200]])
+    split = [(i, _split(line, sign)) for i, line in rest]
+    first = next((k for k, (_, c) in enumerate(split) if _is_data(c)), None)
+    file = display_path(path)
+    if first is None:
+        raise InputError(f"{file}: no rows of numbers were found; give a file with a time and flight conditions")
+    width = len(split[first][1])
+    above = [c for _, c in split[:first] if len(c) == width]
+    if not above:  # the names stand in the last comment that has as many cells
+        named = [_split(line.lstrip().lstrip("#"), sign) for i, line in comments if i < split[first][0]]
+        above = [c for c in named if len(c) == width]
+        above = above[-1:]
+    if not above:
+        raise InputError(f"{file}: the row of column names is missing; add one, with units, as `Altitude (ft)`")
+    names, units = above[-1], {}
+    if len(above) > 1 and all(_is_unit(c) for c in above[-1]):
+        names = above[-2]
+        units = {n: u.strip("[]() ") for n, u in zip(names, above[-1], strict=True)}
+    header = dict(_header_entry(line) for i, line in comments if ":" in line and i < split[first][0])
+    if (twice := next((n for n in names if names.count(n) > 1), None)) is not None:
+        raise InputError(f"{file}: column `{twice}` is repeated; remove one")
+    body = split[first:]
+    ragged = [i for i, c in body if len(c) != width]
+    if ragged and sign != " ":
+        more = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
+        rule = f"does not have {width} cells as the other rows; mend or remove it{more}"
+        raise InputError(f"{file}, row {ragged[0]}: {rule}")
+    whole = [(i, c) for i, c in body if len(c) == width]
+    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in whole[0][1])
+    cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in whole]
+    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*cells, strict=True), strict=True))
+    return names, units, columns, [i for i, _ in whole], header
+
+
+def _json_rows(path: Path, text: str) -> Rows:
+    """Rows of JSON: one object a line, or a list of objects."""
+    file = display_path(path)
+    try:
+        if text.lstrip().startswith("["):
+            found = [(k, row) for k, row in enumerate(json.loads(text), 1)]
+        else:
+            found = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    except json.JSONDecodeError as error:
+        raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
+    rows = [(i, row) for i, row in found if isinstance(row, dict)]
+    if not rows or len(rows) != len(found):
+        raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")
+    names = list(dict.fromkeys(name for _, row in rows for name in row))
+    return names, {}, {n: [row.get(n) for _, row in rows] for n in names}, [i for i, _ in rows], {}
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """The sign between the cells of the last lines: a tab, a semicolon, a comma, else blanks."""
+    tail = lines[-20:]
+    return next((s for s in ("\t", ";", ",") if tail and all(s in line for line in tail)), " ")
+
+
+def _split(line: str, sign: str) -> list[str]:
+    if sign == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=sign, skipinitialspace=True))]
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    numbers = sum(bool(re.fullmatch(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", c, re.IGNORECASE)) for c in cells)
+    return numbers >= 2 and 2 * numbers >= sum(bool(c) and c.lower() != "nan" for c in cells)
+
+
+def _is_unit(cell: str) -> bool:
+    unit = cell.strip("[]() ")
+    return unit in NO_DIMENSION or unit == "%" or known_unit(unit) is not None
+
+
+def _header_entry(line: str) -> tuple[str, str]:
+    key, _, value = line.lstrip("# ").partition(":")
+    return key.strip(), value.strip()

@@ -1,0 +1,242 @@
+"""Flight conditions of a file, whole: read by names and units, what follows from them derived, the rest asked for.
+
+Everything that a file lacks is asked for in one message, with the option or the key that states it. What is derived is
+told; the air of the standard atmosphere in place of that of the day lowers the confidence of the conditions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import SURFACES, Conditions
+from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
+from sim_heating.heating.recorded.derive import derived_conditions
+from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
+from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
+from sim_heating.heating.recorded.sounding import Sounding
+from sim_heating.heating.surface_pressure import (
+    FractionOfStagnation,
+    ModifiedNewtonian,
+    PressureModel,
+    surface_pressure,
+)
+
+LOWER = {"A": "B", "B": "C", "C": "C"}
+"""Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
+NEARLY = 0.85
+"""Similarity of names from which one is the other, misspelt."""
+SMALL_KM, SMALL_KM_S = 400.0, 20.0
+"""Largest altitude and speed that a message proposes km and km/s for."""
+
+
+@dataclass(frozen=True)
+class FlightTable:
+    """Flight conditions of a file with what follows from them.
+
+    table    : columns of conditions, rows of the file
+    notes    : one line for each field that was renamed or converted, and for each derivation
+    has_model_density : whether the density needs the standard atmosphere, which lowers the confidence of conditions
+    """
+
+    table: CsvTable
+    notes: tuple[str, ...] = ()
+    has_model_density: bool = False
+
+
+@dataclass(frozen=True)
+class Statement:
+    """How a person states a column that a file lacks, for the message that asks for it.
+
+    lead     : of the message
+    field    : of a field whose unit is not known
+    column   : of an absent column
+    constant : of an absent angle in addition
+    joint    : between two of them
+    """
+
+    lead: str
+    field: str
+    column: str
+    constant: str
+    joint: str
+
+    def of(self, asked: Mapping[str, tuple[str, str]], absent: Sequence[str]) -> str:
+        """The statements of fields without unit, (name, a unit that may fit) by column, and of absent columns."""
+        stated = [
+            self.field.format(column=c, name=n, unit=u, quote='"' if " " in n else "") for c, (n, u) in asked.items()
+        ]
+        stated += [PRESSURE if c == "p_surface_Pa" and self is OPTION else self.column.format(column=c) for c in absent]
+        angle = next((c for c in absent if c.endswith("_deg")), None)
+        more = "" if angle is None else self.constant.format(column=angle)
+        return f"{self.lead} {self.joint.join(stated)}{more}"
+
+
+OPTION = Statement(
+    "give", "--field {quote}{column}={name}:{unit}{quote}", "--field {column}=NAME",
+    " (or a constant, --field {column}=0deg)", " ",
+)  # fmt: skip
+"""By options of `new record` and `new scenario`."""
+TABLE = Statement(
+    "give in [trajectory.fields]", '{column} = {{ field = "{name}", unit = "{unit}" }}', '{column} = "NAME"',
+    " (or a constant, {column} = {{ constant = 0.0 }})", ", ",
+)  # fmt: skip
+"""By a table of a scenario."""
+NAMES = Statement("write", "`{name} ({unit})`", "`{column}`", "", ", ")
+"""By the names of the file alone."""
+PRESSURE = "--local-angle 5deg (modified Newtonian pressure) or --pressure"
+
+
+def lowered_confidence(stated: str) -> str:
+    """The confidence of conditions whose density is of the standard atmosphere; C where no letter begins it.
+
+    >>> lowered_confidence("A"), lowered_confidence("B: from the report"), lowered_confidence("")
+    ('B', 'C: from the report', 'C')
+    """
+    if re.match(r"[ABC]\b", stated):
+        return LOWER[stated[0]] + stated[1:]
+    return f"C: density of the standard atmosphere; {stated}" if stated else "C"
+
+
+def read_flight(
+    path: Path,
+    required: Sequence[str],
+    *,
+    statement: Statement = NAMES,
+    fields: Mapping[str, ConditionField | str] | None = None,
+    length_m: float | None = None,
+    sounding: Sounding | None = None,
+    pressure: PressureModel | None = None,
+) -> FlightTable:
+    """Flight conditions of a file by the names and units of its fields, with what follows from them.
+
+    required : columns that have to be there, or to follow from what is
+    statement : how a column is stated, for the message
+    fields   : column -> field, field with unit, or constant, that prevails over the names
+    length_m : reference length of a derived Reynolds number [m]; None for that of a metre
+    sounding : air of the day
+    pressure : model of the surface pressure where it is required and absent
+    raises   : InputError, one line, with everything that the file lacks; or the first cell without a number
+    """
+    found = read_fields(path, fields)
+    found, assumed = _with_time(found)
+    raise_problems([*_misspelt(found, required), *_empty_cells(found, found.columns)])
+    wanted = {*required, "rho_kg_m3"}
+    with error_context(display_path(path)):
+        derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
+    columns, of_pressure = _with_pressure(derived.columns, required, pressure)
+    _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
+    columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
+    notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
+    if found.empty:
+        notes.append(f"no numbers in {', '.join(f'`{n}`' for n in found.empty)}")
+    if found.unused:
+        notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
+    of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
+    return FlightTable(found.table(columns), tuple(notes), of_model)
+
+
+def local_pressure(local_angle_deg: float | None) -> PressureModel:
+    """Model of the surface pressure: modified Newtonian at an angle against the x axis [deg], else of the stagnation
+    point."""
+    if local_angle_deg is None:
+        return FractionOfStagnation(model="fraction-of-stagnation", fraction=1.0)
+    return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)
+
+
+def _with_pressure(
+    columns: Mapping[str, FloatArray], required: Collection[str], model: PressureModel | None
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Conditions with the surface pressure [Pa] of a model, where it is required and absent, and a note of it."""
+    absent = "p_surface_Pa" in required and "p_surface_Pa" not in columns
+    needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
+    if not absent or model is None or (needed and needed != {"alpha_deg"}):
+        return dict(columns), []
+    rest = np.zeros(len(columns["rho_kg_m3"]))
+    angles = dict.fromkeys(("alpha_deg", "beta_deg", *SURFACES), rest)
+    # Only the rows count here, not the clock, which is checked where the table is.
+    rows = {"time_s": np.arange(len(rest), dtype=float)}
+    flown = Conditions({**angles, **columns, **rows})
+    if isinstance(model, ModifiedNewtonian):
+        note = f"p_surface_Pa by modified Newtonian theory at {model.inclination_deg:g} deg to the x axis"
+    else:
+        note = "p_surface_Pa of the stagnation point, behind a normal shock"
+    return {**columns, "p_surface_Pa": surface_pressure(model, flown)}, [note]
+
+
+def _with_time(found: FlightFields) -> tuple[FlightFields, list[str]]:
+    """The fields with a time that states no unit taken for seconds, and a note of it; its steps are checked later."""
+    time = found.asked.get("time_s")
+    if time is None or "time_s" in found.columns:
+        return found, []
+    renamed = FlightField(time.name, "time_s", "", time.convert)
+    asked = {c: f for c, f in found.asked.items() if c != "time_s"}
+    columns = {"time_s": found.numbers[time.name], **found.columns}
+    return found.replaced(columns, {"time_s": renamed, **found.fields}, asked), [
+        f"`{time.name}` states no unit: s assumed, as its steps and the change of altitude allow"
+    ]
+
+
+def _refuse_lacking(
+    found: FlightFields,
+    columns: Mapping[str, FloatArray],
+    required: Collection[str],
+    statement: Statement,
+    *,
+    has_pressure: bool,
+) -> None:
+    """Ask for all that a file lacks, in one line.
+
+    has_pressure : whether the surface pressure follows from the others
+    raises       : InputError where anything is absent
+    """
+    needed = [name for name in required if name not in columns or name in found.asked]
+    if not needed:
+        return
+    of = {c: f for c, f in found.asked.items() if c in (*required, "rho_kg_m3")}
+    asked = {c: (f.name, _example(c, found.numbers[f.name])) for c, f in of.items()}
+    # what would follow from a column that is asked for is not asked for itself
+    follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
+    absent = [column for column in needed if column not in asked and column not in follows]
+    units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
+    what = " and ".join(text for text in (units, ", ".join(absent)) if text)
+    raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
+
+
+def _misspelt(found: FlightFields, required: Sequence[str]) -> list[str]:
+    """Required columns that are absent, and whose name is nearly that of a field which is no condition."""
+    absent = [name for name in required if name not in found.columns and name not in found.asked]
+    near = {name: nearest_name(name, found.unused, cutoff=NEARLY) for name in absent}
+    return [
+        f"{display_path(found.path)}: there is no column `{name}`; nearest in the file: `{close}`"
+        for name, close in near.items()
+        if close
+    ]
+
+
+def _example(column: str, values: FloatArray) -> str:
+    """A unit that the values of a column may be in, for a message; nothing is converted by it."""
+    largest = float(np.nanmax(np.abs(values)))
+    if column == "altitude_m":
+        return "km" if largest < SMALL_KM else "m"
+    if column == "velocity_m_s":
+        return "km/s" if largest < SMALL_KM_S else "m/s"
+    return column_unit(column) or "1"
+
+
+def _empty_cells(found: FlightFields, columns: Mapping[str, FloatArray]) -> list[str]:
+    """The first cell of each column that holds no number."""
+    problems = []
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size and name in found.fields:
+            more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+            place = f"{display_path(found.path)}, row {found.lines[bad[0]]}, column {found.fields[name].name}"
+            problems.append(f"{place}: the cell holds no number; give one, or remove the row{more}")
+    return problems

@@ -1,0 +1,264 @@
+"""Flight conditions by the names and units of a file: each kind of file has its right values, what follows is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.units import converted
+from sim_heating.heating.atmosphere import GAMMA, R_AIR, us76
+from sim_heating.heating.recorded.derive import derived_conditions
+from sim_heating.heating.recorded.fields import ConditionField, column_unit, field_of_name
+from sim_heating.heating.recorded.layout import read_fields
+from sim_heating.heating.recorded.reading import OPTION, lowered_confidence, read_flight
+from sim_heating.heating.recorded.sounding import read_sounding
+from tests.support.paths import ROOT
+
+FLIGHTS = ROOT / "tests" / "data" / "flights"
+COLUMNS = ("time_s", "altitude_m", "velocity_m_s", "mach", "log10_re", "rho_kg_m3", "T_inf_K", "p_inf_Pa")
+TELEMETRY = {
+    "altitude_m": ConditionField(field="altitude", unit="km"),
+    "velocity_m_s": ConditionField(field="velocity", unit="m/s"),
+}
+
+
+# Each kind of file ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "fields"),
+    [
+        ("openrocket_descent.csv", {}),
+        ("jsbsim_out.csv", {}),
+        ("telemetry_km.csv", TELEMETRY),
+        ("own_columns.csv", {}),
+        ("own_columns_units_names.csv", {}),
+    ],
+)
+def test_each_layout_is_the_same_descent(file, fields):
+    table = read_flight(FLIGHTS / file, COLUMNS, fields=fields).table
+    for name, first, last in (
+        ("time_s", 300.0, 359.0),
+        ("altitude_m", 100e3, 5041.3),
+        ("velocity_m_s", 1400.0, 1167.54),
+    ):
+        assert table[name][[0, -1]] == pytest.approx([first, last], rel=1e-4), name
+    assert len(table) == 119
+
+
+def test_density_of_a_rocket_export_is_that_of_its_pressure_and_temperature():
+    table = read_flight(FLIGHTS / "openrocket_descent.csv", COLUMNS).table
+    assert table["T_inf_K"][-1] == pytest.approx(243.15)
+    assert table["p_inf_Pa"][-1] == pytest.approx(50307.0)
+    assert table["rho_kg_m3"][-1] == pytest.approx(50307.0 / (287.05287 * 243.15))
+
+
+def test_density_in_slugs_of_a_simulator_is_kept():
+    flight = read_flight(FLIGHTS / "jsbsim_out.csv", COLUMNS)
+    assert flight.table["rho_kg_m3"][[0, -1]] == pytest.approx([1.13833e-6, 0.608206], rel=1e-5)
+    assert not flight.has_model_density
+    assert "`Time` states no unit: s assumed, as its steps and the change of altitude allow" in flight.notes
+
+
+def test_density_beside_an_altitude_is_of_the_standard_atmosphere_and_told():
+    flight = read_flight(FLIGHTS / "own_columns.csv", COLUMNS)
+    assert flight.table["rho_kg_m3"] == pytest.approx(us76(flight.table["altitude_m"])[2])
+    assert flight.has_model_density
+    assert "rho_kg_m3 of the standard atmosphere at altitude_m" in flight.notes
+
+
+def test_units_that_no_name_states_are_asked_in_one_line():
+    with pytest.raises(InputError) as refused:
+        read_flight(FLIGHTS / "telemetry_km.csv", (*COLUMNS, "alpha_deg"), statement=OPTION)
+    (line,) = refused.value.problems
+    assert "needs the units of `velocity`, `altitude` and alpha_deg" in line
+    assert "--field velocity_m_s=velocity:m/s --field altitude_m=altitude:km --field alpha_deg=NAME" in line
+
+
+def test_lines_of_json_are_read(tmp_path):
+    lines = [{"time": t, "velocity_m_s": 1400.0, "altitude (km)": 90.0 - t, "stage": "entry"} for t in (0.0, 1.0, 2.0)]
+    (tmp_path / "f.json").write_text("\n".join(map(json.dumps, lines)))
+    flight = read_flight(tmp_path / "f.json", COLUMNS)
+    assert flight.table["altitude_m"] == pytest.approx([90e3, 89e3, 88e3])
+    assert "not used: `stage`" in flight.notes
+
+
+def test_names_of_a_trajectory_library_are_read(tmp_path):
+    """The heads that RocketPy writes."""
+    head = "# Time (s), Altitude ASL (m), Freestream Speed (m/s), Mach Number, Angle of Attack (°), Pressure (Pa)"
+    (tmp_path / "f.csv").write_text(
+        f"{head}\n0.0, 1000.0, 300.0, 0.9, 2.0, 90000\n1.0, 1290.0, 310.0, 0.93, 1.0, 87000\n"
+    )
+    table = read_flight(tmp_path / "f.csv", (*COLUMNS, "alpha_deg")).table
+    assert table["alpha_deg"] == pytest.approx([2.0, 1.0])
+    assert table["p_inf_Pa"] == pytest.approx([90000.0, 87000.0])
+
+
+def test_semicolons_decimal_commas_and_a_row_of_units_are_read(tmp_path):
+    (tmp_path / "f.csv").write_text("Time;Altitude;Velocity\ns;km;km/s\n0,0;60,5;7,1\n1,0;60,4;7,05\n")
+    table = read_flight(tmp_path / "f.csv", COLUMNS).table
+    assert table["altitude_m"] == pytest.approx([60500.0, 60400.0])
+    assert table["velocity_m_s"] == pytest.approx([7100.0, 7050.0])
+
+
+def test_two_altitudes_that_differ_are_asked(tmp_path):
+    (tmp_path / "f.csv").write_text("time_s,alt_ft,alt_km,velocity_m_s\n0,1000,5,100\n1,1000,5,100\n")
+    with pytest.raises(InputError, match="`alt_ft` and `alt_km` may both be altitude_m, and differ; name one: --field"):
+        read_flight(tmp_path / "f.csv", COLUMNS)
+
+
+def test_a_cell_without_a_number_is_named(tmp_path):
+    (tmp_path / "f.csv").write_text("time_s,alt_km,velocity_m_s\n0,60,100\n1,,100\n")
+    with pytest.raises(InputError, match="row 3, column alt_km: the cell holds no number"):
+        read_flight(tmp_path / "f.csv", COLUMNS)
+
+
+def test_a_unit_that_is_not_known_is_asked_and_never_dropped():
+    assert field_of_name("Pressure [mV]").unit is None
+    assert field_of_name("Altitude (MSL)").unit is None
+    assert field_of_name("Altitude AGL (ft)") is None
+
+
+# Spellings of units ---------------------------------------------------------------------------------------------------
+
+SPELLINGS = {
+    "altitude_m": (("altitude", "alt", "Altitude ASL", "h", "Height"), ("m", "ft", "km", "feet", "kft", "nmi", "mi")),
+    "velocity_m_s": (
+        ("velocity", "vel", "V", "Total velocity", "true airspeed", "V_{Total}"),
+        ("m/s", "ft/s", "fps", "km/s", "knots", "kt", "kts", "mph", "km/h", "ft/sec"),
+    ),
+    "rho_kg_m3": (("rho", "density", "Air density"), ("kg/m3", "kg/m^3", "slug/ft3", "slugs/ft^3", "g/cm3", "lb/ft3")),
+    "T_inf_K": (("T_inf", "Air temperature", "temp"), ("K", "degC", "°C", "degF", "degR", "R", "F", "C")),
+    "p_inf_Pa": (("p_inf", "Air pressure", "P_{Ambient}"), ("Pa", "hPa", "kPa", "mbar", "psf", "psi", "atm")),
+    "alpha_deg": (("alpha", "AoA", "Angle of attack"), ("deg", "rad", "°", "degrees")),
+    "time_s": (("time", "Time", "t", "mission time"), ("s", "ms", "min", "h", "sec")),
+    "q_Pa": (("q", "q bar", "Dynamic pressure"), ("kPa", "psf")),
+}  # fmt: skip
+"""Column -> names and units that tools write it with."""
+WAYS = ("{name} ({unit})", "{name} [{unit}]", "{name}({unit})", "{name}, {unit}", "{name} {unit}")
+
+
+@st.composite
+def spelled(draw):
+    column = draw(st.sampled_from(sorted(SPELLINGS)))
+    names, units = SPELLINGS[column]
+    name, unit = draw(st.sampled_from(names)), draw(st.sampled_from(units))
+    ending = name.replace(" ", "_") + "_" + unit.replace("/", "_").replace("^", "")
+    ways = [w.format(name=name, unit=unit) for w in WAYS] + ([] if "°" in unit or "{" in name else [ending])
+    return column, unit, draw(st.sampled_from(ways))
+
+
+@given(spelled())
+def test_a_name_with_its_unit_is_that_column_in_that_unit(case):
+    column, unit, name = case
+    field = field_of_name(name)
+    assert field is not None
+    assert field.column == column
+    assert field.convert == converted(unit, column_unit(column))
+
+
+@given(st.sampled_from(sorted(SPELLINGS)), st.sampled_from(["mV", "counts", "V", "A", "bits", "Ohm"]))
+def test_a_name_with_a_foreign_unit_is_never_read(column, unit):
+    field = field_of_name(f"{SPELLINGS[column][0][0]} ({unit})")
+    assert field is None or field.unit is None
+
+
+# What follows from what is there --------------------------------------------------------------------------------------
+
+STATE = {
+    "altitude_m": np.array([30e3, 20e3]),
+    "velocity_m_s": np.array([2000.0, 1500.0]),
+    "T_inf_K": np.array([230.0, 215.0]),
+    "rho_kg_m3": np.array([0.02, 0.09]),
+}
+STATE["p_inf_Pa"] = STATE["rho_kg_m3"] * R_AIR * STATE["T_inf_K"]
+STATE["mach"] = STATE["velocity_m_s"] / np.sqrt(GAMMA * R_AIR * STATE["T_inf_K"])
+STATE["q_Pa"] = 0.5 * STATE["rho_kg_m3"] * STATE["velocity_m_s"] ** 2
+
+
+@pytest.mark.parametrize(
+    ("name", "of"),
+    [
+        ("rho_kg_m3", ("q_Pa", "velocity_m_s")),
+        ("rho_kg_m3", ("p_inf_Pa", "T_inf_K")),
+        ("velocity_m_s", ("mach", "T_inf_K")),
+        ("T_inf_K", ("p_inf_Pa", "rho_kg_m3", "velocity_m_s")),
+        ("p_inf_Pa", ("rho_kg_m3", "T_inf_K", "velocity_m_s")),
+        ("mach", ("velocity_m_s", "T_inf_K", "rho_kg_m3")),
+    ],
+)
+def test_a_state_of_the_air_follows_from_two_others(name, of):
+    found = derived_conditions({n: STATE[n] for n in ("altitude_m", *of)})
+    assert found.columns[name] == pytest.approx(STATE[name])
+    assert name not in found.of_model
+
+
+def test_what_is_stated_is_never_replaced():
+    found = derived_conditions({**STATE, "log10_re": np.array([5.0, 6.0])})
+    for name in ("rho_kg_m3", "T_inf_K", "mach"):
+        assert found.columns[name] is STATE[name]
+    assert found.columns["log10_re"] == pytest.approx([5.0, 6.0])
+    assert found.of_model == ()
+
+
+def test_a_reynolds_number_is_that_of_its_reference_length():
+    short, long = (derived_conditions(STATE, length_m=L).columns["log10_re"] for L in (1.0, 10.0))
+    assert long - short == pytest.approx([1.0, 1.0])
+
+
+def test_air_of_the_standard_atmosphere_lowers_the_confidence():
+    assert [lowered_confidence(c) for c in ("A", "B", "C", "", "B: report 7")] == ["B", "C", "C", "C", "C: report 7"]
+
+
+# Soundings ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_radiosonde_list_is_read_with_its_geopotential_heights():
+    sounding = read_sounding(FLIGHTS / "wyoming_sounding.txt")
+    z = np.array([1e3, 10e3, 25e3])
+    standard = dict(zip(("T_inf_K", "p_inf_Pa", "rho_kg_m3"), us76(z), strict=True))
+    air, notes = sounding.at(z, standard)
+    assert air["T_inf_K"] == pytest.approx(standard["T_inf_K"] + 10.0, abs=0.3)
+    assert air["p_inf_Pa"] == pytest.approx(standard["p_inf_Pa"], rel=0.01)
+    assert notes == []
+
+
+def test_a_profile_of_an_atmosphere_model_is_the_air_of_the_day():
+    """1.2 times the standard density throughout, so that 1.2 times it is what a flight has."""
+    flight = read_flight(FLIGHTS / "own_columns.csv", COLUMNS, sounding=read_sounding(FLIGHTS / "msis_profile.csv"))
+    ratio = flight.table["rho_kg_m3"] / us76(flight.table["altitude_m"])[2]
+    assert ratio == pytest.approx(1.2, rel=0.03)
+    assert not flight.has_model_density
+
+
+def test_above_a_sounding_the_standard_atmosphere_is_told():
+    flight = read_flight(FLIGHTS / "own_columns.csv", COLUMNS, sounding=read_sounding(FLIGHTS / "wyoming_sounding.txt"))
+    assert flight.has_model_density
+    assert any("air above and below the sounding" in note for note in flight.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("alt_km,T_K\n0,288\n10,220\n", "needs two of temperature, pressure and density"),
+        ("alt,T_K,p_Pa\n0,288,1e5\n10,220,3e4\n", "needs the unit of `alt`"),
+        ("alt_m,T_K,p_Pa\n0,288,1013\n10000,220,300\n", "check units of altitude, temperature and pressure"),
+        ("alt_m,T_K,p_Pa\n0,15,1e5\n10000,-50,3e4\n", "T_inf_K is 15 at 0 m"),
+    ],
+)
+def test_a_sounding_that_is_none_is_refused(tmp_path, text, message):
+    (tmp_path / "s.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_sounding(Path(tmp_path / "s.csv"))
+
+
+def test_fields_that_are_no_condition_are_kept_apart():
+    fields = read_fields(FLIGHTS / "openrocket_descent.csv")
+    assert fields.unused == ("Vertical velocity (m/s)",)
+    assert fields.empty == ("Angle of attack (°)",)
