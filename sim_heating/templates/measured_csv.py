@@ -22,8 +22,9 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text, suggestion
+from sim_heating.base.files.units import converted
 from sim_heating.base.report.table import Column, Table
-from sim_heating.templates.quantities import NUMBER, si_factors
+from sim_heating.templates.quantities import NUMBER
 
 TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
@@ -72,7 +73,7 @@ class CsvColumn:
     @property
     def si(self) -> FloatArray:
         """(row,) values in s, K or W/m2, without the digits that a conversion adds."""
-        scale = si_factors(self.unit, SI_UNITS[self.kind])
+        scale = converted(self.unit, SI_UNITS[self.kind])
         assert scale is not None  # a unit is checked when it is chosen
         if scale == (1.0, 0.0):
             return self.values
@@ -237,7 +238,7 @@ def _is_data(cells: list[str]) -> bool:
 
 def _is_unit_cell(cell: str) -> bool:
     unit = cell.strip("[]() ")
-    return not unit or unit in ("-", "1", "hh:mm:ss") or any(si_factors(unit, si) for si in SI_UNITS.values())
+    return not unit or unit in ("-", "1", "hh:mm:ss") or any(converted(unit, si) for si in SI_UNITS.values())
 
 
 def _names(heads: list[str], units: list[str]) -> tuple[list[str], list[str]]:
@@ -255,7 +256,7 @@ def _name_and_unit(head: str) -> tuple[str, str]:
     """Name and unit of `TC1 [degC]`, `TC1 (C)`, `Time/s`, `TC1_K`, `Temp, C`; the unit is empty where there is none."""
     for pattern in NAME_AND_UNIT:
         found = re.fullmatch(pattern, head)
-        if found and found[1] and any(si_factors(found[2], si) for si in SI_UNITS.values()):
+        if found and found[1] and any(converted(found[2], si) for si in SI_UNITS.values()):
             return found[1], found[2]
     # `q_add_W_m2` and the like, columns of this program's own files
     own = re.fullmatch(r"(.+)_W_m2", head)
@@ -306,7 +307,7 @@ def _column(name: str, unit: str, cells: list[str]) -> CsvColumn:
         return CsvColumn(name, TIME, "s", values - np.nanmin(values), "clock times, counted from the first" + note)
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
-    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and si_factors(unit, si)), None)
+    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
     if by_unit is not None:
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
     kind = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
@@ -344,7 +345,7 @@ def _as_chosen(
     for kind, option, name in wanted:
         if name is not None:
             k = _named(path, columns, name, option)
-            unit = columns[k].unit if columns[k].unit and si_factors(columns[k].unit, SI_UNITS[kind]) else ""
+            unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[kind]) else ""
             chosen[k] = replace(columns[k], kind=kind, unit=unit, reason=f"{option} {name}")
     return [_flux_unit(c) if c.kind == FLUX and not c.unit else c for c in chosen]
 
@@ -378,7 +379,7 @@ def _with_time(
     at = times[0]
     found = replace(columns[at], kind=TIME, reason=reason or columns[at].reason)
     if unit is not None:
-        if si_factors(unit, "s") is None:
+        if converted(unit, "s") is None:
             raise InputError(f"--time-unit {unit}: is not a unit of time; give one of {', '.join(DURATIONS)}")
         _warn_of_other_unit(path, found, unit, "--time-unit")
         found = replace(found, unit=unit, reason=f"{found.reason}; --time-unit")
@@ -394,7 +395,7 @@ def _with_time(
 def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -> None:
     """Warn where a column states another unit than the option that prevails over it."""
     si = SI_UNITS[column.kind]
-    if column.unit and si_factors(column.unit, si) != si_factors(unit, si):
+    if column.unit and converted(column.unit, si) != converted(unit, si):
         warnings.warn(
             f"{display_path(path)}, column {column.name}: the file says {column.unit}, {option} says {unit}; read as "
             f"{unit}. Leave {option} out where the file is right",
@@ -405,7 +406,7 @@ def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -
 def _with_unit(path: Path, column: CsvColumn, unit: str | None) -> CsvColumn:
     """A temperature with its unit: the one given, that of the name, else by its first readings."""
     if unit is not None:
-        if si_factors(unit, "K") is None:
+        if converted(unit, "K") is None:
             raise InputError(f"--temperature-unit {unit}: is not a unit of temperature; give K, degC or degF")
         _warn_of_other_unit(path, column, unit, "--temperature-unit")
         return replace(column, unit=unit, reason=f"{column.reason}; --temperature-unit")

@@ -3,59 +3,14 @@
 from __future__ import annotations
 
 import re
-from functools import cache
-from typing import Any
-
-import pint
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import plain_number, suggestion
+from sim_heating.base.files.units import converted
 from sim_heating.base.limits import quantity as range_of
 
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number, with a decimal point or a decimal comma."""
-ALIASES = {
-    "mil": "thou", "mils": "thou", '"': "inch", "C": "degC", "°C": "degC", "F": "degF", "°F": "degF", "ºC": "degC",
-    "deg C": "degC", "deg F": "degF", "Celsius": "degC", "celsius": "degC", "CELSIUS": "degC", "Fahrenheit": "degF",
-    "fahrenheit": "degF", "Kelvin": "K", "kelvin": "K", "k": "K", "℃": "degC", "℉": "degF", "°K": "K", "DEGC": "degC",
-    "DEGF": "degF", "DegC": "degC", "DegF": "degF", "deg_C": "degC", "deg_F": "degF", "sec": "s", "secs": "s",
-    "seconds": "s", "Seconds": "s", "S": "s", "mins": "min", "minutes": "min", "hr": "h", "hrs": "h", "msec": "ms",
-}  # fmt: skip
-"""Spellings that pint does not know, or takes for another unit (mil: an angle; C: a charge; F: a capacity)."""
-
-
-@cache
-def _registry() -> pint.UnitRegistry[Any]:
-    return pint.UnitRegistry(cache_folder=None)
-
-
-def si_factors(unit: str, to: str) -> tuple[float, float] | None:
-    """Factor and offset that turn a number in a unit into one in an SI unit: SI = factor * value + offset.
-
-    unit, to : units by name, such as `degC` and `K`, `kW/m2` and `W/m2`
-    returns  : None where the unit is unknown, or one of another quantity
-    """
-    registry = _registry()
-    try:
-        own, target = (registry.parse_units(_pint_syntax(text)) for text in (unit, to))
-        zero, one = (float(registry.Quantity(x, own).to(target).magnitude) for x in (0.0, 1.0))
-    except Exception:  # pint raises its own, Python's tokenizer others
-        return None
-    return one - zero, zero
-
-
-def _pint_syntax(unit: str) -> str:
-    text = unit.strip()
-    text = ALIASES.get(text, text).replace("²", "2").replace("^", "").replace("*", " ").replace("·", " ")
-    if re.fullmatch(r"[A-Za-zµμ_% /()0-9]+", text) is None:
-        raise ValueError(f"`{unit}` is not a unit")
-    # `W/m2K` is W/(m2 K): everything behind the slash divides
-    text = re.sub(r"([A-Za-zµμ])(\d)", r"\1**\2", text)
-    text = re.sub(r"(\*\*\d)([A-Za-z])", r"\1*\2", text)
-    over, slash, under = text.partition("/")
-    return f"{over}/({re.sub(' +', '*', under.strip('() '))})" if slash and "/" not in under else text
-
-
 def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> float:
     """A number with a unit in SI units. Only a 0 may stand without one, where it is the same in all units.
 
@@ -74,11 +29,11 @@ def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> 
     is_difference = key.endswith("sigma_K")
     if not found[2] and (value != 0.0 or (unit == "K" and not is_difference)):
         raise InputError(f"{option}: `{text.strip()}` has no unit; write {example}")
-    scale = si_factors(found[2] or unit, unit)
+    scale = converted(found[2] or unit, unit)
     if scale is None:
         raise InputError(f"{option}: `{found[2]}` is not a unit that converts to {unit}; write {example}")
     # rounded to what a person types: 21 degC is 294.15 K, not 294.15000000000003 K
-    si = float(f"{scale[0] * value + (0.0 if is_difference else scale[1]):.12g}")
+    si = float(f"{scale.factor * value + (0.0 if is_difference else scale.offset):.12g}")
     known = range_of(key) if key else None
     if known is not None and (problem := known.problem(si)) is not None:
         raise InputError(f"{option}: `{text.strip()}`: {problem}")

@@ -132,7 +132,7 @@ def test_units_as_fmus_write_them(unit: str, wanted: str, factor: float) -> None
 @pytest.mark.parametrize(
     "unit",
     [
-        "m.", "m*", "m-", "m/", "1/", "'m'", "(", "m)", "g0", "m,s", "slug/cu.ft", "1/s.m", "9**9**9", "m^9^9^9",
+        "m.", "m*", "m-", "m/", "1/", "'m'", "(", "m)", "g0", "m,s", "1/s.m", "9**9**9", "m^9^9^9",
         "10^3 m", "m^1000", "lambda()", "a" * 60 + "#", "a" * 100_000,
         "(" * 3000 + "m" + ")" * 3000,
     ],
@@ -155,6 +155,11 @@ def test_an_fmus_own_degrees_with_fifteen_digits_leave_every_bit() -> None:
     own, deg = unit_of_fmu("deg", BaseUnit(rad=1, factor=0.0174532925199433)), known_unit("deg")
     assert deg is not None
     assert conversion(own, deg) == (1.0, 0.0)
+
+
+def test_a_letter_that_an_fmu_defines_is_what_it_defines() -> None:
+    charge = unit_of_fmu("C", BaseUnit(s=1, A=1))
+    assert charge == known_unit("coulomb")
 
 
 def test_a_definition_that_contradicts_its_name_is_refused() -> None:

@@ -1,14 +1,18 @@
-"""Units by name, as pint knows them, and conversions between them.
+"""Units by name, as loggers, ranges and tools write them, and conversions between them: pint's definitions.
 
     value in base units = factor * value + offset
 
-rad counts as a base unit, so an angle is not a plain number.
+rad counts as a base unit, so an angle is not a plain number. Every reader of the project takes units from here:
+`(deg. C)`, `BTU/ft2-s`, `W per sq. m`, `W m-2`, `W/m2K`. A text that is not understood is no unit, never another one.
+What stands behind a slash without a point between divides: `W/m2K` is W/(m2 K). A letter that stands for a temperature
+is one (`C`, `F`, `R`), and `mil` is a length.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,14 +22,46 @@ SAME_FACTOR = 1e-12
 """Relative difference below which factors are equal: definitions are written with fifteen digits."""
 NO_DIMENSION = ("", "1", "-")
 
-SUPERSCRIPTS = str.maketrans("·⁻⁰¹²³⁴⁵⁶⁷⁸⁹", ".-0123456789")
-"""Characters of printed units, and the ASCII form that FMUs use."""
+SUPERSCRIPTS = str.maketrans("·⋅⁻⁰¹²³⁴⁵⁶⁷⁸⁹μ\u2212", "  -0123456789µ-")
+"""Characters of printed units, and the form that is parsed."""
+WORDS = {
+    "mils": "thou", "inches": "inch", "celcius": "degC", "celsius": "degC", "centigrade": "degC", "degc": "degC",
+    "fahrenheit": "degF", "degf": "degF", "kelvin": "K", "kelvins": "K", "degk": "K", "rankine": "degR", "degr": "degR",
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "min": "min", "mins": "min", "minute": "min",
+    "minutes": "min", "hr": "h", "hrs": "h", "hour": "h", "hours": "h", "day": "day", "days": "day", "msec": "ms",
+    "msecs": "ms", "millis": "ms", "millisec": "ms", "milliseconds": "ms", "usec": "us", "micros": "us",
+    "microseconds": "us", "btu": "BTU", "btus": "BTU", "fps": "ft/s", "kts": "knot", "psf": "lbf/ft**2",
+    "pcf": "lb/ft**3", "slugs": "slug", "feet": "ft", "meters": "m", "metres": "m", "watt": "W", "watts": "W",
+    "psi": "psi", "psia": "psi", "volt": "V", "volts": "V",
+}  # fmt: skip
+"""Words in small letters -> the name that pint knows, whatever the letters are in the file."""
+LETTERS = {
+    "C": "degC", "c": "degC", "F": "degF", "f": "degF", "R": "degR", "k": "K", "S": "s", "mil": "thou", '"': "inch",
+    "\u2103": "degC", "\u2109": "degF",
+}  # fmt: skip
+"""Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
+DEGREES = re.compile(
+    r"(?i)(?:deg(?:s|ree|rees)?\.?|\u00c2?\u00b0|[\u00ba\u02da\ufffd]|(?<![\w)*])[*?])[ _]*"
+    r"(C|F|K|R|celsius|fahrenheit|kelvin|rankine)(?![A-Za-z])"
+)
+"""A degree of a temperature; the sign is a star, a question mark or a ring where an encoding has lost it."""
+SCALES = {"c": "degC", "f": "degF", "k": "K", "r": "degR"}
+DIFFERENCES = {"degC": "K", "degF": "degR"}
+"""A scale with an offset -> its degree as a difference, in a unit that is made of several."""
+SERIAL_NUMBER = re.compile(r"\s*\((?:LGR|SEN|S/N)[^()]*\)\s*$")
+"""What HOBO loggers write behind a unit."""
+STATED = (
+    r"([^,]*\S)\s*,\s*([^,(]+?)\s*(?:\((?:LGR|SEN|S/N).*\))?", r"(.*?[^\s\[])\s*\[([^\]]*)\]",
+    r"(.*?[^\s<])\s*<([^>]*)>", r"(.*?[^\s(])\s*\(((?:[^()]|\([^()]*\))*)\)\s*(?:c:\d+)?",
+)  # fmt: skip
+"""Patterns of a name with its unit behind a comma or in brackets."""
+SLASHED = r"(.*\S)\s*/\s*(\S+)"
 LONGEST = 100
 """Most characters of a unit; matching a text of 100,000 letters takes minutes."""
 POWER = r"(?:(?:\*\*|\^)?[+-]?[0-9]{1,2}|(?:\*\*|\^)\([+-]?[0-9]{1,2}\))(?!\w|\.[0-9])"
 UNIT_SYNTAX = re.compile(rf"(?:(?:[^\W\d]|[°%])++(?:{POWER})?|\)(?:{POWER})?|(?<![\w.])1(?![\w.])|[ .*/(])+")
 """Names with powers of at most two digits, parentheses, products, quotients, and 1: the only texts passed to pint."""
-AMBIGUOUS = re.compile(r"/ *[^()/ .*]+ *[ .*] *[^ /]")
+AMBIGUOUS = re.compile(r"/ *[^()/ .*]+ *[.*] *[^ /]")
 """A product after a quotient, `1/s.m`, which may belong to the numerator or the denominator."""
 
 
@@ -62,22 +98,53 @@ def _pint_syntax(name: str) -> str:
     return re.sub(r"(?<=[^\W\d_])\^?([+-]?\d+)", r"**\1", name.replace(".", "*"))
 
 
+def _plain(name: str) -> str:
+    """A unit as loggers write it, in names that pint knows and the syntax of FMUs."""
+    text = SERIAL_NUMBER.sub("", name).strip()
+    while (inner := re.fullmatch(r"\(([^()]*)\)|\[([^\[\]]*)\]|<([^<>]*)>", text)) is not None:
+        text = next(part for part in inner.groups() if part is not None).strip()
+    text = DEGREES.sub(lambda found: SCALES[found[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
+    text = re.sub(r"(?i)(?<![a-z])(?:sq\.? *|square +)([a-z]+)", r"\g<1>2", text)
+    text = re.sub(r"(?i)(?<![a-z])(?:cu\. *|cu +|cubic +)([a-z]+)", r"\g<1>3", text)
+    text = re.sub(r"(?i) +per +", "/", text)
+    text = re.sub(r"(?i)\b(sec|mins?|hrs?|in|ft)\.(?=$|[ /)])", r"\1", text)
+    text = re.sub(r"(?<=[A-Za-z0-9])-(?=[A-Za-zµ°])", " ", text)  # BTU/ft2-s
+    text = re.sub(r"(?<=[A-Za-zµ][2-4])(?=[A-Za-zµ°])", " ", text)  # W/m2K
+    text = re.sub(r"[A-Za-zµ\"\u2103\u2109]+", lambda word: _word(word[0]), text)
+    # blanks behind a slash divide, as print has it: W/m2 K
+    text = re.sub(r"/ *((?:[^()/ .*]|\*\*)+(?: +[^()/ .*]+)+)", lambda under: f"/({under[1]})", text)
+    if not re.fullmatch(r" *[A-Za-z]+ *", text):
+        text = re.sub("degC|degF", lambda scale: DIFFERENCES[scale[0]], text)
+    return text
+
+
+def _word(word: str) -> str:
+    return LETTERS.get(word) or WORDS.get(word.lower()) or word
+
+
 @cache
 def known_unit(name: str) -> Scale | None:
-    """The unit of a name according to pint; None where it is unknown or ambiguous."""
+    """The unit of a name according to pint; None where it is unknown or ambiguous.
+
+    >>> [known_unit(n) == known_unit("degC") for n in ("C", "(deg. C)", "°C (LGR S/N: 1)", "*C", "coulomb")]
+    [True, True, True, True, False]
+    """
     if name in NO_DIMENSION:
         return Scale((), 1.0)
-    plain = name.translate(SUPERSCRIPTS)
-    # A plain grammar before pint, which takes `m,s` for a millisecond and fails on `m.` in its tokenizer.
-    if len(plain) > LONGEST:
+    if len(name) > LONGEST:
         return None
+    plain = _plain(name)
+    # A plain grammar before pint, which takes `m,s` for a millisecond and fails on `m.` in its tokenizer.
     if UNIT_SYNTAX.fullmatch(plain) is None or AMBIGUOUS.search(plain.replace("**", "^")) is not None:
         return None
     registry = _registry()
     try:
         unit = registry.parse_units(_pint_syntax(plain))
         zero, one = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
-        factor, offset = float(one.magnitude - zero.magnitude), float(zero.magnitude)
+        offset = float(zero.magnitude)
+        # over a long span, so that an offset takes no digits of the factor
+        span = 1.0 if offset == 0.0 else 2.0**30
+        factor = float(registry.Quantity(span, unit).to_base_units().magnitude - offset) / span
         scale = Scale(dimension_of(dict(one.unit_items())), factor, offset)
     except Exception:  # pint raises its own, Python's tokenizer others
         return None
@@ -101,3 +168,45 @@ def conversion(given: Scale, required: Scale) -> Conversion | None:
     factor, offset = given.factor / required.factor, (given.offset - required.offset) / required.factor
     # A factor of 1 but for rounding must leave every bit as it is.
     return Conversion(1.0 if abs(factor - 1.0) < SAME_FACTOR else factor, offset)
+
+
+def converted(unit: str, si: str) -> Conversion | None:
+    """The conversion of a unit to another one, None where it is unknown or one of another quantity.
+
+    >>> converted("(deg. F)", "K")(212.0), converted("W per sq. m", "W/m2"), converted("mV", "K")
+    (373.15, Conversion(factor=1.0, offset=0.0), None)
+    """
+    given, required = known_unit(unit), known_unit(si)
+    return None if given is None or required is None else conversion(given, required)
+
+
+def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
+    """Name and unit of the head of a column; the unit is empty where none is stated.
+
+    head       : `TC1 [degC]`, `Temp, °F (LGR S/N: 1)`, `Time/s`, `vel_ft_s`, `rho [slug/ft3]`, `TC1 C`
+    quantities : SI units; what follows a `_` or a blank is a unit only where it converts to one of them. What is in
+                 brackets, or behind a slash or a comma, is returned as it is, known or not
+
+    >>> name_and_unit("vel_ft_s", ["m/s"]), name_and_unit("T (mV)", ["K"]), name_and_unit("TC 1", ["K"])
+    (('vel', 'ft/s'), ('T', 'mV'), ('TC 1', ''))
+    """
+    head = head.strip()
+    for pattern in STATED:
+        found = re.fullmatch(pattern, head)
+        if found:
+            return found[1].strip(), found[2].strip()
+    for first in _endings(head):
+        name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
+        if not name:
+            continue
+        top, *under = re.split("_", ending)
+        for unit in (ending, f"{top}/{' '.join(under)}" if under else ""):
+            if unit and any(converted(unit, si) is not None for si in quantities):
+                return name, unit
+    found = re.fullmatch(SLASHED, head)
+    return (found[1], found[2]) if found else (head, "")
+
+
+def _endings(head: str) -> list[int]:
+    """Where an ending may begin: at each `_` and blank, the longest ending first."""
+    return [k.start() for k in re.finditer(r"[_ ]+", head)]

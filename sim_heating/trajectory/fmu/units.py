@@ -14,7 +14,7 @@ import math
 from fmpy.model_description import BaseUnit
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files.units import Scale, dimension_of, is_usable, known_unit
+from sim_heating.base.files.units import LETTERS, Scale, dimension_of, is_usable, known_unit
 
 DEFINITION_TOLERANCE = 1e-4
 """Relative tolerance of an FMU's definition of a known unit: many are written with few digits."""
@@ -47,7 +47,8 @@ def unit_of_fmu(name: str, definition: BaseUnit | None) -> Scale:
             f"the FMU defines `{name}` by factor {own.factor:g} and offset {own.offset:g}, which is not a unit; "
             "give `unit`"
         )
-    if known is not None and not _agree(own, known):
+    # a letter means a temperature to a logger, and may well be a charge to a tool: its definition decides
+    if known is not None and name not in LETTERS and not _agree(own, known):
         raise InputError(
             f"the FMU defines `{name}` as {_scale_text(own)}, but the name means {_scale_text(known)}; give `unit`"
         )
