@@ -1,0 +1,63 @@
+"""Readings that are none: codes of recorders, and single readings far off their neighbours.
+
+A reading is far off where it lies outside those of its six neighbours by more than SIGMAS times the robust scale of
+such distances (1.4826 times their median) and by more than those neighbours differ among themselves.
+
+source of the scale: Huber, Robust Statistics, section 5.1 (median absolute deviation); fault words: Keysight 34970A
+user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an open input), DS18B20 (85 degC at power on)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+
+OVERLOAD = 1e30
+"""A larger magnitude is the overload of a recorder, in any unit."""
+FAULTS = (2048.0, 2047.0, 2047.75, 2047.9375, 0.0, 85.0, -127.0, 1372.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, 1370.0)
+"""Readings that stand for a fault where they lie far off their neighbours."""
+SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
+"""Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
+SIDE = 3
+"""Neighbours on each side."""
+
+
+def lost_codes(values: FloatArray, codes: Sequence[float]) -> BoolArray:
+    """(row,) whether a reading is one of the codes, or an overload."""
+    found: BoolArray = np.abs(values) >= OVERLOAD
+    for code in codes:
+        found |= np.isclose(values, code, rtol=1e-6, atol=1e-9)
+    return found
+
+
+def far_off(values: FloatArray) -> BoolArray:
+    """(row,) whether a reading is far off its neighbours. Lost ones, NaN, have none."""
+    found = np.zeros(len(values), dtype=bool)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2 * SIDE + 3:
+        return found
+    v = values[known]
+    around = np.stack([_shifted(v, k) for k in (*range(-SIDE, 0), *range(1, SIDE + 1))])
+    middle = np.nanmedian(around, axis=0)
+    ordered = np.sort(around, axis=0)  # NaN beyond the ends last
+    count = np.sum(np.isfinite(around), axis=0)
+    # without the most extreme one, which may be another bad reading
+    low, high = ordered[1], ordered[np.maximum(count - 2, 0), np.arange(len(v))]
+    distance = np.abs(v - middle)
+    scale = 1.4826 * float(np.median(distance))
+    outside = np.maximum(low - v, v - high)
+    found[known] = (outside > np.maximum(SIGMAS * scale, SMALLEST)) & (outside > LEAST * (high - low))
+    return found
+
+
+def _shifted(values: FloatArray, by: int) -> FloatArray:
+    """Values so many places on, NaN beyond the ends."""
+    found = np.full(len(values), np.nan)
+    if by > 0:
+        found[:-by] = values[by:]
+    else:
+        found[-by:] = values[:by]
+    return found
