@@ -24,6 +24,7 @@ from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
 from sim_heating.templates.loggers.block import Block
 from sim_heating.templates.loggers.clocks import (
+    ANY_ORDER,
     CLOCKS,
     LONGEST_STEP_S,
     ORDERS,
@@ -57,8 +58,8 @@ UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigm
 """Pattern of the names of columns that hold the uncertainty of others."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|excel.*|unix.*|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
-ROOM_K, ROOM_C = (250.0, 330.0), (-40.0, 45.0)
-"""First readings that are taken for a room, or a cold day, in K and in degC, where no unit is stated."""
+ROOM_K, ROOM_C = (275.0, 320.0), (5.0, 40.0)
+"""First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
 UNIX_S = (9.4e8, 4.1e9)
 """Times of the years 2000 to 2099 in seconds since 1970; in ms, us and ns by their sizes."""
 DAY_NUMBERS = (36526.0, 73050.0)
@@ -106,7 +107,8 @@ class MeasuredCsv:
 
     layout : how the file is written: separator, decimal sign, line of the names
     rows   : (row,) line of each row in the file
-    zero_s : instant of time 0, seconds since 1970 [s]; None where the file does not state it
+    zero_s : instant of time 0 [s], None where the file does not state it
+    zero   : since when that counts: `1970`, or `midnight` for a clock without a date; empty for a time in numbers
     stated : the layout as it was read, to be kept for other files of the recorder
     notes  : what was left out, in words
     """
@@ -116,6 +118,7 @@ class MeasuredCsv:
     rows: tuple[int, ...]
     layout: str
     zero_s: float | None = None
+    zero: str = ""
     stated: LoggerLayout = field(default_factory=LoggerLayout)
     notes: tuple[str, ...] = ()
 
@@ -222,20 +225,19 @@ def read_measured_csv(
     kept = np.flatnonzero(~np.isnan(clock.si))
     columns = [clock, *(replace(c, kind=UNUSED, reason="another column is the time") if c.kind == TIME else c
                         for c in columns if c.name != clock.name)]  # fmt: skip
-    for k, head in enumerate(columns):
-        if head.kind in kinds:
-            source = next(h for h in heads if h.name == head.name)
-            columns[k] = _with_unit(block, head, source, chosen, base)
+    by_name = {h.name: h for h in heads}
+    columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
+    columns = _guessed(block, columns, kinds)
     columns = [_without_lost(block, c, chosen.lost) if c.kind in kinds else c for c in columns]
     columns, rows, more = _rows_kept(block, columns, kept, kinds)
+    named = f"names in line {block.names_line}" if block.has_names else "no names"
     found = MeasuredCsv(
-        path, tuple(columns), rows, f"{block.about}, {signs.words}, {len(rows)} rows", zero_s,
+        path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
+        "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
         _stated(chosen, block, signs, columns), (*block.notes, *notes, *more),
     )  # fmt: skip
     found = _with_distinct_times(found, chosen.repeated)
-    for column in found.columns:
-        if column.guess and (column.kind == TIME or (column.kind == TEMPERATURE and TEMPERATURE in kinds)):
-            warnings.warn(f"{display_path(path)}, column {column.name}: {column.guess}", stacklevel=2)
+    _warn_of_guesses(found, kinds)
     if TEMPERATURE in kinds:
         _name_far_off(found)
     return found
@@ -512,7 +514,7 @@ def _clock_time(
         if nights:
             notes.append(f"`{head.name}` passes midnight {nights} times: a day is added at each")
     first = float(seconds[np.flatnonzero(np.isfinite(seconds))[0]])
-    zero = None if clock.day_s is None else clock.day_s + first
+    zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
     _warn_of_an_hour(block, head.name, t)
     found = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
@@ -697,29 +699,57 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
             f"{file}, column {column.name}: `{head.stated}` is not a unit of {kind} that is known; state it, "
             f"{UNIT_OPTIONS[kind]}, or name the columns that are read, --temperature COLUMN"
         )
-    return _guessed(block, column)
+    return column
 
 
-def _guessed(block: Block, column: CsvColumn) -> CsvColumn:
-    """A column with the unit that its readings tell, for a warning."""
+def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> list[CsvColumn]:
+    """Columns with the units that their readings tell where none is stated, for a warning: one for all temperatures.
+
+    raises : InputError where they tell none
+    """
+    open_ = [c for c in columns if c.kind in kinds and not c.unit]
+    starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
+    unit = ""
+    if starts:
+        known = [x for x in starts.values() if np.isfinite(x)]
+        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in known)
+        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in known) and min(known) >= ROOM_K[0]:
+            unit = "K"
+        elif cold and max(known) < ROOM_K[0]:
+            unit = "degC"
+        else:
+            odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
+            raise InputError(
+                f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is known; state it, "
+                "--temperature-unit degC"
+            )
+    return [_with_guess(c, unit, starts.get(c.name)) if c in open_ else c for c in columns]
+
+
+def _start(column: CsvColumn) -> float:
     read = column.values[np.isfinite(column.values)]
-    file = display_path(block.path)
-    if column.kind == FLUX:
-        largest = float(np.max(np.abs(read))) if read.size else 0.0
-        unit, why = ("W/m2", "above 1000") if largest > 1000.0 else ("kW/m2", "up to 1000")
-        guess = f"no unit is stated, and values are {why}: {unit} assumed (--flux-unit)"
-        return replace(column, unit=unit, reason=f"{column.reason}; no unit, values {why}: {unit}", guess=guess)
-    start = float(np.median(read[:5])) if read.size else float("nan")
-    if ROOM_K[0] <= start <= ROOM_K[1]:
-        unit = "K"
-    elif ROOM_C[0] <= start <= ROOM_C[1]:
-        unit = "degC"
-    else:
-        raise InputError(
-            f"{file}, column {column.name}: begins at {start:g}, in no unit that is known; state it, --temperature-unit degC"
-        )
-    guess = f"no unit is stated, and it begins at {start:g}: {unit} assumed (--temperature-unit)"
-    return replace(column, unit=unit, reason=f"{column.reason}; begins at {start:g}: {unit} assumed", guess=guess)
+    return float(np.median(read[:5])) if read.size else float("nan")
+
+
+def _warn_of_guesses(found: MeasuredCsv, kinds: Sequence[str]) -> None:
+    """Warn of what is assumed without a word of the file: of fluxes where they are used."""
+    guesses: dict[str, list[str]] = {}
+    for column in found.columns:
+        if column.guess and (column.kind == TIME or (column.kind == TEMPERATURE and TEMPERATURE in kinds)):
+            guesses.setdefault(column.guess, []).append(column.name)
+    for guess, names in guesses.items():
+        what = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
+        warnings.warn(f"{display_path(found.path)}, {what}: {guess}", stacklevel=3)
+
+
+def _with_guess(column: CsvColumn, unit: str, start: float | None) -> CsvColumn:
+    if column.kind == TEMPERATURE:
+        guess = f"no unit is stated, and readings begin as in a room: {unit} assumed (--temperature-unit)"
+        return replace(column, unit=unit, reason=f"{column.reason}; begins at {start:g}: {unit} assumed", guess=guess)
+    largest = float(np.nanmax(np.abs(column.values))) if np.any(np.isfinite(column.values)) else 0.0
+    unit, why = ("W/m2", "above 1000") if largest > 1000.0 else ("kW/m2", "up to 1000")
+    guess = f"no unit is stated, and values are {why}: {unit} assumed (--flux-unit)"
+    return replace(column, unit=unit, reason=f"{column.reason}; no unit, values {why}: {unit}", guess=guess)
 
 
 def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> CsvColumn:

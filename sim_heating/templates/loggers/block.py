@@ -23,7 +23,7 @@ class Block:
     lines     : (row,) line of each row in the file
     separator : between cells; empty for a table that is no text
     decimal   : decimal sign that the file itself declares; empty where it does not
-    has_names : whether the file names its columns
+    names_line : line of the names; 0 where the file has none
     about     : what was recognised, in words
     notes     : what was left out, in words
     """
@@ -35,9 +35,14 @@ class Block:
     lines: tuple[int, ...]
     separator: str = ""
     decimal: str = ""
-    has_names: bool = True
+    names_line: int = 1
     about: str = ""
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def has_names(self) -> bool:
+        """Whether the file names its columns."""
+        return self.names_line > 0
 
     def column(self, k: int) -> list[str]:
         """Texts of a column."""
@@ -46,13 +51,6 @@ class Block:
     def at(self, row: int, name: str) -> str:
         """`file, row 14, column x`, the row as an editor counts it."""
         return f"{display_path(self.path)}, row {self.lines[row]}, column {name}"
-
-    def rows(self, kept: list[int]) -> Block:
-        """The block of some of its rows."""
-        return Block(
-            self.path, self.names, self.units, self.cells.iloc[kept].reset_index(drop=True),
-            tuple(self.lines[i] for i in kept), self.separator, self.decimal, self.has_names, self.about, self.notes,
-        )  # fmt: skip
 
 
 def of_frame(path: Path, frame: pd.DataFrame, units: dict[str, str], about: str, first_line: int = 2) -> Block:

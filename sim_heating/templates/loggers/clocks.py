@@ -19,6 +19,8 @@ from sim_heating.base.errors import InputError
 DAY_S = 86400.0
 ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": "year first"}
 """Value of the option --dates -> in words."""
+ANY_ORDER = "in any order"
+"""Of dates whose order changes no time between rows."""
 CLOCKS = ("hh:mm", "mm:ss", "hh:mm:ss", "hh:mm:ss:ms", "dd:hh:mm:ss")
 """Layouts of times of day that --time-unit may state."""
 LONGEST_STEP_S = 1e4
@@ -247,14 +249,16 @@ def _days(
         span = (day - day[0]) * DAY_S + time_s
         if not any(np.array_equal(span, (valid[o] - valid[o][0]) * DAY_S + time_s) for o in distinct):
             distinct.append(order)
+    told = len(valid) == 1
     if len(distinct) > 1:
+        told = True
         steps = {o: np.diff(valid[o] * DAY_S + time_s) for o in distinct}
         usual = [o for o, step in steps.items() if np.all(step > -DAY_S / 24.0) and np.all(step <= LONGEST_STEP_S)]
         if len(usual) != 1:
             options = " or ".join(f"--dates {o}" for o in distinct)
             raise InputError(f"{place}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}")
         distinct = usual
-    return valid[distinct[0]], ORDERS[distinct[0]] if len(valid) == 1 or len(distinct) == 1 else "in any order"
+    return valid[distinct[0]], ORDERS[distinct[0]] if told else ANY_ORDER
 
 
 def _odd_date(a: FloatArray, b: FloatArray, rows: np.ndarray, cells: pd.Series) -> str:

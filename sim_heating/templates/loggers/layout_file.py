@@ -15,12 +15,14 @@ depth = "back"
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from sim_heating.base.files import Declared, read_toml
+from sim_heating.base.files import Declared, read_toml, toml_text, write_text_atomic
+from sim_heating.base.files.schema import schema_line
 
 FORMAT = "logger-layout/1"
 
@@ -64,3 +66,15 @@ class LoggerLayout(Declared):
 def read_layout(path: Path) -> LoggerLayout:
     """The layout of a file; InputError, one line a problem, as `read_toml`."""
     return read_toml(path, LoggerLayout)
+
+
+def write_layout(path: Path, layout: LoggerLayout, source: str, depths: Mapping[str, str]) -> None:
+    """Keep a layout in a TOML file, for the other files of a recorder.
+
+    source : name of the file that it was read from
+    depths : column -> depth of its sensor as a person types it
+    """
+    columns = [c.model_copy(update={"depth": depths.get(c.name, c.depth)}) for c in layout.column]
+    kept = layout.model_copy(update={"column": columns, "title": layout.title or f"as {source}"})
+    data = {"format": FORMAT} | kept.model_dump(exclude_none=True, exclude_defaults=True)
+    write_text_atomic(path, f"{schema_line('logger_layout')}\n{toml_text(data)}")

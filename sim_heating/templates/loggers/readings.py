@@ -44,8 +44,10 @@ def far_off(values: FloatArray) -> BoolArray:
     middle = np.nanmedian(around, axis=0)
     ordered = np.sort(around, axis=0)  # NaN beyond the ends last
     count = np.sum(np.isfinite(around), axis=0)
-    # without the most extreme one, which may be another bad reading
-    low, high = ordered[1], ordered[np.maximum(count - 2, 0), np.arange(len(v))]
+    # without the most extreme one, which may be another bad reading; at the ends neighbours stand on one side, and count
+    inner = count == 2 * SIDE
+    low = np.where(inner, ordered[1], ordered[0])
+    high = ordered[np.where(inner, count - 2, count - 1), np.arange(len(v))]
     distance = np.abs(v - middle)
     scale = 1.4826 * float(np.median(distance))
     outside = np.maximum(low - v, v - high)

@@ -210,9 +210,9 @@ def rows_block(
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
     words = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
-    said = [recorder, f"cells separated by {words}" if words else "", f"names in line {names_line}" if names_line else "no names"]
+    said = [recorder, f"cells separated by {words}" if words else ""]
     return Block(
-        path, tuple(names), tuple(units), cells, tuple(split[k][0] for k in body), sign, "", names_line > 0,
+        path, tuple(names), tuple(units), cells, tuple(split[k][0] for k in body), sign, "", names_line,
         ", ".join(part for part in said if part), tuple(notes),
     )  # fmt: skip
 
@@ -370,7 +370,7 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
         units[0], width = "s", len(names[:width])
     cells = pd.DataFrame([_filled(c, width) for _, c in rows], columns=range(width), dtype=object)
     return Block(
-        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign, decimal, True,
-        f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}, names in line {names_line}",
+        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign, decimal, names_line,
+        f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
     )  # fmt: skip
 
