@@ -290,12 +290,8 @@ def _long_as_wide(block: Block) -> Block:
         if name in row:
             raise InputError(f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one")
         row[name] = value[i]
-    import pandas as pd
-
-    cells = pd.DataFrame(
-        [[*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items()],
-        columns=range(len(times) + len(sensors)), dtype=object,
-    )  # fmt: skip
+    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items())
+    cells = tuple(list(c) for c in zip(*by_row, strict=True))
     bare, unit = name_and_unit(block.names[numbers[0]], list(SI_UNITS.values()))
     kind = bare if re.search(HEADS[3][1], bare) else ""
     names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
@@ -829,7 +825,7 @@ def _rows_kept(
         return columns, block.lines, []
     # a lost sample of all sensors between others is kept as such
     ends = blank[(blank < rows[0]) | (blank > rows[-1])]
-    marked = [i for i in blank if all(not block.cells.iat[i, k] for k in range(len(block.names)) if _is_used(block, k, used))]
+    marked = [i for i in blank if all(not block.cells[k][i] for k in range(len(block.names)) if _is_used(block, k, used))]
     out = sorted({int(i) for i in ends} & {int(i) for i in marked})
     if not out:
         return columns, block.lines, []

@@ -19,7 +19,7 @@ class Block:
     path      : for messages
     names     : of the columns, as in the file; `column1` and so on where it has none
     units     : of a row of units, empty where there is none
-    cells     : (row, column) texts
+    cells     : of each column, (row,) texts
     lines     : (row,) line of each row in the file
     separator : between cells; empty for a table that is no text
     decimal   : decimal sign that the file itself declares; empty where it does not
@@ -31,7 +31,7 @@ class Block:
     path: Path
     names: tuple[str, ...]
     units: tuple[str, ...]
-    cells: pd.DataFrame
+    cells: tuple[list[str], ...]
     lines: tuple[int, ...]
     separator: str = ""
     decimal: str = ""
@@ -46,7 +46,7 @@ class Block:
 
     def column(self, k: int) -> list[str]:
         """Texts of a column."""
-        return list(self.cells.iloc[:, k])
+        return self.cells[k]
 
     def at(self, row: int, name: str) -> str:
         """`file, row 14, column x`, the row as an editor counts it."""
@@ -62,7 +62,7 @@ def of_frame(path: Path, frame: pd.DataFrame, units: dict[str, str], about: str,
     """
     if not len(frame.columns) or not len(frame):
         raise InputError(f"{display_path(path)}: the table has no rows")
-    cells = pd.DataFrame({k: [_cell(v) for v in frame.iloc[:, k]] for k in range(frame.shape[1])})
+    cells = tuple([cell_text(v) for v in frame.iloc[:, k]] for k in range(frame.shape[1]))
     names = tuple(str(c) for c in frame.columns)
     return Block(
         path, names, tuple(units.get(n, "") for n in names), cells,
@@ -70,7 +70,7 @@ def of_frame(path: Path, frame: pd.DataFrame, units: dict[str, str], about: str,
     )  # fmt: skip
 
 
-def _cell(value: object) -> str:
+def cell_text(value: object) -> str:
     """A value as text that reads back equal; empty for a missing one."""
     if value is None or value is pd.NaT or (isinstance(value, float) and math.isnan(value)):
         return ""

@@ -8,7 +8,7 @@ import pandas as pd
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.templates.loggers.block import Block, of_frame
+from sim_heating.templates.loggers.block import Block, cell_text, of_frame
 
 KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
 """First bytes -> kind of file."""
@@ -58,9 +58,7 @@ def _workbook(path: Path, sheet: str | None) -> list[list[str]]:
         if table.size
     }
     name = _chosen(path, "sheet", [str(s) for s in sheets], sheet)
-    from sim_heating.templates.loggers.block import _cell
-
-    return [[_cell(v) for v in row] for row in sheets[name].itertuples(index=False)]
+    return [[cell_text(v) for v in row] for row in sheets[name].itertuples(index=False)]
 
 
 def _tdms(path: Path, group: str | None) -> Block:

@@ -76,7 +76,7 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
     if len(evidence) > 1:
         row, k = max(evidence.values())
         other = min(evidence.values())
-        cells = f"`{block.cells.iat[row, k]}`" + (f" and `{block.cells.iat[other[0], k]}`" if other[0] >= 0 else "")
+        cells = f"`{block.cells[k][row]}`" + (f" and `{block.cells[other[1]][other[0]]}`" if other[0] >= 0 else "")
         raise InputError(
             f"{block.at(row, block.names[k])}: {cells} do not have one decimal sign; state it, --decimal . or --decimal ,"
         )
@@ -87,7 +87,7 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
         return Signs(".", blank)
     for sign, (row, k) in open_cells.items():
         if sign == "," or _may_be_thousands(block, columns):
-            cell = block.cells.iat[row, k]
+            cell = block.cells[k][row]
             other = "." if sign == "," else ","
             whole = re.sub(r"[.,]", "", cell)
             raise InputError(

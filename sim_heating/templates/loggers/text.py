@@ -8,8 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, read_text
 from sim_heating.base.files.text import abbreviated
@@ -120,6 +118,8 @@ def split_line(line: str, sign: str) -> list[str]:
         cells = next(csv.reader([line.strip() if sign != "\t" else line], delimiter=sign, skipinitialspace=True))
     else:
         cells = line.split(sign)
+        if " " not in line and "\t" not in line and "\u00a0" not in line:
+            return cells
     return [cell.strip() for cell in cells]
 
 
@@ -204,15 +204,15 @@ def rows_block(
         if len(cells) != width and (len(cells) < width or any(cells[width:])):
             rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
             raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
-    cells = pd.DataFrame([split[k][1][:width] for k in body], columns=range(width), dtype=object)
-    while width > 1 and not any(cells[width - 1]) and not _named_cell(split, first, width - 1):
-        cells = cells.drop(columns=width - 1)  # a separator ends each line
+    columns = [list(c) for c in zip(*(split[k][1][:width] for k in body), strict=True)]
+    while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
+        columns.pop()  # a separator ends each line
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
     words = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
     said = [recorder, f"cells separated by {words}" if words else ""]
     return Block(
-        path, tuple(names), tuple(units), cells, tuple(split[k][0] for k in body), sign, "", names_line,
+        path, tuple(names), tuple(units), tuple(columns), tuple(split[k][0] for k in body), sign, "", names_line,
         ", ".join(part for part in said if part), tuple(notes),
     )  # fmt: skip
 
@@ -368,7 +368,7 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
         names = ["X_Value", *names[1:]] if not rows[0][1][0] else ["X_Value", *names]
         rows = [(i, [repr(step[0] * k).replace(".", decimal), *(c[1:] if not c[0] else c)]) for k, (i, c) in enumerate(rows)]
         units[0], width = "s", len(names[:width])
-    cells = pd.DataFrame([_filled(c, width) for _, c in rows], columns=range(width), dtype=object)
+    cells = tuple(list(c) for c in zip(*(_filled(c, width) for _, c in rows), strict=True))
     return Block(
         path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign, decimal, names_line,
         f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
