@@ -1,7 +1,7 @@
 """Columns and units of a file from a data logger or a spreadsheet: what the file states is used or refused.
 
-Text, Parquet, Excel and TDMS become rows of cells (`loggers`); here they become a time, temperatures and heat fluxes, with
-the reason of each choice. What a file does not state at all, such as a unit, is guessed with a warning where the
+Text, Parquet, Excel and TDMS become rows of cells (`loggers`); here they become a time, temperatures and heat fluxes,
+with the reason of each choice. What a file does not state at all, such as a unit, is guessed with a warning where the
 readings tell it, and asked for where they do not.
 """
 
@@ -43,9 +43,9 @@ SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
-    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|ms|msecs?|millis|milliseconds?|us|micros|s|h|min|sekunden)([^a-z].*)?$"),
+    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sekunden)([^a-z].*)?$"),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|channel|pyro|^k\d+$|^chan"),
+    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )  # fmt: skip
 """Patterns of the names of columns, without their units; the first that fits holds."""
@@ -58,6 +58,8 @@ UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigm
 """Pattern of the names of columns that hold the uncertainty of others."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|excel.*|unix.*|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
+RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
+"""Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
 ROOM_K, ROOM_C = (275.0, 320.0), (5.0, 40.0)
 """First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
 UNIX_S = (9.4e8, 4.1e9)
@@ -234,7 +236,7 @@ def read_measured_csv(
     found = MeasuredCsv(
         path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
         "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
-        _stated(chosen, block, signs, columns), (*block.notes, *notes, *more),
+        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *more),
     )  # fmt: skip
     found = _with_distinct_times(found, chosen.repeated)
     _warn_of_guesses(found, kinds)
@@ -263,7 +265,11 @@ def _long_as_wide(block: Block) -> Block:
     raises : InputError where a sensor has two readings at one time
     """
     width = len(block.names)
-    texts = [k for k in range(width) if not any(is_number(c) or is_clock(c) for c in block.column(k)[:200]) and any(block.column(k)[:200])]
+    texts = [
+        k
+        for k in range(width)
+        if not any(is_number(c) or is_clock(c) for c in block.column(k)[:200]) and any(block.column(k)[:200])
+    ]
     labels = [
         k for k in texts
         if re.search(r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag", block.names[k])
@@ -288,7 +294,9 @@ def _long_as_wide(block: Block) -> Block:
         row = rows.setdefault(stamp, {})
         first.setdefault(stamp, i)
         if name in row:
-            raise InputError(f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one")
+            raise InputError(
+                f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one"
+            )
         row[name] = value[i]
     by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items())
     cells = tuple(list(c) for c in zip(*by_row, strict=True))
@@ -313,8 +321,10 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         name, own = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
         if own and not re.search(r"[\[(<,/]", head) and converted(own, "s") and not re.search(HEADS[0][1], name):
             name, own = head, ""  # T_s is a surface, and no time
+        if not own and (raw := re.fullmatch(RAW, name)):
+            name, own = raw[1], raw[2]
         names.append(name if name not in names else f"{name} {k + 1}")
-        stated.append(unit or own)
+        stated.append(unit.strip("-") or own)
     clocks = [k for k in range(len(names)) if _mostly(block.column(k), is_clock)]
     signs = number_signs(block, [k for k in range(len(names)) if k not in clocks], chosen.decimal)
     heads = []
@@ -369,7 +379,11 @@ def _joined_dates(block: Block, heads: list[_Head], chosen: LoggerLayout) -> lis
         part = ms.numbers.values
         whole = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
         if whole and np.all((part >= 0.0) & (part < 1000.0)) and np.any(np.diff(clock_head.clock.seconds) == 0.0):
-            clock = replace(clock_head.clock, seconds=clock_head.clock.seconds + part / 1e3, layout=f"{clock_head.clock.layout}, ms in `{ms.name}`")
+            clock = replace(
+                clock_head.clock,
+                seconds=clock_head.clock.seconds + part / 1e3,
+                layout=f"{clock_head.clock.layout}, ms in `{ms.name}`",
+            )
             joined = [replace(h, clock=clock) if h is clock_head else h for h in joined]
     return joined
 
@@ -383,7 +397,8 @@ def _column(head: _Head) -> CsvColumn:
     count = int(np.count_nonzero(np.isfinite(values)))
     full = sum(bool(c) for c in head.cells)
     is_time = re.search(HEADS[0][1], name) is not None or re.search(HEADS[1][1], name) is not None
-    if not is_time and (count == 0 or 2 * count < full):
+    is_named = any(re.search(pattern, name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
+    if not is_time and (count == 0 or 2 * count < full) and not (is_named and head.numbers.torn >= 0):
         return CsvColumn(name, UNUSED, "", values, "most cells hold no number" if full else "all cells are empty")
     lost = len(values) - count
     words = sorted(head.numbers.words)[:2]
@@ -421,7 +436,9 @@ def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> 
     """Columns of the kinds that a stated layout declares; others are not used."""
     if not layout.column:
         return columns
-    found = [replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns]
+    found = [
+        replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns
+    ]
     for declared in layout.column:
         k = _named(path, columns, declared.name, "--layout: column")
         unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[declared.kind]) else ""
@@ -481,7 +498,8 @@ def _time(
         head = by_name[unread[0].name]
         i = next((i for i, c in enumerate(head.cells) if c), 0)
         raise InputError(
-            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is in no layout of a time that is read; write it as "
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is in no layout of a time that is "
+            "read; write it as "
             "2024-05-03T10:45:00 or in seconds, or give --period 0.1s between rows"
         )
     first = next((c for c in columns if c.kind == UNUSED and c.reason.startswith("name and unit")), None)
@@ -526,7 +544,8 @@ def _warn_of_an_hour(block: Block, name: str, t: FloatArray) -> None:
     jumps = np.flatnonzero(np.abs(steps - usual - 3600.0) < 1e-3 * max(usual, 1.0))
     if len(jumps) == 1 and usual < 600.0 and np.sum(np.abs(steps - usual) > 0.1 * usual) == 1:
         warnings.warn(
-            f"{block.at(int(jumps[0]) + 1, name)}: the clock jumps by an hour, as where summer time begins; correct the stamps "
+            f"{block.at(int(jumps[0]) + 1, name)}: the clock jumps by an hour, as where summer time begins; "
+            "correct the stamps "
             "where it does",
             stacklevel=2,
         )
@@ -547,7 +566,9 @@ def _number_time(
         if unit in CLOCKS:
             cell = next(c for c in head.cells if c)
             raise InputError(f"--time-unit {unit}: `{cell}` in {place} is no such clock; give s, ms, min or h")
-        _warn_of_other_unit(block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit")
+        _warn_of_other_unit(
+            block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit"
+        )
         found, guess, reason = unit, "", f"{column.reason}; --time-unit"
     elif stated and converted(stated, "s") is not None:
         found, guess, reason = stated, "", column.reason
@@ -560,7 +581,7 @@ def _number_time(
     known = np.flatnonzero(np.isfinite(values))
     first = float(values[known[0]])
     unix = found != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if found == "day" and not stated and chosen.time_unit is None or unix:
+    if (found == "day" and not stated and chosen.time_unit is None) or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
         zero = scale(first) if unix else (first - 25569.0) * 86400.0
@@ -570,7 +591,9 @@ def _number_time(
     bad = known[(scale.factor * values[known] < low) | (scale.factor * values[known] > high)]
     if len(bad):
         i = int(bad[0])
-        raise InputError(f"{block.at(i, head.name)}: `{head.cells[i]}` in {found} {rule}; state its unit, --time-unit ms")
+        raise InputError(
+            f"{block.at(i, head.name)}: `{head.cells[i]}` in {found} {rule}; state its unit, --time-unit ms"
+        )
     return replace(column, kind=TIME, values=values, unit=found, reason=reason, guess=guess), None, []
 
 
@@ -586,7 +609,8 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if step < SHORTEST_STEP_S or step > LONGEST_STEP_S:
         raise InputError(
-            f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are hardly s; state it, "
+            f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are "
+            "hardly s; state it, "
             f"--time-unit {'ms' if step > LONGEST_STEP_S else 'min'}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
@@ -622,7 +646,8 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
         hour = abs(steps[back[0] - 1] + 3600.0) < 1800.0
         help_ = "as where summer time ends: write UTC offsets" if hour else "sort the rows"
         raise InputError(
-            f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, {-steps[back[0] - 1]:g} s "
+            f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
+            f"{-steps[back[0] - 1]:g} s "
             f"earlier; {help_}, or give --period{more}"
         )
     held = np.flatnonzero(steps == 0.0) + 1
@@ -631,7 +656,8 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
     if repeated is None:
         more = f" (and {held.size - 1} more rows)" if held.size > 1 else ""
         raise InputError(
-            f"{found.line(int(held[0]))}, column {clock.name}: does not come after the row above, but has its time; state "
+            f"{found.line(int(held[0]))}, column {clock.name}: does not come after the row above, but has "
+            "its time; state "
             f"--repeated spread (even until the next time) or --repeated first (keep the first), or give --period{more}"
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
@@ -678,21 +704,29 @@ def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayou
     if head.numbers.torn >= 0:
         i = head.numbers.torn
         raise InputError(
-            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is no number in the layout of the file; mend the cell, "
-            "or state --decimal or --separator"
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is no number in the layout of the "
+            "file; mend the cell, "
+            "state --decimal or --separator, or name the columns that are read, --temperature COLUMN"
         )
     declared = next((c.unit for c in layout.column if c.name == column.name and c.unit), None)
     unit = declared or (chosen.temperature_unit if kind == TEMPERATURE else chosen.flux_unit)
     if unit is not None:
         if converted(unit, si) is None:
-            raise InputError(f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}")
+            raise InputError(
+                f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}"
+            )
+        if unit == declared and column.unit and converted(column.unit, si) != converted(unit, si):
+            raise InputError(
+                f"{file}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct the layout"
+            )
         _warn_of_other_unit(block.path, column, unit, option)
         return replace(column, unit=unit, reason=f"{column.reason}; {option}")
     if column.unit:
         return column
-    if head.stated and not re.fullmatch(REMARK, head.stated.strip()):
+    stated = head.stated or head.numbers.unit
+    if stated and not re.fullmatch(REMARK, stated.strip()):
         raise InputError(
-            f"{file}, column {column.name}: `{head.stated}` is not a unit of {kind} that is known; state it, "
+            f"{file}, column {column.name}: `{stated}` is not a unit of {kind} that is known; state it, "
             f"{UNIT_OPTIONS[kind]}, or name the columns that are read, --temperature COLUMN"
         )
     return column
@@ -716,7 +750,8 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
         else:
             odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
             raise InputError(
-                f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is known; state it, "
+                f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is "
+                "known; state it, "
                 "--temperature-unit degC"
             )
     return [_with_guess(c, unit, starts.get(c.name)) if c in open_ else c for c in columns]
@@ -759,7 +794,9 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
     if coded.any():
         shown = Counter(f"{v:g}" for v in values[coded])
         reason += "; lost: " + ", ".join(f"{n} of {code}" for code, n in shown.items())
-        overload = [int(i) for i in np.flatnonzero(coded & ~lost_codes(np.where(np.abs(values) >= 1e30, 0.0, values), codes))]
+        overload = [
+            int(i) for i in np.flatnonzero(coded & ~lost_codes(np.where(np.abs(values) >= 1e30, 0.0, values), codes))
+        ]
         values[coded] = np.nan
         if overload:
             _warn_of_rows(block, column.name, overload, column.values, "is the overload of a recorder: left out")
@@ -770,17 +807,30 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
         if len(kinds) > 2 or len(wrong) > 0.5 * max(np.count_nonzero(np.isfinite(si)), 1):
             i = int(wrong[0])
             raise InputError(
-                f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature of a wall; state the "
+                f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature "
+                "of a wall; state the "
                 f"unit, --temperature-unit, or the readings of a lost sample, --lost={values[i]:g}"
             )
         if len(wrong):
-            _warn_of_rows(block, column.name, [int(i) for i in wrong], values, "is no temperature and taken for the code of a lost sample: left out")
+            _warn_of_rows(
+                block,
+                column.name,
+                [int(i) for i in wrong],
+                values,
+                "is no temperature and taken for the code of a lost sample: left out",
+            )
             reason += "; lost: " + ", ".join(f"{int(np.sum(values[wrong] == k))} of {k:g}" for k in kinds)
             values[wrong] = np.nan
         odd = far_off(values)
         faults = np.flatnonzero(odd & np.isin(values, FAULTS))
         if len(faults):
-            _warn_of_rows(block, column.name, [int(i) for i in faults], values, "lies far off its neighbours and is a code of recorders in fault: left out")
+            _warn_of_rows(
+                block,
+                column.name,
+                [int(i) for i in faults],
+                values,
+                "lies far off its neighbours and is a code of recorders in fault: left out",
+            )
             reason += f"; {len(faults)} readings of a fault left out"
             values[faults] = np.nan
     return replace(column, values=values, reason=reason)
@@ -804,7 +854,8 @@ def _name_far_off(found: MeasuredCsv) -> None:
             shown = ", ".join(f"{column.values[i]:g}" for i in rows[:NAMED_ROWS])
             plural = "rows" if len(rows) > 1 else "row"
             warnings.warn(
-                f"{display_path(found.path)}, {plural} {where}{more}, column {column.name}: {shown} {column.unit} lies far off its "
+                f"{display_path(found.path)}, {plural} {where}{more}, column {column.name}: {shown} "
+                f"{column.unit} lies far off its "
                 f"neighbours and stays; leave it out by --lost={column.values[rows[0]]:g} where it is no reading",
                 stacklevel=2,
             )
@@ -825,7 +876,9 @@ def _rows_kept(
         return columns, block.lines, []
     # a lost sample of all sensors between others is kept as such
     ends = blank[(blank < rows[0]) | (blank > rows[-1])]
-    marked = [i for i in blank if all(not block.cells[k][i] for k in range(len(block.names)) if _is_used(block, k, used))]
+    marked = [
+        i for i in blank if all(not block.cells[k][i] for k in range(len(block.names)) if _is_used(block, k, used))
+    ]
     out = sorted({int(i) for i in ends} & {int(i) for i in marked})
     if not out:
         return columns, block.lines, []
@@ -839,25 +892,36 @@ def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
     return any(c.name in (bare, block.names[k]) for c in used)
 
 
-def _stated(chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn]) -> LoggerLayout:
-    """The layout as it was read."""
+def _stated(
+    chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn], heads: Sequence[_Head]
+) -> LoggerLayout:
+    """The layout as it was read: units where the file states none itself, which each file may state anew."""
     clock = next(c for c in columns if c.kind == TIME)
-    numbers = {"separator": block.separator or None, "decimal": signs.decimal if block.separator else None}
-    unit = chosen.time_unit or (clock.unit if "counted from" not in clock.reason else None)
-    order = chosen.dates or next((o for o, words in ORDERS.items() if f"dates {words}" in clock.reason), None)
-    names = {h for h in block.names}
+    own = {h.name: h.stated or h.numbers.unit for h in heads}
+    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(own.get(c.name, ""), SI_UNITS[c.kind])}
     used = [
-        LayoutColumn(name=c.name, kind="temperature" if c.kind == TEMPERATURE else "heat flux", unit=c.unit)
+        LayoutColumn(
+            name=c.name,
+            kind="temperature" if c.kind == TEMPERATURE else "heat flux",
+            unit=None if c.name in has_own else c.unit,
+        )
         for c in columns
         if c.kind in (TEMPERATURE, FLUX) and c.unit
     ]
-    has_column = chosen.period_s is None and bool(names)
+    is_clock_time = "counted from" in clock.reason
+    order = next((o for o, words in ORDERS.items() if f"dates {words}" in clock.reason), None)
     return chosen.model_copy(
         update={
-            **numbers, "dates": order, "time": clock.name if has_column and block.has_names else chosen.time, "time_unit": unit if has_column else None,
-            "column": used, "temperature_unit": None, "flux_unit": None,
+            "separator": block.separator or None,
+            "decimal": signs.decimal if block.separator else None,
+            "dates": chosen.dates or (order if order != "year-first" else None),
+            "time": clock.name if chosen.period_s is None and block.has_names else None,
+            "time_unit": chosen.time_unit or (None if is_clock_time or clock.name in has_own else clock.unit),
+            "column": used if block.has_names else [],
+            "temperature_unit": None if block.has_names else chosen.temperature_unit,
+            "flux_unit": None if block.has_names else chosen.flux_unit,
         }
-    )  # fmt: skip
+    )
 
 
 def lost_values(text: str) -> tuple[float, ...]:

@@ -11,6 +11,8 @@ from sim_heating.base.limits import quantity as range_of
 
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number, with a decimal point or a decimal comma."""
+
+
 def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> float:
     """A number with a unit in SI units. Only a 0 may stand without one, where it is the same in all units.
 

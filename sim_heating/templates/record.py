@@ -545,9 +545,7 @@ def like_record(
     for column in columns:
         depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
         noise = noise_K if noise_K is not None or column.name not in known else known[column.name].noise_sigma_K
-        sensors.append(
-            Sensor(name=column.name, column=_column_name(column.name), depth_m=depth, noise_sigma_K=noise)
-        )
+        sensors.append(Sensor(name=column.name, column=_column_name(column.name), depth_m=depth, noise_sigma_K=noise))
         notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
         if noise is not None and noise_K is None:
             notes.append(f"noise of {column.name} {noise:g} K, as in {model.name}; --noise states that of yours")

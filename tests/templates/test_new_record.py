@@ -104,7 +104,11 @@ def test_a_lamp_of_unknown_flux_is_estimated() -> None:
 )
 def test_separators_units_and_clocks_of_loggers_are_recognised(text: str, last_s: float, last_K: float | None) -> None:
     Path("t.csv").write_text(text, encoding="utf-8")
-    guessed = pytest.warns(UserWarning, match="no unit is stated") if not re.search("_K|°C|F|/K|2024-05", text) else nullcontext()
+    guessed = (
+        pytest.warns(UserWarning, match="no unit is stated")
+        if not re.search("_K|°C|F|/K|2024-05", text)
+        else nullcontext()
+    )
     with guessed:
         found = read_measured_csv(Path("t.csv"), temperatures=("column2",) if last_K is None else ())
     assert found.of_kind(TIME)[0].si[-1] == pytest.approx(last_s)
@@ -114,7 +118,7 @@ def test_separators_units_and_clocks_of_loggers_are_recognised(text: str, last_s
 
 def test_a_guess_is_shown_with_its_reason_and_an_option_prevails() -> None:
     Path("t.csv").write_text("t,plate,q\n0,20,0.0\n1,21,20.0\n2,22,20.0\n")
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning, match="no unit is stated") as told:
         guessed = {c.name: c for c in read_measured_csv(Path("t.csv")).columns}
     assert [str(w.message) for w in told] == [
         "t.csv, column t: no unit is stated: s assumed (--time-unit)",

@@ -48,7 +48,9 @@ TIME = (
 BASIC_TIME = r"(?P<bt>\d{4}(?:\d{2})?)(?:[.,](?P<bf>\d{1,9}))?"
 HALF = r"(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 OFFSET = r"(?: ?(?P<zone>[A-Za-z]{1,4})?(?P<offset>[+\u2212-]\d{2}(?::?\d{2})?)?)"
-STAMP = re.compile(rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{4}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?")
+STAMP = re.compile(
+    rf"'?(?:[A-Za-z]{{2,9}},? +)?{DATE}(?:(?:[T_-]|,? +|(?<=\d{{4}}):)(?:{TIME}|{BASIC_TIME}){HALF}{OFFSET})?"
+)
 OF_DAY = re.compile(rf"'?{TIME}{HALF}{OFFSET}")
 ALL_BASIC = re.compile(r"(?:19|20)\d{12}(?:[.,]\d+)?")
 """Date and time as one number, yyyymmddhhmmss."""
@@ -91,14 +93,20 @@ def clock_of(cells: Sequence[str], place: str, dates: str | None = None, unit: s
         hit = found.notna()
         if hit.sum() > 0.5 * full.sum():
             parts = {
-                name: [m[name] if m is not None else None for m in found.where(hit, None)] for name in pattern.groupindex
+                name: [m[name] if m is not None else None for m in found.where(hit, None)]
+                for name in pattern.groupindex
             }
             return _clock(parts, np.asarray(hit), series, place, dates, unit)
     return None
 
 
 def _clock(
-    parts: dict[str, list[str | None]], hit: np.ndarray, cells: pd.Series, place: str, dates: str | None, unit: str | None
+    parts: dict[str, list[str | None]],
+    hit: np.ndarray,
+    cells: pd.Series,
+    place: str,
+    dates: str | None,
+    unit: str | None,
 ) -> Clock:
     rows = np.flatnonzero(hit)
     time_s, has_time, words = _time_of_day(parts, rows, cells, place, unit)
@@ -138,9 +146,12 @@ def _time_of_day(
     half = np.array([(parts["half"][i] or "").lower() for i in rows])
     has_date = "a" in parts
     if np.any(third != third[0]) or np.any(fourth != fourth[0]):
-        mixed = next(i for i, k in zip(rows, third if np.any(third != third[0]) else fourth, strict=True) if k != third[0])
+        mixed = next(
+            i for i, k in zip(rows, third if np.any(third != third[0]) else fourth, strict=True) if k != third[0]
+        )
         raise InputError(
-            f"{place}: `{cells[mixed]}` has another layout than `{cells[rows[0]]}`; one file has one layout of its clock"
+            f"{place}: `{cells[mixed]}` has another layout than `{cells[rows[0]]}`; one file has one layout "
+            "of its clock"
         )
     words = "clock hh:mm:ss"
     if fourth[0]:
@@ -148,7 +159,9 @@ def _time_of_day(
         digits = {len(parts["x"][i] or "") for i in rows}
         is_ms = unit == "hh:mm:ss:ms" or (unit != "dd:hh:mm:ss" and (3 in digits or x.max() > 59.0))
         is_days = unit == "dd:hh:mm:ss" or (
-            not is_ms and not has_date and (any(parts["f"][i] for i in rows) or any(len(parts["h"][i] or "") == 3 for i in rows))
+            not is_ms
+            and not has_date
+            and (any(parts["f"][i] for i in rows) or any(len(parts["h"][i] or "") == 3 for i in rows))
         )
         if not is_ms and not is_days:
             raise InputError(
@@ -170,7 +183,8 @@ def _time_of_day(
             words = "clock hh:mm"
         elif unit in (None, *CLOCKS):
             raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be hours and minutes or minutes and seconds; state --time-unit hh:mm or "
+                f"{place}: `{cells[rows[0]]}` may be hours and minutes or minutes and seconds; state "
+                "--time-unit hh:mm or "
                 "--time-unit mm:ss"
             )
     if np.any(b > 59.0) and words != "clock mm:ss":
@@ -204,7 +218,12 @@ def _offsets(parts: dict[str, list[str | None]], rows: np.ndarray) -> tuple[Floa
 
 
 def _days(
-    parts: dict[str, list[str | None]], rows: np.ndarray, time_s: FloatArray, cells: pd.Series, place: str, dates: str | None
+    parts: dict[str, list[str | None]],
+    rows: np.ndarray,
+    time_s: FloatArray,
+    cells: pd.Series,
+    place: str,
+    dates: str | None,
 ) -> tuple[FloatArray, str]:
     """Days since 1970, and the order of the dates in words."""
     if parts["basic"][rows[0]]:
@@ -241,7 +260,8 @@ def _days(
     valid = {order: day for order, day in days.items() if not np.any(np.isnan(day))}
     if not valid:
         raise InputError(
-            f"{place}: `{_odd_date(a, b, rows, cells)}` has no order of day and month that all dates have; mend the dates"
+            f"{place}: `{_odd_date(a, b, rows, cells)}` has no order of day and month that all dates have; "
+            "mend the dates"
         )
     # readings between which the times do not tell are one, as where all rows are of one day
     distinct: list[str] = []
@@ -256,7 +276,9 @@ def _days(
         usual = [o for o, step in steps.items() if np.all(step > -DAY_S / 24.0) and np.all(step <= LONGEST_STEP_S)]
         if len(usual) != 1:
             options = " or ".join(f"--dates {o}" for o in distinct)
-            raise InputError(f"{place}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}")
+            raise InputError(
+                f"{place}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}"
+            )
         distinct = usual
     return valid[distinct[0]], ORDERS[distinct[0]] if told else ANY_ORDER
 

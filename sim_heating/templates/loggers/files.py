@@ -36,7 +36,9 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
         return _tdms(path, sheet) if kind == "tdms" else _workbook(path, sheet)
     except ImportError:
         library = LIBRARIES[kind]
-        raise InputError(f"{display_path(path)}: needs {library}; pip install {library}, or export a CSV file") from None
+        raise InputError(
+            f"{display_path(path)}: needs {library}; pip install {library}, or export a CSV file"
+        ) from None
     except InputError:
         raise
     except Exception as error:  # each library has its own
@@ -86,7 +88,9 @@ def _tdms(path: Path, group: str | None) -> Block:
 
 def _chosen(path: Path, what: str, names: list[str], chosen: str | None) -> str:
     if chosen is not None and chosen not in names:
-        raise InputError(f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}")
+        raise InputError(
+            f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}"
+        )
     if chosen is None and len(names) != 1:
         known = ", ".join(names) or "none with cells"
         raise InputError(f"{display_path(path)}: has {len(names)} {what}s ({known}); choose one, --sheet NAME")

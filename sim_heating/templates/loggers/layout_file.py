@@ -45,8 +45,12 @@ class LoggerLayout(Declared):
 
     format: Literal["logger-layout/1"] = "logger-layout/1"
     title: str = Field(default="", description="which recorder, in words")
-    separator: str | None = Field(default=None, min_length=1, max_length=1, description="between cells; a blank for any number of blanks")
-    decimal: Literal[".", ","] | None = Field(default=None, description="decimal sign; the other one is that of thousands")
+    separator: str | None = Field(
+        default=None, min_length=1, max_length=1, description="between cells; a blank for any number of blanks"
+    )
+    decimal: Literal[".", ","] | None = Field(
+        default=None, description="decimal sign; the other one is that of thousands"
+    )
     dates: Literal["day-first", "month-first", "year-first"] | None = Field(
         default=None, description="order of dates as 03/05/2024"
     )

@@ -78,7 +78,8 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
         other = min(evidence.values())
         cells = f"`{block.cells[k][row]}`" + (f" and `{block.cells[other[1]][other[0]]}`" if other[0] >= 0 else "")
         raise InputError(
-            f"{block.at(row, block.names[k])}: {cells} do not have one decimal sign; state it, --decimal . or --decimal ,"
+            f"{block.at(row, block.names[k])}: {cells} do not have one decimal sign; state it, --decimal . "
+            "or --decimal ,"
         )
     if evidence:
         sign = next(iter(evidence))
@@ -91,7 +92,8 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
             other = "." if sign == "," else ","
             whole = re.sub(r"[.,]", "", cell)
             raise InputError(
-                f"{block.at(row, block.names[k])}: `{cell}` may be {whole} or {cell.replace(',', '.')}; state the decimal "
+                f"{block.at(row, block.names[k])}: `{cell}` may be {whole} or {cell.replace(',', '.')}; "
+                "state the decimal "
                 f"sign, --decimal {other} for {whole}, --decimal {sign} for {cell.replace(',', '.')}"
             )
     return Signs(".", blank)
@@ -109,7 +111,11 @@ def _sign_of(cell: str) -> tuple[bool, str] | None:
         return None
     last = signs[-1]
     if len(set(signs)) == 2:
-        return (True, last) if signs.count(last) == 1 and re.fullmatch(r"[+-]?\d{1,3}(?:[.,]\d{3})+[.,]\d*", text) else None
+        return (
+            (True, last)
+            if signs.count(last) == 1 and re.fullmatch(r"[+-]?\d{1,3}(?:[.,]\d{3})+[.,]\d*", text)
+            else None
+        )
     other = "." if last == "," else ","
     if len(signs) > 1:
         return (True, other) if re.fullmatch(GROUPED.format(re.escape(last)), text) else None
@@ -137,7 +143,9 @@ def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
         cells = [c for c in map(_bare, block.column(k)) if c]
         pointed = [c for c in cells if "." in c]
         whole = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
-        if pointed and (max(whole, default=0.0) >= 100.0 or all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed)):
+        if pointed and (
+            max(whole, default=0.0) >= 100.0 or all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed)
+        ):
             return True
     return False
 
@@ -185,10 +193,21 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
         else:
             values[i] = value
             units.add(unit)
+    if (
+        len(units) == 2
+        and "" in units
+        and all(_is_code(values[i]) for i, c in enumerate(cells) if c and not known[c][1])
+    ):
+        units.discard("")  # the code of a lost sample states no unit
     if len(units) > 1:
         torn = torn if torn >= 0 else next(i for i, c in enumerate(cells) if c and known[c][1] != known[cells[0]][1])
     unit = next(iter(units)) if len(units) == 1 else ""
     return Numbers(values, unit, tuple(words), torn)
+
+
+def _is_code(value: float) -> bool:
+    """Whether a number may be a recorder's code of a lost sample: an overload, or a row of nines."""
+    return math.isnan(value) or abs(value) >= 1e30 or re.fullmatch(r"-9{2,5}(?:\.9{1,2}|\.0)?", f"{value}") is not None
 
 
 def _read(cell: str, pattern: re.Pattern[str], drop: dict[int, int | None], decimal: str) -> tuple[float, str]:

@@ -4,7 +4,8 @@ A reading is far off where it lies outside those of its six neighbours by more t
 such distances (1.4826 times their median) and by more than those neighbours differ among themselves.
 
 source of the scale: Huber, Robust Statistics, section 5.1 (median absolute deviation); fault words: Keysight 34970A
-user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an open input), DS18B20 (85 degC at power on)
+user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an open input), DS18B20 (85 degC at power
+on)
 """
 
 from __future__ import annotations
@@ -17,7 +18,22 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 
 OVERLOAD = 1e30
 """A larger magnitude is the overload of a recorder, in any unit."""
-FAULTS = (2048.0, 2047.0, 2047.75, 2047.9375, 0.0, 85.0, -127.0, 1372.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, 1370.0)
+FAULTS = (
+    2048.0,
+    2047.0,
+    2047.75,
+    2047.9375,
+    0.0,
+    85.0,
+    -127.0,
+    1372.0,
+    32767.0,
+    -32768.0,
+    65535.0,
+    6553.5,
+    3276.7,
+    1370.0,
+)
 """Readings that stand for a fault where they lie far off their neighbours."""
 SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
 """Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
@@ -44,7 +60,8 @@ def far_off(values: FloatArray) -> BoolArray:
     middle = np.nanmedian(around, axis=0)
     ordered = np.sort(around, axis=0)  # NaN beyond the ends last
     count = np.sum(np.isfinite(around), axis=0)
-    # without the most extreme one, which may be another bad reading; at the ends neighbours stand on one side, and count
+    # without the most extreme one, which may be another bad reading; at the ends neighbours stand on one side, and
+    # count
     inner = count == 2 * SIDE
     low = np.where(inner, ordered[1], ordered[0])
     high = ordered[np.where(inner, count - 2, count - 1), np.arange(len(v))]

@@ -29,7 +29,7 @@ SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
 """Words of a row that states how a logger reduced its samples."""
-NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|flux|plate"
+NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
 """Words by which a row is one of names."""
 TRAILER_LINES = 30
 """Most lines behind the data that may be a summary."""
@@ -73,7 +73,9 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     if monitored:
         recorder = "serial monitor"
     if not numbered:
-        raise InputError(f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures")
+        raise InputError(
+            f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
+        )
     sign = separator or _separator(numbered)
     split = [(i, split_line(line, sign)) for i, line in numbered]
     return rows_block(path, split, sign, recorder=recorder, lines=dict(numbered))
@@ -152,9 +154,9 @@ def _is_torn(cell: str, sign: str) -> bool:
         return True
     if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
         return False
-    if sign == "," and CLOCK_CELL.fullmatch(cell):
-        return re.search(r":\d{2}(?:\.\d+)?\s+[\d+-][\d.]*$", cell) is not None
-    return SEVERAL.fullmatch(cell) is not None
+    if CLOCK_CELL.fullmatch(cell):
+        return re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
+    return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
 
 
 def is_number(cell: str) -> bool:
@@ -175,7 +177,12 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def rows_block(
-    path: Path, split: list[tuple[int, list[str]]], sign: str, *, recorder: str = "", lines: dict[int, str] | None = None
+    path: Path,
+    split: list[tuple[int, list[str]]],
+    sign: str,
+    *,
+    recorder: str = "",
+    lines: dict[int, str] | None = None,
 ) -> Block:
     """The block of rows of cells, in which names, units, data and trailer are yet to be told apart.
 
@@ -249,7 +256,12 @@ def _last_row(split: list[tuple[int, list[str]]], first: int, width: int) -> int
     while last > first:
         cells = split[last][1]
         lead = next((c for c in cells if c), "")
-        if len(cells) >= width and _is_data(cells) and (named or not re.match(r"[A-Za-z]", lead)) and not _is_comment(cells):
+        if (
+            len(cells) >= width
+            and _is_data(cells)
+            and (named or not re.match(r"[A-Za-z]", lead))
+            and not _is_comment(cells)
+        ):
             break
         last -= 1
     return last
@@ -270,7 +282,9 @@ def _head(
         names, units = (_filled(split[k][1], width) for k in (1, 2))
         return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
     above = [(split[k][0], _head_cells(split[k], width, lines)) for k in range(first - 1, max(first - 5, -1), -1)]
-    rows = [(line, _filled(cells, width)) for line, cells in above if len(cells) == width or _is_padded_head(cells, width)]
+    rows = [
+        (line, _filled(cells, width)) for line, cells in above if len(cells) == width or _is_padded_head(cells, width)
+    ]
     if above and above[0][1] not in [_trimmed(cells) for _, cells in rows] and len(above[0][1]) != width:
         line, cells = above[0]
         if len(cells) > 1 and any(re.search(NAME_WORDS, c) for c in cells) and not _is_padded_head(cells, width):
@@ -280,9 +294,17 @@ def _head(
         rows = rows[1:]
     if not rows:
         return [f"column{k + 1}" for k in range(width)], none, 0
-    if len(rows) > 1 and _is_unit_row(rows[0][1]):
+    if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
         return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
     return rows[0][1], none, rows[0][0]
+
+
+def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
+    """Whether the second row above the data names a time and more, and the first one nothing: it holds units, known or
+    not."""
+    low, high = rows[0][1], rows[1][1]
+    is_named = sum(re.search(NAME_WORDS, c) is not None for c in high) >= 2
+    return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
 
 
 def _head_cells(row: tuple[int, list[str]], width: int, lines: dict[int, str] | None) -> list[str]:
@@ -323,7 +345,9 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
         return False
     usable = [any(converted(c, si) is not None for si in ("s", "K", "W/m2")) for c in full]
     known = [u or known_unit(c) is not None or _is_clock_word(c) for u, c in zip(usable, full, strict=True)]
-    return any(usable) and sum(known) >= 0.5 * len(full) and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
+    return (
+        any(usable) and sum(known) >= 0.5 * len(full) and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
+    )
 
 
 def _is_clock_word(cell: str) -> bool:
@@ -340,18 +364,22 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
     ends = [k for k, (_, line) in enumerate(numbered) if line.startswith("***End_of_Header***")]
     if not ends:
         raise InputError(f"{file}: the header of the LabVIEW file does not end; it may have been cut off")
-    sign = {"comma": ","}.get(next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t")
+    sign = {"comma": ","}.get(
+        next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t"
+    )
     if len(ends) > 2:
         raise InputError(f"{file}, row {numbered[ends[2]][0]}: a second segment begins; export each segment alone")
     for _, line in numbered[: ends[-1]]:
         key, *values = split_line(line, sign)
         header[key] = values
     if header.get("X_Columns", ["One"])[0] == "Multi":
-        raise InputError(f"{file}: X_Columns is Multi: the sensors have times of their own; export with one column of time")
+        raise InputError(
+            f"{file}: X_Columns is Multi: the sensors have times of their own; export with one column of time"
+        )
     decimal = (header.get("Decimal_Separator") or ["."])[0] or "."
     names_line, names_text = numbered[ends[-1] + 1]
     names = [n or f"column{k + 1}" for k, n in enumerate(split_line(names_text, sign))]
-    units = [""] + [v for v in header.get("Y_Unit_Label", [])]
+    units = ["", *header.get("Y_Unit_Label", [])]
     width = len(_trimmed(names))
     if names[width - 1] == "Comment":
         width -= 1
@@ -366,11 +394,13 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
             raise InputError(f"{file}: X_Dimension is {header['X_Dimension'][0]} and no time; give --period")
     elif step:
         names = ["X_Value", *names[1:]] if not rows[0][1][0] else ["X_Value", *names]
-        rows = [(i, [repr(step[0] * k).replace(".", decimal), *(c[1:] if not c[0] else c)]) for k, (i, c) in enumerate(rows)]
+        rows = [
+            (i, [repr(step[0] * k).replace(".", decimal), *(c[1:] if not c[0] else c)]) for k, (i, c) in enumerate(rows)
+        ]
         units[0], width = "s", len(names[:width])
     cells = tuple(list(c) for c in zip(*(_filled(c, width) for _, c in rows), strict=True))
     return Block(
-        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign, decimal, names_line,
+        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign,
+        decimal, names_line,
         f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
     )  # fmt: skip
-
