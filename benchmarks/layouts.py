@@ -182,12 +182,11 @@ def clock_cells(kind: str, rng: random.Random, decimal: str) -> tuple[list[str],
 
 
 CLOCKS = (
-    "s", "s", "s", "ms", "millis", "min", "no unit", "unix s", "unix ms", "day number", "clock", "clock "
-    "ms", "midnight", "h:m:s:ms",
-    "iso", "iso", "iso basic", "iso offset", "offset changes", "german", "am pm", "day first", "month end", "
-    ""two columns",
-    "named month", "mm:ss",
+    "s", "s", "s", "ms", "millis", "min", "no unit", "unix s", "unix ms", "day number", "clock", "clock ms", "midnight",
+    "h:m:s:ms", "iso", "iso", "iso basic", "iso offset", "offset changes", "german", "am pm", "day first", "month end",
+    "two columns", "named month", "mm:ss",
 )  # fmt: skip
+"""Layouts of the clock; those that are usual more than once."""
 
 
 def mutant(seed: int) -> Mutant:
@@ -302,7 +301,7 @@ def mutant(seed: int) -> Mutant:
     encoding = rng.choice(["utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"])
     if encoding == "cp1252" and "℃" in text:
         encoding = "utf-8"
-    truth_K = np.array(
+    truth_K: FloatArray = np.array(
         [[math.nan if gone[i, k] else TO_K[unit](float(written[i, k])) for k in (0, 1)] for i in range(ROWS)]
     )
     traits = {
@@ -311,7 +310,7 @@ def mutant(seed: int) -> Mutant:
         "clock": kind, "lost": lost, "beside": beside, "before": str(len(before)),
         "behind": str(len(behind)), "encoding": encoding,
     }  # fmt: skip
-    return Mutant(text.encode(encoding), Truth(STEP_S * np.arange(ROWS), truth_K, 0.5 * 10.0**-decimals), traits)
+    return Mutant(text.encode(encoding), Truth(np.linspace(0.0, STEP_S * (ROWS - 1), ROWS), truth_K, 0.5 * 10.0**-decimals), traits)
 
 
 def outcome(path: Path, made: Mutant) -> tuple[str, str]:

@@ -43,7 +43,7 @@ SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
 UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
     (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
-    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sekunden)([^a-z].*)?$"),
+    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*)([^a-z].*)?$"),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
     (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
@@ -56,7 +56,7 @@ COUNTER = (
 """Pattern of the names of counters, which are no time, and of alarms."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
-REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|excel.*|unix.*|avg|smp|min|max|last|ave\.?"
+REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
 RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
 """Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
@@ -513,7 +513,7 @@ def _is_read(head: _Head) -> bool:
     """Whether most cells of a column called time are numbers, or a clock in a layout that is read."""
     if head.clock is not None:
         return True
-    return np.count_nonzero(np.isfinite(head.numbers.values)) > 0.5 * max(sum(bool(c) for c in head.cells), 1)
+    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(sum(bool(c) for c in head.cells), 1)
 
 
 def _clock_time(
@@ -611,7 +611,7 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
         raise InputError(
             f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are "
             "hardly s; state it, "
-            f"--time-unit {'ms' if step > LONGEST_STEP_S else 'min'}"
+            f"--time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
         )
     return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
 
@@ -643,8 +643,12 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
     back = np.flatnonzero(steps < 0.0) + 1
     if len(back):
         more = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
-        hour = abs(steps[back[0] - 1] + 3600.0) < 1800.0
-        help_ = "as where summer time ends: write UTC offsets" if hour else "sort the rows"
+        help_ = "sort the rows"
+        if clock.reason.startswith(("clock", "dates")):
+            if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
+                help_ = "as where summer time ends: write UTC offsets"
+            elif abs(steps[back[0] - 1] + 43200.0) < 1800.0:
+                help_ = "as on a clock of 12 hours: write AM and PM"
         raise InputError(
             f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
             f"{-steps[back[0] - 1]:g} s "
@@ -804,7 +808,7 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
         si = replace(column, values=values).si
         wrong = np.flatnonzero((si < COLDEST_K) | (si > HOTTEST_K))
         kinds = sorted({float(values[i]) for i in wrong})
-        if len(kinds) > 2 or len(wrong) > 0.5 * max(np.count_nonzero(np.isfinite(si)), 1):
+        if len(kinds) > 2 or len(wrong) > 0.5 * max(int(np.count_nonzero(np.isfinite(si))), 1):
             i = int(wrong[0])
             raise InputError(
                 f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature "

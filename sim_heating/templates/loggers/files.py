@@ -49,7 +49,7 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
 def _parquet(path: Path) -> Block:
     frame = pd.read_parquet(path)
     if frame.index.name is not None or isinstance(frame.index, pd.DatetimeIndex):
-        frame = frame.rename_axis(frame.index.name or "time").reset_index()
+        frame = frame.rename_axis(str(frame.index.name or "time")).reset_index()
     return of_frame(path, frame, {}, "Parquet", 1)
 
 

@@ -66,35 +66,33 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
                 evidence.setdefault(".", (-1, k))
             continue
         for row, cell in enumerate(cells):
-            sign = _sign_of(cell)
-            if sign is None:
-                continue
-            kind, of = sign
-            (evidence if kind else open_cells).setdefault(of, (row, k))
+            shown = _sign_of(cell)
+            if shown is not None:
+                (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
     if stated is not None:
         return Signs(stated, blank or _thousands(block, columns, stated))
     if len(evidence) > 1:
         row, k = max(evidence.values())
-        other = min(evidence.values())
-        cells = f"`{block.cells[k][row]}`" + (f" and `{block.cells[other[1]][other[0]]}`" if other[0] >= 0 else "")
+        first = min(evidence.values())
+        two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first[1]][first[0]]}`" if first[0] >= 0 else "")
         raise InputError(
-            f"{block.at(row, block.names[k])}: {cells} do not have one decimal sign; state it, --decimal . "
-            "or --decimal ,"
+            f"{block.at(row, block.names[k])}: {two} do not have one decimal sign; state it, --decimal . or --decimal ,"
         )
     if evidence:
         sign = next(iter(evidence))
         return Signs(sign, blank or _thousands(block, columns, sign))
     if not open_cells:
         return Signs(".", blank)
-    for sign, (row, k) in open_cells.items():
+    for sign, at in open_cells.items():
+        row, k = at
         if sign == "," or _may_be_thousands(block, columns):
             cell = block.cells[k][row]
-            other = "." if sign == "," else ","
+            point = "." if sign == "," else ","
             whole = re.sub(r"[.,]", "", cell)
             raise InputError(
                 f"{block.at(row, block.names[k])}: `{cell}` may be {whole} or {cell.replace(',', '.')}; "
                 "state the decimal "
-                f"sign, --decimal {other} for {whole}, --decimal {sign} for {cell.replace(',', '.')}"
+                f"sign, --decimal {point} for {whole}, --decimal {sign} for {cell.replace(',', '.')}"
             )
     return Signs(".", blank)
 
@@ -171,8 +169,8 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     joined = set("".join(cells))
     if joined <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
         values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
-        bad = [i for i in np.flatnonzero(np.isnan(values)) if cells[i]]
-        torn = next((int(i) for i in bad if any(c.isdigit() for c in cells[i])), -1)
+        bad = [int(i) for i in np.flatnonzero(np.isnan(values)) if cells[int(i)]]
+        torn = next((i for i in bad if any(c.isdigit() for c in cells[i])), -1)
         return Numbers(np.where(np.isfinite(values), values, np.nan), "", tuple({cells[i] for i in bad}), torn)
     pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
     values = np.full(len(cells), math.nan)

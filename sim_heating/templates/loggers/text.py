@@ -122,6 +122,8 @@ def split_line(line: str, sign: str) -> list[str]:
         cells = line.split(sign)
         if " " not in line and "\t" not in line and "\u00a0" not in line:
             return cells
+    if "+ " in line or "- " in line:  # Graphtec
+        return [re.sub(r"^([+-])\s+(?=[\d.,])", r"\1", cell.strip()) for cell in cells]
     return [cell.strip() for cell in cells]
 
 
@@ -304,6 +306,8 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
     not."""
     low, high = rows[0][1], rows[1][1]
     is_named = sum(re.search(NAME_WORDS, c) is not None for c in high) >= 2
+    if is_named and any(converted(c, si) is not None for c in low if c for si in ("K", "W/m2")):
+        return True
     return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
 
 
