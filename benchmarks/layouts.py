@@ -56,7 +56,6 @@ class Truth:
 
     time_s: FloatArray
     T_K: FloatArray
-    resolution_K: float
 
 
 @dataclass
@@ -310,7 +309,7 @@ def mutant(seed: int) -> Mutant:
         "clock": kind, "lost": lost, "beside": beside, "before": str(len(before)),
         "behind": str(len(behind)), "encoding": encoding,
     }  # fmt: skip
-    return Mutant(text.encode(encoding), Truth(np.linspace(0.0, STEP_S * (ROWS - 1), ROWS), truth_K, 0.5 * 10.0**-decimals), traits)
+    return Mutant(text.encode(encoding), Truth(np.linspace(0.0, STEP_S * (ROWS - 1), ROWS), truth_K), traits)
 
 
 def outcome(path: Path, made: Mutant) -> tuple[str, str]:

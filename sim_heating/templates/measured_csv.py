@@ -556,6 +556,12 @@ def _number_time(
 ) -> tuple[CsvColumn, float | None, list[str]]:
     """A time in numbers: in the unit that is stated, as stamps of 1970, as days of a spreadsheet, or in s."""
     values, file = head.numbers.values, display_path(block.path)
+    if head.numbers.torn >= 0:
+        i = head.numbers.torn
+        raise InputError(
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is no time in the layout of the others; mend the "
+            "cell, or give --period"
+        )
     _require_times(block, head, values)
     place = f"{file}, column {head.name}"
     stated = head.stated or head.numbers.unit
