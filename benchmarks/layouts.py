@@ -47,6 +47,8 @@ TO_K: dict[str, Callable[[float], float]] = {
 }  # fmt: skip
 NO_TEMPERATURE = ["mV", "counts", "Ohm", "xyz", "deg", "W"]
 """Units that a file may state of a thermocouple, by which it holds no temperatures: these are to be refused."""
+FAULTS = ("two numbers", "two signs", "letters amid digits")
+"""A cell that is no number in any layout: the file is to be refused, and no sample lost in silence."""
 LOST = ["", "NaN", "NAN", "Open TC", "-9999", "9.9E+37", "9.90000000E+37", "---", "OL", "n/a"]
 
 
@@ -220,6 +222,8 @@ def mutant(seed: int) -> Mutant:
     if separator == "  ":
         place = rng.choice(["[]", "()", "row"])
         spelling = spelling.replace(" ", "")
+    if place == "_" and spelling == "xyz":
+        spelling = "mV"  # T_xyz is a name
     lost = rng.choice(["none", "none", *LOST])
     if separator == "  " and (" " in lost or not lost):
         lost = "NaN"
@@ -291,6 +295,13 @@ def mutant(seed: int) -> Mutant:
             ["# logger 4711"],
         ]
     )
+    fault = rng.choice(FAULTS) if rng.random() < 0.04 else ""
+    if fault:
+        row = rng.randrange(5, ROWS - 5)
+        at = len(all_cells) - (2 if beside in ("humidity", "status") else 1)
+        all_cells[at][row] = {"two numbers": f"{cells[1][4]} 30", "two signs": "1.2.3", "letters amid digits": "12x4"}[
+            fault
+        ]
     rows = [line(list(r)) for r in zip(*all_cells, strict=True)]
     if rng.random() < 0.1 and separator not in ("  ",):
         rows = [r + separator for r in rows]
@@ -307,7 +318,7 @@ def mutant(seed: int) -> Mutant:
         "separator": separator.replace("\t", "tab"), "decimal": decimal, "thousands": thousands,
         "unit": spelling, "place": place,
         "clock": kind, "lost": lost, "beside": beside, "before": str(len(before)),
-        "behind": str(len(behind)), "encoding": encoding,
+        "behind": str(len(behind)), "encoding": encoding, "fault": fault,
     }  # fmt: skip
     return Mutant(text.encode(encoding), Truth(np.linspace(0.0, STEP_S * (ROWS - 1), ROWS), truth_K), traits)
 
@@ -327,6 +338,8 @@ def outcome(path: Path, made: Mutant) -> tuple[str, str]:
         return "refused", "no column is a temperature"
     if made.traits["unit"] in NO_TEMPERATURE:
         return "wrong", f"{made.traits['unit']} taken for a temperature"
+    if made.traits["fault"]:
+        return "wrong", f"a cell of {made.traits['fault']} taken for a lost sample"
     return _compared(time_s - time_s[0], [s.si for s in sensors], made.truth)
 
 

@@ -61,14 +61,13 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
         cells = block.column(k)
         joined = "".join(cells)
         blank = next((b for b in BLANKS if b in joined), blank)
-        if "," not in joined and (block.separator not in (";", "\t", "|") or "." not in joined):
-            if "." in joined:
-                evidence.setdefault(".", (-1, k))
-            continue
-        for row, cell in enumerate(cells):
+        signs = {sign for sign in ".," if sign in joined}
+        for row, cell in enumerate(cells) if signs else ():
             shown = _sign_of(cell)
             if shown is not None:
                 (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
+                if shown[0] and len(signs) == 1:
+                    break  # no other cell of the column has another sign
     if stated is not None:
         return Signs(stated, blank or _thousands(block, columns, stated))
     if len(evidence) > 1:
@@ -134,15 +133,14 @@ def _bare(cell: str) -> str:
 
 def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
     """Whether points with three digits behind them may be those of thousands: whole numbers of hundreds stand beside
-    them, or all are of one to nine thousand, and the separator is not that of countries with a decimal point."""
-    if block.separator == ",":
-        return False
+    them, or all are of one to nine thousand, where the separator is not that of countries with a decimal point."""
     for k in columns:
         cells = [c for c in map(_bare, block.column(k)) if c]
         pointed = [c for c in cells if "." in c]
         whole = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
         if pointed and (
-            max(whole, default=0.0) >= 100.0 or all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed)
+            max(whole, default=0.0) >= 100.0
+            or (block.separator != "," and all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed))
         ):
             return True
     return False

@@ -16,6 +16,8 @@ from sim_heating.templates.loggers.block import Block
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
 """In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
+Row = tuple[int, Sequence[str]]
+"""Line and cells; tuples, which the collector of garbage leaves alone, of a million rows."""
 PLAIN = r"[+-]?(?:\d[\d.,'\u00a0\u202f]*|[.,]\d+)(?:[eE][+-]?\d+)?"
 """Pattern of a number with any signs."""
 NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/-][^\d,;:]{{0,15}}\d?)?")
@@ -77,7 +79,7 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
             f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
         )
     sign = separator or _separator(numbered)
-    split = [(i, split_line(line, sign)) for i, line in numbered]
+    split: Sequence[Row] = [(i, tuple(split_line(line, sign))) for i, line in numbered]
     return rows_block(path, split, sign, recorder=recorder, lines=dict(numbered))
 
 
@@ -180,7 +182,7 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def rows_block(
     path: Path,
-    split: list[tuple[int, list[str]]],
+    split: Sequence[Row],
     sign: str,
     *,
     recorder: str = "",
@@ -234,7 +236,7 @@ def _is_comment(cells: Sequence[str]) -> bool:
     return cells[0].startswith("#") and len(cells[0]) > 1
 
 
-def _first_row(split: list[tuple[int, list[str]]], width: int, recorder: str) -> int | None:
+def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
     """Index of the first row of data: of the usual width, and so is the next one."""
     ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0)
     for k in range(ahead, len(split)):
@@ -245,12 +247,12 @@ def _first_row(split: list[tuple[int, list[str]]], width: int, recorder: str) ->
     return None
 
 
-def _names_below(split: list[tuple[int, list[str]]], k: int) -> bool:
+def _names_below(split: Sequence[Row], k: int) -> bool:
     """Whether a row of names follows within a few rows."""
     return any(sum(re.search(NAME_WORDS, c) is not None for c in cells) >= 2 for _, cells in split[k + 1 : k + 4])
 
 
-def _last_row(split: list[tuple[int, list[str]]], first: int, width: int) -> int:
+def _last_row(split: Sequence[Row], first: int, width: int) -> int:
     """Index of the last row of data: behind it are lines of words, or of other cells."""
     heads = [split[k][1][0] for k in range(first, min(first + 50, len(split)))]
     named = sum(re.match(r"[A-Za-z]", h) is not None for h in heads) > 0.5 * len(heads)
@@ -269,14 +271,14 @@ def _last_row(split: list[tuple[int, list[str]]], first: int, width: int) -> int
     return last
 
 
-def _named_cell(split: list[tuple[int, list[str]]], first: int, column: int) -> bool:
+def _named_cell(split: Sequence[Row], first: int, column: int) -> bool:
     """Whether a column has a name right above the data."""
     above = split[first - 1][1] if first else []
     return len(above) > column and bool(above[column])
 
 
 def _head(
-    file: str, split: list[tuple[int, list[str]]], first: int, width: int, recorder: str, lines: dict[int, str] | None
+    file: str, split: Sequence[Row], first: int, width: int, recorder: str, lines: dict[int, str] | None
 ) -> tuple[list[str], list[str], int]:
     """Names, units, and the line of the names: 0 where there are none."""
     none = [""] * width
@@ -311,10 +313,9 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
     return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
 
 
-def _head_cells(row: tuple[int, list[str]], width: int, lines: dict[int, str] | None) -> list[str]:
+def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]:
     """Cells of a row above the data, without the mark of a comment; of names with blanks where blanks separate."""
-    line, cells = row
-    cells = _trimmed(cells)
+    line, cells = row[0], _trimmed(list(row[1]))
     if cells[0].startswith("#") and len(cells) > 1 and len(cells[0]) > 1:
         cells = [cells[0].lstrip("# "), *cells[1:]] if cells[0].lstrip("# ") else cells[1:]
     elif cells[0] == "#" and len(cells) == width + 1:
@@ -338,7 +339,7 @@ def _is_padded_head(cells: list[str], width: int) -> bool:
     return 1 < len(cells) < width and len(cells) >= width - 1
 
 
-def _filled(cells: list[str], width: int) -> list[str]:
+def _filled(cells: Sequence[str], width: int) -> list[str]:
     return [*cells, *[""] * (width - len(cells))][:width]
 
 
