@@ -324,23 +324,29 @@ def mutant(seed: int) -> Mutant:
 
 
 def outcome(path: Path, made: Mutant) -> tuple[str, str]:
-    """`right`, `refused` or `wrong`, and why."""
+    """`right`, `refused`, `refused rightly` of a file that states no temperatures, or `wrong`; and why."""
     path.write_bytes(made.raw)
+    is_sound = not made.traits["fault"] and made.traits["unit"] not in NO_TEMPERATURE
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = read_measured_csv(path)
     except InputError as error:
         line = str(error)
-        return ("refused", line) if "\n" not in line else ("wrong", f"several lines: {line}")
+        if "\n" in line:
+            return "wrong", f"several lines: {line}"
+        return "refused" if is_sound else "refused rightly", line
     time_s, sensors = found.of_kind(TIME)[0].si, found.of_kind(TEMPERATURE)
     if not sensors:
-        return "refused", "no column is a temperature"
-    if made.traits["unit"] in NO_TEMPERATURE:
-        return "wrong", f"{made.traits['unit']} taken for a temperature"
-    if made.traits["fault"]:
-        return "wrong", f"a cell of {made.traits['fault']} taken for a lost sample"
+        return "refused" if is_sound else "refused rightly", "no column is a temperature"
+    if not is_sound:
+        return "wrong", f"{made.traits['fault'] or made.traits['unit']} taken for a temperature or a lost sample"
     return _compared(time_s - time_s[0], [s.si for s in sensors], made.truth)
+
+
+def share_read(found: Counter[str]) -> float:
+    """Share of the files with sound readings that are read right."""
+    return found["right"] / max(found.total() - found["refused rightly"], 1)
 
 
 def _compared(time_s: FloatArray, T_K: list[FloatArray], truth: Truth) -> tuple[str, str]:
@@ -370,8 +376,8 @@ def outcomes(count: int, seed: int, folder: Path) -> tuple[Counter[str], Counter
         found[what] += 1
         if what == "wrong":
             reasons[f"wrong: seed {seed + k}: {made.traits}: {why}"] += 1
-        elif what == "refused":
-            reasons[f"refused: {made.traits['clock']}: {why.partition(': ')[2][:60] or why}"] += 1
+        elif what != "right":
+            reasons[f"{what}: {made.traits['clock']}: {why.partition(': ')[2][:60] or why}"] += 1
     return found, reasons
 
 
@@ -381,8 +387,9 @@ def run(count: int = COUNT, seed: int = SEED) -> list[Figure]:
         found, reasons = outcomes(count, seed, Path(folder))
     figures = [
         Figure("files of one truth, read wrongly", found["wrong"], "", 0),
-        Figure("read right", found["right"] / count, "", GOAL_READ, at_least=True),
-        Figure("refused in one line", found["refused"], ""),
+        Figure("read right, of those with sound readings", share_read(found), "", GOAL_READ, at_least=True),
+        Figure("of these refused in one line", found["refused"], ""),
+        Figure("without sound readings, refused in one line", found["refused rightly"], ""),
     ]
     save("layouts", figures, {"count": count, "seed": seed, "reasons": dict(reasons.most_common(60))})
     return figures
