@@ -19,7 +19,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
-from sim_heating.base.files.units import converted, known_unit, name_and_unit
+from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
 from sim_heating.templates.loggers.block import Block
@@ -35,7 +35,7 @@ from sim_heating.templates.loggers.clocks import (
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
-from sim_heating.templates.loggers.readings import FAULTS, far_off, lost_codes
+from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
 from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
 
 TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
@@ -54,6 +54,8 @@ COUNTER = (
     r"alarm.*|lfd.*)( ?(#|no\.?|nr\.?|number))?$"
 )
 """Pattern of the names of counters, which are no time, and of alarms."""
+NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
+"""Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
 REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
@@ -217,7 +219,7 @@ def read_measured_csv(
     if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
         known = ", ".join((*DURATIONS, *CLOCKS))
         raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {known}")
-    block = _long_as_wide(_block(path, chosen))
+    block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(block, heads, chosen)
     columns = [_column(h) for h in heads]
@@ -257,6 +259,33 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     if not rows:
         raise InputError(f"{display_path(path)}: the sheet has no cells")
     return replace(rows_block(path, rows, "", recorder="Excel"), decimal=".")
+
+
+def _with_unit_column(block: Block) -> Block:
+    """A table whose unit stands in a column of its own as one with units of its columns.
+
+    raises : InputError where that column holds several units
+    """
+    k = next(
+        (k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())), None
+    )
+    if k is None:
+        return block
+    units = sorted({c for c in block.column(k) if c})
+    if len(units) > 1 and any(converted(u, "K") for u in units):
+        i = next(i for i, c in enumerate(block.column(k)) if c and c != block.column(k)[0])
+        raise InputError(
+            f"{block.at(i, block.names[k])}: `{units[1]}` is another unit than `{units[0]}`; write one unit"
+        )
+    if len(units) != 1 or converted(units[0], "K") is None:
+        return block
+    quantities = list(SI_UNITS.values())
+    readings = rf"{HEADS[3][1]}|{HEADS[4][1]}|[Vv]alue"
+    is_open = [
+        not unit and not name_and_unit(name, quantities)[1] and re.search(readings, name) is not None
+        for name, unit in zip(block.names, block.units, strict=True)
+    ]
+    return replace(block, units=tuple(units[0] if o else u for o, u in zip(is_open, block.units, strict=True)))
 
 
 def _long_as_wide(block: Block) -> Block:
@@ -413,8 +442,8 @@ def _column(head: _Head) -> CsvColumn:
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
     if kind == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
-    if unit and kind != TIME and known_unit(unit) is not None and re.search(r"(?i)volt|hum|rh|press|batt", name):
-        return CsvColumn(name, UNUSED, "", values, f"unit {unit}" + note)
+    if kind != TIME and re.search(NO_READING, name):
+        return CsvColumn(name, UNUSED, "", values, "accompanies readings, by its name" + note)
     return CsvColumn(name, kind, "", values, f"name `{name}`" + note)
 
 
@@ -831,8 +860,7 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
             )
             reason += "; lost: " + ", ".join(f"{int(np.sum(values[wrong] == k))} of {k:g}" for k in kinds)
             values[wrong] = np.nan
-        odd = far_off(values)
-        faults = np.flatnonzero(odd & np.isin(values, FAULTS))
+        faults = np.flatnonzero(fault_codes(values))
         if len(faults):
             _warn_of_rows(
                 block,
@@ -843,6 +871,12 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
             )
             reason += f"; {len(faults)} readings of a fault left out"
             values[faults] = np.nan
+        read = np.unique(values[np.isfinite(values)])
+        if len(read) == 1 and float(read[0]) in OPEN:
+            raise InputError(
+                f"{display_path(block.path)}, column {column.name}: reads {read[0]:g} throughout, as a converter in "
+                "fault; name the columns that are read, --temperature COLUMN"
+            )
     return replace(column, values=values, reason=reason)
 
 

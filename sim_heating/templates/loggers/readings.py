@@ -18,23 +18,10 @@ from sim_heating.base.arrays import BoolArray, FloatArray
 
 OVERLOAD = 1e30
 """A larger magnitude is the overload of a recorder, in any unit."""
-FAULTS = (
-    2048.0,
-    2047.0,
-    2047.75,
-    2047.9375,
-    0.0,
-    85.0,
-    -127.0,
-    1372.0,
-    32767.0,
-    -32768.0,
-    65535.0,
-    6553.5,
-    3276.7,
-    1370.0,
-)
-"""Readings that stand for a fault where they lie far off their neighbours."""
+OPEN = (2048.0, 2047.0, 2047.75, 2047.9375, 1372.0, 1370.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, -127.0)
+"""Readings of a converter whose input is open or at the end of its range."""
+DROPPED = (0.0, 85.0)
+"""Readings of a converter that gave none, which may as well be true ones."""
 SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
 """Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
 SIDE = 3
@@ -46,6 +33,29 @@ def lost_codes(values: FloatArray, codes: Sequence[float]) -> BoolArray:
     found: BoolArray = np.abs(values) >= OVERLOAD
     for code in codes:
         found |= np.isclose(values, code, rtol=1e-6, atol=1e-9)
+    return found
+
+
+def fault_codes(values: FloatArray) -> BoolArray:
+    """(row,) whether a reading is the code of a converter in fault: one of its values, far off the readings around it.
+
+    A run of a code is compared with the readings on both sides; one at an end, of an open input alone, with that of one
+    side.
+    """
+    found = np.zeros(len(values), dtype=bool)
+    for code in (*OPEN, *DROPPED):
+        is_code = np.isclose(values, code, rtol=0.0, atol=1e-9)
+        others = np.flatnonzero(np.isfinite(values) & ~is_code)
+        if not is_code.any() or len(others) < 3:
+            continue
+        scale = 1.4826 * float(np.median(np.abs(np.diff(values[others]))))
+        for i in np.flatnonzero(is_code):
+            k = int(np.searchsorted(others, i))
+            sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
+            if len(sides) < 2 and code in DROPPED:
+                continue
+            apart = abs(sides[0] - sides[-1])
+            found[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
     return found
 
 

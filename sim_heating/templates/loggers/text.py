@@ -286,12 +286,10 @@ def _head(
         names, units = (_filled(split[k][1], width) for k in (1, 2))
         return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
     above = [(split[k][0], _head_cells(split[k], width, lines)) for k in range(first - 1, max(first - 5, -1), -1)]
-    rows = [
-        (line, _filled(cells, width)) for line, cells in above if len(cells) == width or _is_padded_head(cells, width)
-    ]
-    if above and above[0][1] not in [_trimmed(cells) for _, cells in rows] and len(above[0][1]) != width:
+    rows = [(line, cells) for line, cells in above if len(cells) == width]
+    if above and len(above[0][1]) != width:
         line, cells = above[0]
-        if len(cells) > 1 and any(re.search(NAME_WORDS, c) for c in cells) and not _is_padded_head(cells, width):
+        if len(cells) > 1 and any(re.search(NAME_WORDS, c) for c in cells):
             rule = f"for {width} cells in the rows below; give each column one name, or state --separator"
             raise InputError(f"{file}, row {line}: {len(cells)} names (`{_shown(cells)}`) {rule}")
     if rows and all(c.lower() in PROCESS for c in rows[0][1]):
@@ -316,6 +314,8 @@ def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
 def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]:
     """Cells of a row above the data, without the mark of a comment; of names with blanks where blanks separate."""
     line, cells = row[0], _trimmed(list(row[1]))
+    if len(cells) <= width <= len(row[1]):
+        cells = _filled(cells, width)  # the separators are there, and the last cells empty
     if cells[0].startswith("#") and len(cells) > 1 and len(cells[0]) > 1:
         cells = [cells[0].lstrip("# "), *cells[1:]] if cells[0].lstrip("# ") else cells[1:]
     elif cells[0] == "#" and len(cells) == width + 1:
@@ -332,11 +332,6 @@ def _trimmed(cells: list[str]) -> list[str]:
     while end > 1 and not cells[end - 1]:
         end -= 1
     return cells[:end]
-
-
-def _is_padded_head(cells: list[str], width: int) -> bool:
-    """Whether a row of names or units lacks only its last cell, where rows end in an empty one or a remark."""
-    return 1 < len(cells) < width and len(cells) >= width - 1
 
 
 def _filled(cells: Sequence[str], width: int) -> list[str]:
