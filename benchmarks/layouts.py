@@ -385,13 +385,14 @@ def run(count: int = COUNT, seed: int = SEED) -> list[Figure]:
     """Read the files, and count."""
     with tempfile.TemporaryDirectory() as folder:
         found, reasons = outcomes(count, seed, Path(folder))
+    wrong = [reason for reason in reasons if reason.startswith("wrong")]
     figures = [
         Figure("files of one truth, read wrongly", found["wrong"], "", 0),
         Figure("read right, of those with sound readings", share_read(found), "", GOAL_READ, at_least=True),
         Figure("of these refused in one line", found["refused"], ""),
         Figure("without sound readings, refused in one line", found["refused rightly"], ""),
     ]
-    save("layouts", figures, {"count": count, "seed": seed, "reasons": dict(reasons.most_common(60))})
+    save("layouts", figures, {"count": count, "seed": seed, "wrong": wrong, "reasons": dict(reasons.most_common(40))})
     return figures
 
 
