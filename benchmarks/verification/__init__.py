@@ -26,6 +26,7 @@ from benchmarks.verification import (
     gas,
     heating,
     inside,
+    loggers,
     numerics,
     optimum,
     sensors,
@@ -56,6 +57,7 @@ SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Trim": trim.rows,
     "Optimal entry": optimum.rows,
     "Sensors": sensors.rows,
+    "Files of loggers": loggers.rows,
 }
 
 

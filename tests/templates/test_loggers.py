@@ -14,15 +14,13 @@ import pandas as pd
 import pytest
 
 from benchmarks.layouts import GOAL_READ, outcomes, share_read
+from benchmarks.verification.loggers import LOGGERS, READ
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.readings import far_off
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
-from tests.support.paths import DATA
 from tests.templates.test_new_record import refused, run
-
-LOGGERS = DATA / "loggers"
 
 
 @pytest.fixture(autouse=True)
@@ -41,24 +39,6 @@ def span_s(found: MeasuredCsv) -> float:
 def range_K(found: MeasuredCsv, sensor: int = 0) -> tuple[float, float]:
     T = found.of_kind(TEMPERATURE)[sensor].si
     return float(np.nanmin(T)), float(np.nanmax(T))
-
-
-READ = {
-    "benchlink.csv": (120.0, 293.0954, 397.6490), "hobo_am_pm.csv": (600.0, 276.0389, 282.7056),
-    "time_msec_suffix.csv": (120.0, 293.1, 397.65), "unix_ms.csv": (120.0, 293.095, 397.649),
-    "utc_log_us_autumn.csv": (120.0, 293.15, 397.55), "dst_offset.csv": (120.0, 293.1, 397.65),
-    "day_first_month_end.csv": (120.0, 293.1, 397.65), "deg_dot_C.csv": (120.0, 323.1, 427.65),
-    "rankine.csv": (120.0, 293.0944, 397.65), "btu_flux.csv": (120.0, 293.0944, 397.65),
-    "w_m-2_flux.csv": (120.0, 293.1, 397.65), "peak_thousand_point.csv": (180.0, 1173.15, 1308.15),
-    "mixed_tabs_blanks.dat": (120.0, 293.15, 397.55), "multi_rate.csv": (90.0, 293.15, 397.55),
-    "sentinel_9999.csv": (120.0, 293.095, 397.65), "benchlink_open.csv": (120.0, 293.0954, 397.649),
-    "max31855_fault_2048.csv": (120.0, 293.095, 397.65), "toa5.dat": (120.0, 293.095, 397.649),
-    "labview.lvm": (120.0, 293.0954, 397.6490), "boxcar.txt": (120.0, 293.1, 397.65),
-    "minutes_seconds_ms.csv": (120.0, 293.15, 397.55), "iso_basic.csv": (120.0, 293.1, 397.65),
-    "unit_in_cells.csv": (120.0, 293.15, 397.55), "midnight_clock.csv": (120.0, 293.15, 397.55),
-    "trailer.csv": (120.0, 293.15, 397.55), "long_format.csv": (120.0, 293.1, 397.65),
-}  # fmt: skip
-"""File -> span [s], lowest and highest reading of its first sensor [K]."""
 
 
 @pytest.mark.parametrize("name", READ)
