@@ -18,7 +18,7 @@ NAMES = (
     "closure", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
     "live_hour",
-    "live_picture", "waiting", "scaling",
+    "live_picture", "waiting", "scaling", "layouts",
 )  # fmt: skip
 
 

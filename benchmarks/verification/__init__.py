@@ -27,6 +27,7 @@ from benchmarks.verification import (
     gas,
     heating,
     inside,
+    loggers,
     numerics,
     optimum,
     sensors,
@@ -58,6 +59,7 @@ SUBJECTS: Mapping[str, Callable[[], list[Row]]] = {
     "Optimal entry": optimum.rows,
     "Sensors": sensors.rows,
     "Flights as tools write them": flights.rows,
+    "Files of loggers": loggers.rows,
 }
 
 

@@ -186,6 +186,12 @@ FORMATS: tuple[FileFormat, ...] = (
         "trajectory.guidance:GuidanceFile", ("aircraft_data/*/guidance.toml",),
     ),
     ModelFormat(
+        "logger_layout", "LAYOUT.toml", "layout of a recorder's files: how `new record --layout` reads them",
+        "Written by `new record --csv FILE --keep-layout LAYOUT.toml`. What is absent is recognised in each file, or "
+        "refused. A unit that a file states itself prevails; where it contradicts the layout, the file is refused.",
+        "examples/logger_layout.toml", "templates.loggers.layout_file:LoggerLayout", ("examples/logger_layout.toml",),
+    ),
+    ModelFormat(
         "fit_settings", "FIT.toml", "what `estimate --settings` estimates, and what is known of the parameters before",
         "", "examples/fit_settings.toml", "inputs.fit_settings:FitSettings", ("examples/fit_settings.toml",),
     ),

@@ -1,56 +1,79 @@
-"""Columns and units of a CSV file from a data logger or a spreadsheet, recognised by names and values, with the reason
-of each guess.
+"""Columns and units of a file from a data logger or a spreadsheet: what the file states is used or refused.
 
-Read are: comma, semicolon, tab and blank separated cells; decimal points and decimal commas; UTF-8 with and without a
-byte-order mark, UTF-16 and Windows text; lines before the names; names with units, and units in a line of their own;
-time in s, ms, min, h, as hh:mm:ss or as a date; temperatures in K, degC and degF. Cells without a number are lost
-samples.
+Text, Parquet, Excel and TDMS become rows of cells (`loggers`); here they become a time, temperatures and heat fluxes,
+with the reason of each choice. What a file does not state at all, such as a unit, is guessed with a warning where the
+readings tell it, and asked for where they do not.
 """
 
 from __future__ import annotations
 
-import csv
-import math
 import re
 import warnings
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, read_text, suggestion
-from sim_heating.base.files.units import converted
+from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
+from sim_heating.base.files.units import converted, name_and_unit
+from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
-from sim_heating.templates.quantities import NUMBER
+from sim_heating.templates.loggers.block import Block
+from sim_heating.templates.loggers.clocks import (
+    ANY_ORDER,
+    CLOCKS,
+    LONGEST_STEP_S,
+    ORDERS,
+    Clock,
+    clock_of,
+    over_midnight,
+)
+from sim_heating.templates.loggers.files import kind_of_file, read_table
+from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
+from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
+from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
+from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
 
 TIME, TEMPERATURE, FLUX, UNUSED = "time", "temperature", "heat flux", "not used"
 SI_UNITS = {TIME: "s", TEMPERATURE: "K", FLUX: "W/m2"}
+UNIT_OPTIONS = {TIME: "--time-unit s", TEMPERATURE: "--temperature-unit degC", FLUX: "--flux-unit W/m2"}
 HEADS = (
-    (TIME, r"(?i)^(time|zeit|elapsed|timestamp|clock|date|datum|seconds?|secs?|minutes?)([^a-z].*)?$"),
-    (TIME, r"^t$"),
+    (TIME, r"(?i)(^|[^a-z])(time|zeit|uhrzeit|elapsed|timestamp|datetime|clock|date|datum)([^a-z]|$)|^t$|^x_value$"),
+    (TIME, r"(?i)^(seconds?|secs?|minutes?|hours?|m?s|msecs?|millis|milliseconds?|us|micros|h|min|sek.*)([^a-z].*)?$"),
     (FLUX, r"(?i)flux|lamp|irradian|^q([^a-z].*)?$|heat.?(load|rate|input)"),
-    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|channel|pyro|^k\d+$"),
+    (TEMPERATURE, r"(?i)temp|^tc|thermo|surface|bondline|back.?face|joint|plate|sensor|^ch\d*|chan|pyro|^k\d+$"),
     (TEMPERATURE, r"^T([^a-z].*)?$|^T$|_K$"),
 )  # fmt: skip
 """Patterns of the names of columns, without their units; the first that fits holds."""
+COUNTER = (
+    r"(?i)^(#|no\.?|nr\.?|n|num(ber)?|scan|sweep|record|rec|rn|index|idx|sample|row|line|count(er)?|point|id|messung|"
+    r"alarm.*|lfd.*)( ?(#|no\.?|nr\.?|number))?$"
+)
+"""Pattern of the names of counters, which are no time, and of alarms."""
+NO_READING = r"(?i)alarm|status|flag|valid|quality|batt|volt|humid|^rh|counter"
+"""Pattern of the names of columns that accompany readings."""
 UNCERTAIN = r"(?i)^(sigma|std|stdev|uncert|unc[^a-z]|error|err[^a-z]|u2?_)|(sigma|uncertainty|stdev|std)$"
 """Pattern of the names of columns that hold the uncertainty of others."""
-NAME_AND_UNIT = (
-    r"(.*?)\s*[\[(<]\s*([^\])>]*)\s*[\])>]\s*", r"(.*\S)\s*/\s*(\S+)", r"(.*\S)\s*,\s*(\S+)", r"(.+)_([^_]+)",
-    r"(.*\S)\s+(\S+)",
-)  # fmt: skip
-"""Patterns of a name with its unit: in brackets, behind a slash, a comma, `_` or a blank."""
-DAYS, CLOCKS = ("%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y/%m/%d"), ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M")
-"""Forms of dates and times of day that are read, in addition to ISO 8601."""
+REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|ts|rn|avg|smp|min|max|last|ave\.?"
+"""What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
+RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
+"""Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
+ROOM_K, ROOM_C = (275.0, 320.0), (5.0, 40.0)
+"""First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
+UNIX_S = (9.4e8, 4.1e9)
+"""Times of the years 2000 to 2099 in seconds since 1970; in ms, us and ns by their sizes."""
+DAY_NUMBERS = (36526.0, 73050.0)
+"""Days of a spreadsheet, 2000 to 2099."""
+SHORTEST_STEP_S = 1e-3
 DURATIONS = ("s", "ms", "min", "h", "us")
-LOST_SHARE = 0.5
-"""Share of cells without a number from which a column is no measurement."""
-ROOM_K, ROOM_C = (200.0, 450.0), (-60.0, 45.0)
-"""First readings that are taken for a room, or a cold day, in K and in degC; those between are taken for degF."""
 EXAMPLE = "--time COLUMN"
+SHOWN_ROWS = 5
+NAMED_ROWS = 5
+"""Rows that a message about several readings names."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +85,7 @@ class CsvColumn:
     unit   : of the file, as `degC`
     values : (row,) as in the file, times of day in s; NaN where the cell holds no number
     reason : why it is taken for this kind and unit
+    guess  : what is assumed without a word of the file, for a warning; empty where nothing is
     """
 
     name: str
@@ -69,6 +93,7 @@ class CsvColumn:
     unit: str
     values: FloatArray
     reason: str
+    guess: str = ""
 
     @property
     def si(self) -> FloatArray:
@@ -77,21 +102,29 @@ class CsvColumn:
         assert scale is not None  # a unit is checked when it is chosen
         if scale == (1.0, 0.0):
             return self.values
-        return np.array([float(f"{scale[0] * v + scale[1]:.12g}") for v in self.values])
+        return np.array([float(f"{scale.factor * v + scale.offset:.12g}") for v in self.values])
 
 
 @dataclass(frozen=True)
 class MeasuredCsv:
-    """A CSV file whose columns are recognised.
+    """A file whose columns are recognised.
 
     layout : how the file is written: separator, decimal sign, line of the names
     rows   : (row,) line of each row in the file
+    zero_s : instant of time 0 [s], None where the file does not state it
+    zero   : since when that counts: `1970`, or `midnight` for a clock without a date; empty for a time in numbers
+    stated : the layout as it was read, to be kept for other files of the recorder
+    notes  : what was left out, in words
     """
 
     path: Path
     columns: tuple[CsvColumn, ...]
     rows: tuple[int, ...]
     layout: str
+    zero_s: float | None = None
+    zero: str = ""
+    stated: LoggerLayout = field(default_factory=LoggerLayout)
+    notes: tuple[str, ...] = ()
 
     def of_kind(self, kind: str) -> list[CsvColumn]:
         """The columns that are taken for a kind."""
@@ -108,6 +141,36 @@ class MeasuredCsv:
         heads = [Column("column"), *(Column(h, is_text=True) for h in ("read as", "unit", "range", "because"))]
         return Table(f"{display_path(self.path)}: {self.layout}", heads, rows)
 
+    def first_rows(self) -> Table:
+        """The first rows as they were read, in SI units, by the line of the file."""
+        used = [c for kind in SI_UNITS for c in self.of_kind(kind)]
+        heads = [Column("row"), *(Column(f"{c.name} [{SI_UNITS[c.kind]}]", format=".6g") for c in used)]
+        shown = [(str(self.rows[i]), *(float(c.si[i]) for c in used)) for i in range(min(SHOWN_ROWS, len(self.rows)))]
+        return Table("First rows as read", heads, shown)
+
+    def line(self, row: int) -> str:
+        """`file, row 14`, the row as an editor counts it."""
+        return f"{display_path(self.path)}, row {self.rows[row]}"
+
+
+@dataclass(frozen=True)
+class _Head:
+    """Name, unit and cells of a column before it is known what it holds.
+
+    stated : unit in the file, known or not; empty where there is none
+    source : `in the name`, `in line 3`
+    """
+
+    name: str
+    stated: str
+    numbers: Numbers
+    clock: Clock | None
+    cells: list[str]
+
+    @property
+    def has_clock_cells(self) -> bool:
+        return any(is_clock(c) for c in self.cells[:50])
+
 
 def read_measured_csv(
     path: Path,
@@ -117,202 +180,270 @@ def read_measured_csv(
     temperatures: tuple[str, ...] = (),
     temperature_unit: str | None = None,
     flux: str | None = None,
+    flux_unit: str | None = None,
     period_s: float | None = None,
+    separator: str | None = None,
+    decimal: str | None = None,
+    dates: str | None = None,
+    lost: Sequence[float] = (),
+    repeated: str | None = None,
+    sheet: str | None = None,
+    layout: LoggerLayout | None = None,
+    kinds: Sequence[str] = (TEMPERATURE, FLUX),
 ) -> MeasuredCsv:
-    """Read a CSV file and recognise its columns; what is given prevails over what is guessed.
+    """Read a file and recognise its columns; what is given prevails over what is guessed.
 
     time, temperatures, flux    : names of columns, without or with their units
-    time_unit, temperature_unit : units in place of the guessed ones
-    period_s                    : time between rows [s], where the file has no time that increases
-    raises                      : InputError, one line, where the file cannot be read so, with the option that helps
+    time_unit, temperature_unit, flux_unit : units in place of the guessed ones; `hh:mm` or `mm:ss` for a clock
+    period_s  : time between rows [s], where the file has no time that increases
+    separator, decimal, dates : between cells; decimal sign; order of dates, `day-first`, `month-first`, `year-first`
+    lost      : readings that stand for a lost sample
+    repeated  : `spread` or `first`: what is done with several rows of one time
+    sheet     : of a workbook, or group of a TDMS file
+    layout    : what other files of the recorder had in common; the arguments prevail over it
+    kinds     : kinds of columns that are needed beside the time; those of others are not checked
+    raises    : InputError, one line, where the file cannot be read so, with the option that helps
     """
-    text = _decoded(path)
-    heads, units, cells, rows, layout = _cells(path, text)
-    names, units = _names(heads, units)
-    columns = [_column(n, u, list(c)) for n, u, c in zip(names, units, zip(*cells, strict=True), strict=True)]
-    columns = _as_chosen(path, columns, time, temperatures, flux)
-    columns = _with_time(path, columns, time_unit, period_s, len(rows))
-    columns = [_with_unit(path, c, temperature_unit) if c.kind == TEMPERATURE else c for c in columns]
-    found = MeasuredCsv(path, tuple(columns), tuple(rows), layout)
-    _check_time(found)
+    base = layout or LoggerLayout()
+    chosen = base.model_copy(
+        update={
+            key: value
+            for key, value in {
+                "time": time, "time_unit": time_unit, "temperature_unit": temperature_unit, "flux_unit": flux_unit,
+                "period_s": period_s, "separator": separator, "decimal": decimal, "dates": dates, "repeated": repeated,
+                "sheet": sheet, "lost": [*base.lost, *lost],
+            }.items()
+            if value is not None
+        }
+    )  # fmt: skip
+    if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
+        known = ", ".join((*DURATIONS, *CLOCKS))
+        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {known}")
+    block = _long_as_wide(_with_unit_column(_block(path, chosen)))
+    heads, signs = _heads(block, chosen)
+    heads = _joined_dates(block, heads, chosen)
+    columns = [_column(h) for h in heads]
+    columns = _as_declared(path, columns, base)
+    columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
+    clock, zero_s, notes = _time(block, heads, columns, chosen)
+    kept = np.flatnonzero(~np.isnan(clock.si))
+    columns = [clock, *(replace(c, kind=UNUSED, reason="another column is the time") if c.kind == TIME else c
+                        for c in columns if c.name != clock.name)]  # fmt: skip
+    by_name = {h.name: h for h in heads}
+    columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
+    columns = _guessed(block, columns, kinds)
+    columns = [_without_lost(block, c, chosen.lost) if c.kind in kinds else c for c in columns]
+    columns, rows, more = _rows_kept(block, columns, kept, kinds)
+    named = f"names in line {block.names_line}" if block.has_names else "no names"
+    found = MeasuredCsv(
+        path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
+        "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
+        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *more),
+    )  # fmt: skip
+    found = _with_distinct_times(found, chosen.repeated)
+    _warn_of_guesses(found, kinds)
+    if TEMPERATURE in kinds:
+        _name_far_off(found)
     return found
 
 
-# Text and cells ------------------------------------------------------------------------------------------------------
+def _block(path: Path, chosen: LoggerLayout) -> Block:
+    """The rows of data of a file of any kind."""
+    kind = kind_of_file(path)
+    if not kind:
+        return text_block(path, decoded(path), chosen.separator)
+    table = read_table(path, kind, chosen.sheet)
+    if isinstance(table, Block):
+        return table
+    rows = [(i, cells) for i, cells in enumerate(table, 1) if any(cells)]
+    if not rows:
+        raise InputError(f"{display_path(path)}: the sheet has no cells")
+    return replace(rows_block(path, rows, "", recorder="Excel"), decimal=".")
 
 
-def _decoded(path: Path) -> str:
-    """The text of a file in UTF-8, UTF-16 or the code page of Windows.
+def _with_unit_column(block: Block) -> Block:
+    """A table whose unit stands in a column of its own as one with units of its columns.
 
-    raises : as `read_text`
+    raises : InputError where that column holds several units
     """
-    try:
-        raw = path.read_bytes() if path.is_file() else b""
-    except OSError:
-        raw = b""
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16", errors="replace")
-    try:
-        raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        if b"\0" not in raw:  # a spreadsheet of Windows: the degree sign is byte 0xb0
-            return raw.decode("cp1252", errors="replace")
-    return read_text(path)
-
-
-def _separator(lines: list[str]) -> str:
-    """The separator that gives most lines the same number of cells, two or more; a comma last, as it may be a decimal
-    sign."""
-    best, most = ",", 0
-    for sign in ("\t", ";", ",", " "):
-        counts = Counter(len(_split(line, sign)) for line in lines)
-        width, often = max(counts.items(), key=lambda item: (item[1], item[0]))
-        if width > 1 and often > most and often >= 0.6 * len(lines):
-            best, most = sign, often
-            if sign in ("\t", ";"):
-                break
-    return best
-
-
-def _split(line: str, sign: str) -> list[str]:
-    cells = line.split() if sign == " " else next(csv.reader([line], delimiter=sign))
-    return [cell.strip() for cell in cells]
-
-
-def _cells(path: Path, text: str) -> tuple[list[str], list[str], list[list[str]], list[int], str]:
-    """Names, units, cells of the rows, their lines, and a line on the layout."""
-    file = display_path(path)
-    numbered = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" \t\r,;")]
-    tail = [line for _, line in numbered if not line.startswith("#")][-200:]
-    sign = _separator(tail)
-    split = [(i, _split(line.lstrip("#") if line.startswith("#") else line, sign)) for i, line in numbered]
-    decimal = _decimal(sign, [cells for _, cells in split[-200:]])
-    split = [(i, [_with_point(c, decimal) for c in cells]) for i, cells in split]
-    width = Counter(len(cells) for _, cells in split).most_common(1)[0][0]
-    while split and all(cells[-1] == "" for _, cells in split if len(cells) == width) and width > 1:
-        split, width = (
-            [(i, c[:-1] if len(c) == width else c) for i, c in split],
-            width - 1,
-        )  # a separator ends each line
-    first = next((k for k, (_, c) in enumerate(split) if len(c) == width and _is_data(c)), None)
-    if first is None or width < 1:
-        raise InputError(f"{file}: no rows of numbers were found; give a CSV file with a time and temperatures")
-    above = [cells for _, cells in split[max(0, first - 2) : first] if len(cells) == width]
-    ragged = [i for i, cells in split[first:] if len(cells) != width]
-    if ragged:
-        raise InputError(f"{file}, row {ragged[0]}: does not have {width} cells as the other rows; mend or remove it")
-    if not above:
-        heads, units = [f"column{k + 1}" for k in range(width)], [""] * width
-    elif len(above) == 2 and all(_is_unit_cell(c) for c in above[1]) and any(c for c in above[1]):
-        heads, units = above[0], [c.strip("[]() ") for c in above[1]]
-    else:
-        heads, units = above[-1], [""] * width
-    words = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}[sign]
-    named = (
-        f"names in line {split[first - 1][0] if units == [''] * width else split[first - 2][0]}"
-        if above
-        else "no names"
+    k = next(
+        (k for k, n in enumerate(block.names) if re.fullmatch(r"(?i)(temp\w*[ _])?units?|einheit", n.strip())), None
     )
-    point = "comma" if decimal == "," else "point"
-    layout = f"cells separated by {words}, decimal {point}, {named}, {len(split) - first} rows"
-    return heads, units, [cells for _, cells in split[first:]], [i for i, _ in split[first:]], layout
+    if k is None:
+        return block
+    units = sorted({c for c in block.column(k) if c})
+    if len(units) > 1 and any(converted(u, "K") for u in units):
+        i = next(i for i, c in enumerate(block.column(k)) if c and c != block.column(k)[0])
+        raise InputError(
+            f"{block.at(i, block.names[k])}: `{units[1]}` is another unit than `{units[0]}`; write one unit"
+        )
+    if len(units) != 1 or converted(units[0], "K") is None:
+        return block
+    quantities = list(SI_UNITS.values())
+    readings = rf"{HEADS[3][1]}|{HEADS[4][1]}|[Vv]alue"
+    is_open = [
+        not unit and not name_and_unit(name, quantities)[1] and re.search(readings, name) is not None
+        for name, unit in zip(block.names, block.units, strict=True)
+    ]
+    return replace(block, units=tuple(units[0] if o else u for o, u in zip(is_open, block.units, strict=True)))
 
 
-def _decimal(sign: str, rows: list[list[str]]) -> str:
-    """The decimal sign: a comma where cells hold one that no separator is, and none a point."""
-    cells = [c for row in rows for c in row]
-    commas = sum(bool(re.fullmatch(r"[+-]?\d*,\d+(e[+-]?\d+)?", c, re.IGNORECASE)) for c in cells)
-    return "," if sign != "," and commas > 0.2 * sum(bool(re.search(r"\d", c)) for c in cells) else "."
+def _long_as_wide(block: Block) -> Block:
+    """A table with one row a sensor as one with a column a sensor; another one as it is.
+
+    raises : InputError where a sensor has two readings at one time
+    """
+    width = len(block.names)
+    texts = [
+        k
+        for k in range(width)
+        if not any(is_number(c) or is_clock(c) for c in block.column(k)[:200]) and any(block.column(k)[:200])
+    ]
+    labels = [
+        k for k in texts
+        if re.search(r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag", block.names[k])
+        and 2 <= len(set(block.column(k))) <= max(2, len(block.lines) // 3)
+    ]  # fmt: skip
+    numbers = [
+        k for k in range(width)
+        if k not in texts and not re.search(HEADS[0][1], block.names[k]) and not re.fullmatch(COUNTER, block.names[k])
+        and any(is_number(c) for c in block.column(k)[:200]) and not any(is_clock(c) for c in block.column(k)[:200])
+    ]  # fmt: skip
+    times = [k for k in range(width) if k not in texts and k not in numbers and re.search(HEADS[0][1], block.names[k])]
+    if len(labels) != 1 or len(numbers) != 1 or not times:
+        return block
+    stamps = list(zip(*(block.column(k) for k in times), strict=True))
+    if len(set(stamps)) == len(stamps):
+        return block
+    label, value = block.column(labels[0]), block.column(numbers[0])
+    sensors = list(dict.fromkeys(label))
+    rows: dict[tuple[str, ...], dict[str, str]] = {}
+    first: dict[tuple[str, ...], int] = {}
+    for i, (stamp, name) in enumerate(zip(stamps, label, strict=True)):
+        row = rows.setdefault(stamp, {})
+        first.setdefault(stamp, i)
+        if name in row:
+            raise InputError(
+                f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one"
+            )
+        row[name] = value[i]
+    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items())
+    cells = tuple(list(c) for c in zip(*by_row, strict=True))
+    bare, unit = name_and_unit(block.names[numbers[0]], list(SI_UNITS.values()))
+    kind = bare if re.search(HEADS[3][1], bare) else ""
+    names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
+    return replace(
+        block, names=(*(block.names[k] for k in times), *names),
+        units=(*(block.units[k] for k in times), *(block.units[numbers[0]] for _ in sensors)), cells=cells,
+        lines=tuple(block.lines[i] for i in first.values()), about=f"{block.about}, one row a sensor",
+    )  # fmt: skip
 
 
-def _with_point(cell: str, decimal: str) -> str:
-    plain = cell.replace(",", ".") if decimal == "," and re.fullmatch(NUMBER, cell) else cell
-    return plain.replace("\u2212", "-")
+# Heads and cells -----------------------------------------------------------------------------------------------------
 
 
-def _is_data(cells: list[str]) -> bool:
-    """Whether cells are those of a row of numbers: one at least, and no more texts than numbers."""
-    numbers = sum(not math.isnan(_number(c)) for c in cells)
-    return numbers >= 1 and numbers >= sum(bool(c) for c in cells) / 2
-
-
-def _is_unit_cell(cell: str) -> bool:
-    unit = cell.strip("[]() ")
-    return not unit or unit in ("-", "1", "hh:mm:ss") or any(converted(unit, si) for si in SI_UNITS.values())
-
-
-def _names(heads: list[str], units: list[str]) -> tuple[list[str], list[str]]:
-    """Names without units and units, each name once."""
+def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
+    """Names, units and cells of the columns, by one layout of numbers for the file."""
     names: list[str] = []
-    found: list[str] = []
-    for k, (head, unit) in enumerate(zip(heads, units, strict=True)):
-        name, own = _name_and_unit(head or f"column{k + 1}")
+    stated: list[str] = []
+    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
+        name, own = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
+        if own and not re.search(r"[\[(<,/]", head) and converted(own, "s") and not re.search(HEADS[0][1], name):
+            name, own = head, ""  # T_s is a surface, and no time
+        if not own and (raw := re.fullmatch(RAW, name)):
+            name, own = raw[1], raw[2]
         names.append(name if name not in names else f"{name} {k + 1}")
-        found.append(unit or own)
-    return names, found
+        stated.append(unit.strip("-") or own)
+    clocks = [k for k in range(len(names)) if _mostly(block.column(k), is_clock)]
+    signs = number_signs(block, [k for k in range(len(names)) if k not in clocks], chosen.decimal)
+    heads = []
+    for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
+        cells = block.column(k)
+        clock = None
+        if (k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))) and (
+            chosen.time is None or name == chosen.time or block.names[k] == chosen.time or _is_partner(name)
+        ):
+            place = f"{display_path(block.path)}, column {name}"
+            layout = _clock_word(unit) or chosen.time_unit
+            clock = clock_of(cells, place, chosen.dates, layout)
+        heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
+    return heads, signs
 
 
-def _name_and_unit(head: str) -> tuple[str, str]:
-    """Name and unit of `TC1 [degC]`, `TC1 (C)`, `Time/s`, `TC1_K`, `Temp, C`; the unit is empty where there is none."""
-    for pattern in NAME_AND_UNIT:
-        found = re.fullmatch(pattern, head)
-        if found and found[1] and any(converted(found[2], si) for si in SI_UNITS.values()):
-            return found[1], found[2]
-    # `q_add_W_m2` and the like, columns of this program's own files
-    own = re.fullmatch(r"(.+)_W_m2", head)
-    return (own[1], "W/m2") if own else (head, "")
+def _is_partner(name: str) -> bool:
+    return re.search(r"(?i)date|datum|time|zeit", name) is not None
 
 
-# Values --------------------------------------------------------------------------------------------------------------
+def _is_all_digits(cell: str) -> bool:
+    return re.fullmatch(r"(?:19|20)\d{12}", cell) is not None
 
 
-def _number(cell: str) -> float:
-    """A number, or a time of day or a date in s; NaN for any other text."""
-    if re.fullmatch(rf"{NUMBER}", cell):
-        return float(cell.replace(",", "."))
-    clock = re.fullmatch(r"(?:(\d+) )?(\d{1,3}):(\d{2})(?::(\d{2}(?:[.,]\d*)?))?", cell)
-    if clock:
-        days, a, b = int(clock[1] or 0), int(clock[2]), int(clock[3])
-        if clock[4] is None:
-            return 60.0 * a + b  # mm:ss, as of loggers that run for less than an hour
-        return 86400.0 * days + 3600.0 * a + 60.0 * b + float(clock[4].replace(",", "."))
-    return _date_s(cell)
+def _clock_word(unit: str) -> str | None:
+    """The layout of a clock that a head states, as `hh:mm`."""
+    text = unit.strip().lower()
+    return text if text in CLOCKS else None
 
 
-def _date_s(cell: str) -> float:
-    """A date with a time of day in s; NaN where it is none."""
-    if not re.match(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[ T]\d", cell):
-        return math.nan
-    from datetime import datetime
-
-    forms = (f"{day} {clock}" for day in DAYS for clock in CLOCKS)
-    for read in (datetime.fromisoformat, *((lambda text, form=form: datetime.strptime(text, form)) for form in forms)):
-        try:
-            return read(cell).replace(tzinfo=None).timestamp()
-        except ValueError:
-            continue
-    return math.nan
+def _mostly(cells: Sequence[str], holds: object) -> bool:
+    full = [c for c in cells if c]
+    if not callable(holds) or not full:
+        return False
+    probe = full if len(full) <= 400 else [*full[:200], *full[-200:]]
+    return sum(bool(holds(c)) for c in probe) > 0.5 * len(probe)
 
 
-def _column(name: str, unit: str, cells: list[str]) -> CsvColumn:
-    """A column with what its name and values say about it."""
-    values = np.array([_number(c) for c in cells])
-    clock = any(":" in c for c in cells)
-    lost = int(np.count_nonzero(np.isnan(values)))
-    if lost > LOST_SHARE * len(values):
-        return CsvColumn(name, UNUSED, "", values, "most cells hold no number")
-    texts = sorted({c for c, v in zip(cells, values, strict=True) if math.isnan(v) and c})[:2]
-    note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
-    if clock:
-        return CsvColumn(name, TIME, "s", values - np.nanmin(values), "clock times, counted from the first" + note)
+def _joined_dates(block: Block, heads: list[_Head], chosen: LoggerLayout) -> list[_Head]:
+    """Columns in which a date and a time of day of the same rows are one clock."""
+    day = next((h for h in heads if h.clock is not None and h.clock.day_s is not None and not h.clock.has_time), None)
+    hours = next((h for h in heads if h.clock is not None and h.clock.day_s is None), None)
+    joined = list(heads)
+    if day is not None and hours is not None and day.clock is not None and hours.clock is not None:
+        seconds = day.clock.seconds + hours.clock.seconds
+        clock = Clock(seconds, day.clock.day_s, True, f"{day.clock.layout} in `{day.name}`, {hours.clock.layout}")
+        joined = [replace(h, clock=clock) if h is hours else replace(h, clock=None) if h is day else h for h in heads]
+        hours = next(h for h in joined if h.clock is clock)
+    ms = next((h for h in joined if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
+    clock_head = next((h for h in joined if h.clock is not None and h.clock.has_time), None)
+    if ms is not None and clock_head is not None and clock_head.clock is not None:
+        part = ms.numbers.values
+        whole = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
+        if whole and np.all((part >= 0.0) & (part < 1000.0)) and np.any(np.diff(clock_head.clock.seconds) == 0.0):
+            clock = replace(
+                clock_head.clock,
+                seconds=clock_head.clock.seconds + part / 1e3,
+                layout=f"{clock_head.clock.layout}, ms in `{ms.name}`",
+            )
+            joined = [replace(h, clock=clock) if h is clock_head else h for h in joined]
+    return joined
+
+
+def _column(head: _Head) -> CsvColumn:
+    """A column with what its name, its unit and its cells say about it."""
+    name, values = head.name, head.numbers.values
+    unit = head.stated or head.numbers.unit
+    if head.clock is not None:
+        return CsvColumn(name, TIME, "s", head.clock.seconds, head.clock.layout)
+    count = int(np.count_nonzero(np.isfinite(values)))
+    full = sum(bool(c) for c in head.cells)
+    is_time = re.search(HEADS[0][1], name) is not None or re.search(HEADS[1][1], name) is not None
+    is_named = any(re.search(pattern, name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
+    if not is_time and (count == 0 or 2 * count < full) and not (is_named and head.numbers.torn >= 0):
+        return CsvColumn(name, UNUSED, "", values, "most cells hold no number" if full else "all cells are empty")
+    lost = len(values) - count
+    words = sorted(head.numbers.words)[:2]
+    note = f"; {lost} lost samples{' (' + ', '.join(words) + ')' if words else ''}" if lost else ""
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
+    if re.fullmatch(COUNTER, name):
+        return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
     by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
-    if by_unit is not None:
-        return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
     kind = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
+    if by_unit is not None and not (by_unit == TIME and kind == TEMPERATURE):
+        return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
     if kind == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
+    if kind != TIME and re.search(NO_READING, name):
+        return CsvColumn(name, UNUSED, "", values, "accompanies readings, by its name" + note)
     return CsvColumn(name, kind, "", values, f"name `{name}`" + note)
 
 
@@ -320,12 +451,28 @@ def _column(name: str, unit: str, cells: list[str]) -> CsvColumn:
 
 
 def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
-    """Index of a column that an option names, with or without its unit."""
-    for k, column in enumerate(columns):
-        if column.name in (name, _name_and_unit(name)[0]):
-            return k
+    """Index of a column by its name, with or without its unit."""
+    bare, _ = name_and_unit(name, list(SI_UNITS.values()))
+    for wanted in (name, bare):
+        for k, column in enumerate(columns):
+            if column.name == wanted:
+                return k
     hint = suggestion(name, [c.name for c in columns])
     raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
+
+
+def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> list[CsvColumn]:
+    """Columns of the kinds that a stated layout declares; others are not used."""
+    if not layout.column:
+        return columns
+    found = [
+        replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns
+    ]
+    for declared in layout.column:
+        k = _named(path, columns, declared.name, "--layout: column")
+        unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[declared.kind]) else ""
+        found[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
+    return found
 
 
 def _as_chosen(
@@ -347,49 +494,231 @@ def _as_chosen(
             k = _named(path, columns, name, option)
             unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[kind]) else ""
             chosen[k] = replace(columns[k], kind=kind, unit=unit, reason=f"{option} {name}")
-    return [_flux_unit(c) if c.kind == FLUX and not c.unit else c for c in chosen]
+    return chosen
 
 
-def _flux_unit(column: CsvColumn) -> CsvColumn:
-    largest = float(np.nanmax(np.abs(column.values)))
-    unit, why = ("W/m2", "above 1000") if largest > 1000.0 else ("kW/m2", "up to 1000")
-    return replace(column, unit=unit, reason=f"{column.reason}; no unit, values {why}: {unit}")
+# Time ----------------------------------------------------------------------------------------------------------------
 
 
-def _with_time(
-    path: Path, columns: list[CsvColumn], unit: str | None, period_s: float | None, rows: int
-) -> list[CsvColumn]:
-    """Columns with one time: the named one, else the first that may be it."""
-    if period_s is not None:
-        others = [replace(c, kind=UNUSED, reason="--period is given") if c.kind == TIME else c for c in columns]
-        clock = CsvColumn(
-            "time", TIME, "s", np.round(period_s * np.arange(rows), 9), f"--period {period_s:g} s, from row 1"
+def _time(
+    block: Block, heads: list[_Head], columns: list[CsvColumn], chosen: LoggerLayout
+) -> tuple[CsvColumn, float | None, list[str]]:
+    """The time of the rows, the instant of its zero, and notes.
+
+    raises : InputError where no column is a time, or the one that is called so is not read
+    """
+    file, rows = display_path(block.path), len(block.lines)
+    if chosen.period_s is not None:
+        values = np.round(chosen.period_s * np.arange(rows), 9)
+        return CsvColumn("time", TIME, "s", values, f"--period {chosen.period_s:g} s, from row 1"), None, []
+    by_name = {h.name: h for h in heads}
+    called = [c for c in columns if c.kind == TIME]
+    unread = [c for c in called if not _is_read(by_name[c.name])]
+    readable = [c for c in called if c not in unread]
+    with_day = [c for c in readable if (clock := by_name[c.name].clock) is not None and not clock.has_time]
+    if len(readable) > len(with_day):
+        readable = [c for c in readable if c not in with_day]
+    if readable:
+        head = by_name[readable[0].name]
+        if head.clock is not None:
+            return _clock_time(block, head, readable[0], chosen)
+        return _number_time(block, head, readable[0], chosen)
+    if unread:
+        head = by_name[unread[0].name]
+        i = next((i for i, c in enumerate(head.cells) if c), 0)
+        raise InputError(
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is in no layout of a time that is "
+            "read; write it as "
+            "2024-05-03T10:45:00 or in seconds, or give --period 0.1s between rows"
         )
-        return [clock, *others]
-    times = [k for k, c in enumerate(columns) if c.kind == TIME]
-    reason = ""
-    if not times:
-        rising = (k for k, c in enumerate(columns) if c.kind == UNUSED and np.all(np.diff(c.values) > 0.0))
-        times, reason = (
-            [k for k in (next(rising, None),) if k is not None],
-            "no column is called time; this one increases",
+    first = next((c for c in columns if c.kind == UNUSED and c.reason.startswith("name and unit")), None)
+    if not block.has_names and first is not None and first is columns[0] and np.all(np.diff(first.values) > 0.0):
+        found = replace(first, kind=TIME, reason="no column is called time; this one increases")
+        return _number_time(block, by_name[first.name], found, chosen)
+    raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
+
+
+def _is_read(head: _Head) -> bool:
+    """Whether most cells of a column called time are numbers, or a clock in a layout that is read."""
+    if head.clock is not None:
+        return True
+    return int(np.count_nonzero(np.isfinite(head.numbers.values))) > 0.5 * max(sum(bool(c) for c in head.cells), 1)
+
+
+def _clock_time(
+    block: Block, head: _Head, column: CsvColumn, chosen: LoggerLayout
+) -> tuple[CsvColumn, float | None, list[str]]:
+    clock = head.clock
+    assert clock is not None
+    seconds, notes = clock.seconds, []
+    _require_times(block, head, seconds)
+    if clock.day_s is None:
+        seconds, nights = over_midnight(seconds)
+        if nights:
+            notes.append(f"`{head.name}` passes midnight {nights} times: a day is added at each")
+    first = float(seconds[np.flatnonzero(np.isfinite(seconds))[0]])
+    zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
+    t = np.round(seconds - first, 6)
+    _warn_of_an_hour(block, head.name, t)
+    found = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
+    return found, zero, notes
+
+
+def _warn_of_an_hour(block: Block, name: str, t: FloatArray) -> None:
+    """Warn where a clock that is even otherwise jumps by an hour, as summer time begins."""
+    steps = np.diff(t)
+    if len(steps) < 4:
+        return
+    usual = float(np.median(steps))
+    jumps = np.flatnonzero(np.abs(steps - usual - 3600.0) < 1e-3 * max(usual, 1.0))
+    if len(jumps) == 1 and usual < 600.0 and np.sum(np.abs(steps - usual) > 0.1 * usual) == 1:
+        warnings.warn(
+            f"{block.at(int(jumps[0]) + 1, name)}: the clock jumps by an hour, as where summer time begins; "
+            "correct the stamps "
+            "where it does",
+            stacklevel=2,
         )
-    if not times:
-        raise InputError(f"{display_path(path)}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
-    at = times[0]
-    found = replace(columns[at], kind=TIME, reason=reason or columns[at].reason)
+
+
+def _number_time(
+    block: Block, head: _Head, column: CsvColumn, chosen: LoggerLayout
+) -> tuple[CsvColumn, float | None, list[str]]:
+    """A time in numbers: in the unit that is stated, as stamps of 1970, as days of a spreadsheet, or in s."""
+    values, file = head.numbers.values, display_path(block.path)
+    if head.numbers.torn >= 0:
+        i = head.numbers.torn
+        raise InputError(
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is no time in the layout of the others; mend the "
+            "cell, or give --period"
+        )
+    _require_times(block, head, values)
+    place = f"{file}, column {head.name}"
+    stated = head.stated or head.numbers.unit
+    if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
+        stated = head.name
+    unit = chosen.time_unit
     if unit is not None:
-        if converted(unit, "s") is None:
-            raise InputError(f"--time-unit {unit}: is not a unit of time; give one of {', '.join(DURATIONS)}")
-        _warn_of_other_unit(path, found, unit, "--time-unit")
-        found = replace(found, unit=unit, reason=f"{found.reason}; --time-unit")
-    elif not found.unit:
-        found = replace(found, unit="s", reason=f"{found.reason}; no unit: s assumed")
-    others = [
-        replace(c, kind=UNUSED, reason=f"`{found.name}` is the time") if k in times else c
-        for k, c in enumerate(columns)
-    ]
-    return [found if k == at else c for k, c in enumerate(others)]
+        if unit in CLOCKS:
+            cell = next(c for c in head.cells if c)
+            raise InputError(f"--time-unit {unit}: `{cell}` in {place} is no such clock; give s, ms, min or h")
+        _warn_of_other_unit(
+            block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit"
+        )
+        found, guess, reason = unit, "", f"{column.reason}; --time-unit"
+    elif stated and converted(stated, "s") is not None:
+        found, guess, reason = stated, "", column.reason
+    elif stated and not re.fullmatch(REMARK, stated.strip()):
+        raise InputError(f"{place}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
+    else:
+        found, guess, reason = _unit_of_stamps(block, head, column)
+    scale = converted(found, "s")
+    assert scale is not None
+    known = np.flatnonzero(np.isfinite(values))
+    first = float(values[known[0]])
+    unix = found != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
+    if (found == "day" and not stated and chosen.time_unit is None) or unix:
+        # whole digits first: seconds since 1970 leave few behind the point
+        t = np.round((values - first) * scale.factor, 6)
+        zero = scale(first) if unix else (first - 25569.0) * 86400.0
+        column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
+        return column, zero, []
+    low, high, rule = LIMITS["time_s"]
+    bad = known[(scale.factor * values[known] < low) | (scale.factor * values[known] > high)]
+    if len(bad):
+        i = int(bad[0])
+        raise InputError(
+            f"{block.at(i, head.name)}: `{head.cells[i]}` in {found} {rule}; state its unit, --time-unit ms"
+        )
+    return replace(column, kind=TIME, values=values, unit=found, reason=reason, guess=guess), None, []
+
+
+def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, str, str]:
+    """Unit of a time that states none, what is assumed by it, and why."""
+    values = head.numbers.values[np.isfinite(head.numbers.values)]
+    for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if UNIX_S[0] * size <= values.min() and values.max() <= UNIX_S[1] * size:
+            return unit, "", f"{column.reason}; {unit} since 1970 by the size"
+    steps = np.diff(values)
+    step = float(np.median(steps)) if len(steps) else 1.0
+    if DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1] and np.any(values % 1.0) and step < 0.05:
+        return "day", "", f"{column.reason}; days of a spreadsheet by the size"
+    if step < SHORTEST_STEP_S or step > LONGEST_STEP_S:
+        raise InputError(
+            f"{display_path(block.path)}, column {head.name}: states no unit, and steps of {step:g} are "
+            "hardly s; state it, "
+            f"--time-unit {'ms' if step > LONGEST_STEP_S else 's'}"
+        )
+    return "s", "no unit is stated: s assumed (--time-unit)", f"{column.reason}; no unit: s assumed"
+
+
+def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
+    """Refuse a row in which a reading stands and no time.
+
+    raises : InputError with the first such row of the file
+    """
+    bad = np.flatnonzero(np.isnan(values))
+    if len(bad):
+        i = int(bad[0])
+        cell = head.cells[i]
+        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+        what = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
+        raise InputError(f"{block.at(i, head.name)}: {what}; remove the row, or give --period{more}")
+
+
+def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
+    """A file whose times increase; rows of one time as the option states.
+
+    raises : InputError with the first row of the file that does not come later, and the options that help
+    """
+    clock = found.of_kind(TIME)[0]
+    t = clock.si
+    steps = np.diff(t)
+    if len(t) < 2:
+        raise InputError(f"{display_path(found.path)}: has {len(t)} row of readings; it needs two or more")
+    back = np.flatnonzero(steps < 0.0) + 1
+    if len(back):
+        more = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
+        help_ = "sort the rows"
+        if clock.reason.startswith(("clock", "dates")):
+            if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
+                help_ = "as where summer time ends: write UTC offsets"
+            elif abs(steps[back[0] - 1] + 43200.0) < 1800.0:
+                help_ = "as on a clock of 12 hours: write AM and PM"
+        raise InputError(
+            f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
+            f"{-steps[back[0] - 1]:g} s "
+            f"earlier; {help_}, or give --period{more}"
+        )
+    held = np.flatnonzero(steps == 0.0) + 1
+    if not len(held):
+        return found
+    if repeated is None:
+        more = f" (and {held.size - 1} more rows)" if held.size > 1 else ""
+        raise InputError(
+            f"{found.line(int(held[0]))}, column {clock.name}: does not come after the row above, but has "
+            "its time; state "
+            f"--repeated spread (even until the next time) or --repeated first (keep the first), or give --period{more}"
+        )
+    begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
+    note = f"{len(held)} rows have the time of the row above (--repeated {repeated})"
+    if repeated == "first":
+        columns = tuple(replace(c, values=c.values[begins]) for c in found.columns)
+        return replace(found, columns=columns, rows=tuple(found.rows[i] for i in begins), notes=(*found.notes, note))
+    ends = np.append(begins[1:], len(t))
+    last = t[begins[-1]] - t[begins[-2]] if len(begins) > 1 else 0.0
+    if last <= 0.0:
+        raise InputError(f"{display_path(found.path)}, column {clock.name}: all times are one; give --period")
+    # rows of the last time keep the spacing of those before them
+    count_before = ends[-2] - begins[-2] if len(begins) > 1 else 1
+    spread = t.copy()
+    for a, b in zip(begins, ends, strict=True):
+        after = t[b] if b < len(t) else t[a] + last * (b - a) / count_before
+        spread[a:b] = t[a] + (after - t[a]) * np.arange(b - a) / (b - a)
+    new = replace(clock, values=np.round(spread, 9), unit="s", reason=f"{clock.reason}; --repeated spread")
+    return replace(found, columns=tuple(new if c is clock else c for c in found.columns), notes=(*found.notes, note))
+
+
+# Units and readings --------------------------------------------------------------------------------------------------
 
 
 def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -> None:
@@ -403,43 +732,248 @@ def _warn_of_other_unit(path: Path, column: CsvColumn, unit: str, option: str) -
         )
 
 
-def _with_unit(path: Path, column: CsvColumn, unit: str | None) -> CsvColumn:
-    """A temperature with its unit: the one given, that of the name, else by its first readings."""
+def _with_unit(block: Block, column: CsvColumn, head: _Head, chosen: LoggerLayout, layout: LoggerLayout) -> CsvColumn:
+    """A temperature or a flux with its unit: the one stated by an option, the file, or told by the first readings.
+
+    raises : InputError where the file states a unit that is not known, or a cell is in another layout
+    """
+    kind, si = column.kind, SI_UNITS[column.kind]
+    option = UNIT_OPTIONS[kind].split()[0]
+    file = display_path(block.path)
+    if head.numbers.torn >= 0:
+        i = head.numbers.torn
+        raise InputError(
+            f"{block.at(i, head.name)}: `{shown_cell(head.cells[i])}` is no number in the layout of the "
+            "file; mend the cell, "
+            "state --decimal or --separator, or name the columns that are read, --temperature COLUMN"
+        )
+    declared = next((c.unit for c in layout.column if c.name == column.name and c.unit), None)
+    unit = declared or (chosen.temperature_unit if kind == TEMPERATURE else chosen.flux_unit)
     if unit is not None:
-        if converted(unit, "K") is None:
-            raise InputError(f"--temperature-unit {unit}: is not a unit of temperature; give K, degC or degF")
-        _warn_of_other_unit(path, column, unit, "--temperature-unit")
-        return replace(column, unit=unit, reason=f"{column.reason}; --temperature-unit")
+        if converted(unit, si) is None:
+            raise InputError(
+                f"{option} {unit}: is not a unit of {kind}; give {'K, degC or degF' if kind == TEMPERATURE else 'W/m2'}"
+            )
+        if unit == declared and column.unit and converted(column.unit, si) != converted(unit, si):
+            raise InputError(
+                f"{file}, column {column.name}: the file says {column.unit}, and --layout {unit}; correct the layout"
+            )
+        _warn_of_other_unit(block.path, column, unit, option)
+        return replace(column, unit=unit, reason=f"{column.reason}; {option}")
     if column.unit:
         return column
-    read = column.values[np.isfinite(column.values)]
-    start = float(np.median(read[:5]))
-    if ROOM_K[0] <= start:
-        unit = "K"
-    elif ROOM_C[0] <= start <= ROOM_C[1]:
-        unit = "degC"
-    elif ROOM_C[1] < start < ROOM_K[0]:
-        unit = "degF"
-    else:
-        file = display_path(path)
+    stated = head.stated or head.numbers.unit
+    if stated and not re.fullmatch(REMARK, stated.strip()):
         raise InputError(
-            f"{file}, column {column.name}: begins at {start:g}, in no unit that is known; give --temperature-unit"
+            f"{file}, column {column.name}: `{stated}` is not a unit of {kind} that is known; state it, "
+            f"{UNIT_OPTIONS[kind]}, or name the columns that are read, --temperature COLUMN"
         )
-    return replace(column, unit=unit, reason=f"{column.reason}; begins at {start:g}: {unit} assumed")
+    return column
 
 
-def _check_time(found: MeasuredCsv) -> None:
-    """Refuse times that are lost or do not increase.
+def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> list[CsvColumn]:
+    """Columns with the units that their readings tell where none is stated, for a warning: one for all temperatures.
 
-    raises : InputError with the first such row of the file
+    raises : InputError where they tell none
     """
-    time = found.of_kind(TIME)[0]
-    t = time.si
-    for bad, rule in (
-        (np.flatnonzero(np.isnan(t)), "holds no time; remove the row, or give --period"),
-        (np.flatnonzero(~(np.diff(t) > 0.0)) + 1, "does not come after the row above; sort the rows, or give --period"),
-    ):
-        if bad.size:
-            more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-            place = f"{display_path(found.path)}, row {found.rows[bad[0]]}, column {time.name}"
-            raise InputError(f"{place}: {rule}{more}")
+    open_ = [c for c in columns if c.kind in kinds and not c.unit]
+    starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
+    unit = ""
+    if starts:
+        known = [x for x in starts.values() if np.isfinite(x)]
+        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in known)
+        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in known) and min(known) >= ROOM_K[0]:
+            unit = "K"
+        elif cold and max(known) < ROOM_K[0]:
+            unit = "degC"
+        else:
+            odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
+            raise InputError(
+                f"{display_path(block.path)}, column {odd}: begins at {starts[odd]:g}, in no unit that is "
+                "known; state it, "
+                "--temperature-unit degC"
+            )
+    return [_with_guess(c, unit, starts.get(c.name)) if c in open_ else c for c in columns]
+
+
+def _start(column: CsvColumn) -> float:
+    read = column.values[np.isfinite(column.values)]
+    return float(np.median(read[:5])) if read.size else float("nan")
+
+
+def _warn_of_guesses(found: MeasuredCsv, kinds: Sequence[str]) -> None:
+    """Warn of what is assumed without a word of the file: of fluxes where they are used."""
+    guesses: dict[str, list[str]] = {}
+    for column in found.columns:
+        if column.guess and (column.kind == TIME or (column.kind == TEMPERATURE and TEMPERATURE in kinds)):
+            guesses.setdefault(column.guess, []).append(column.name)
+    for guess, names in guesses.items():
+        what = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
+        warnings.warn(f"{display_path(found.path)}, {what}: {guess}", stacklevel=3)
+
+
+def _with_guess(column: CsvColumn, unit: str, start: float | None) -> CsvColumn:
+    if column.kind == TEMPERATURE:
+        guess = f"no unit is stated, and readings begin as in a room: {unit} assumed (--temperature-unit)"
+        return replace(column, unit=unit, reason=f"{column.reason}; begins at {start:g}: {unit} assumed", guess=guess)
+    largest = float(np.nanmax(np.abs(column.values))) if np.any(np.isfinite(column.values)) else 0.0
+    unit, why = ("W/m2", "above 1000") if largest > 1000.0 else ("kW/m2", "up to 1000")
+    guess = f"no unit is stated, and values are {why}: {unit} assumed (--flux-unit)"
+    return replace(column, unit=unit, reason=f"{column.reason}; no unit, values {why}: {unit}", guess=guess)
+
+
+def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> CsvColumn:
+    """A column without readings that are codes: those stated, overloads, what no temperature can be.
+
+    raises : InputError where several different readings are no temperature: the unit is another one
+    """
+    values = column.values.copy()
+    coded = lost_codes(values, codes)
+    reason = column.reason
+    if coded.any():
+        shown = Counter(f"{v:g}" for v in values[coded])
+        reason += "; lost: " + ", ".join(f"{n} of {code}" for code, n in shown.items())
+        overload = [
+            int(i) for i in np.flatnonzero(coded & ~lost_codes(np.where(np.abs(values) >= 1e30, 0.0, values), codes))
+        ]
+        values[coded] = np.nan
+        if overload:
+            _warn_of_rows(block, column.name, overload, column.values, "is the overload of a recorder: left out")
+    if column.kind == TEMPERATURE:
+        si = replace(column, values=values).si
+        wrong = np.flatnonzero((si < COLDEST_K) | (si > HOTTEST_K))
+        kinds = sorted({float(values[i]) for i in wrong})
+        if len(kinds) > 2 or len(wrong) > 0.5 * max(int(np.count_nonzero(np.isfinite(si))), 1):
+            i = int(wrong[0])
+            raise InputError(
+                f"{block.at(i, column.name)}: {values[i]:g} {column.unit} is {si[i]:g} K and no temperature "
+                "of a wall; state the "
+                f"unit, --temperature-unit, or the readings of a lost sample, --lost={values[i]:g}"
+            )
+        if len(wrong):
+            _warn_of_rows(
+                block,
+                column.name,
+                [int(i) for i in wrong],
+                values,
+                "is no temperature and taken for the code of a lost sample: left out",
+            )
+            reason += "; lost: " + ", ".join(f"{int(np.sum(values[wrong] == k))} of {k:g}" for k in kinds)
+            values[wrong] = np.nan
+        faults = np.flatnonzero(fault_codes(values))
+        if len(faults):
+            _warn_of_rows(
+                block,
+                column.name,
+                [int(i) for i in faults],
+                values,
+                "lies far off its neighbours and is a code of recorders in fault: left out",
+            )
+            reason += f"; {len(faults)} readings of a fault left out"
+            values[faults] = np.nan
+        read = np.unique(values[np.isfinite(values)])
+        if len(read) == 1 and float(read[0]) in OPEN:
+            raise InputError(
+                f"{display_path(block.path)}, column {column.name}: reads {read[0]:g} throughout, as a converter in "
+                "fault; name the columns that are read, --temperature COLUMN"
+            )
+    return replace(column, values=values, reason=reason)
+
+
+def _warn_of_rows(block: Block, name: str, rows: Sequence[int], values: FloatArray, rule: str) -> None:
+    where = ", ".join(str(block.lines[i]) for i in rows[:NAMED_ROWS])
+    more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+    shown = ", ".join(dict.fromkeys(f"{values[i]:g}" for i in rows))
+    plural = "rows" if len(rows) > 1 else "row"
+    warnings.warn(f"{display_path(block.path)}, {plural} {where}{more}, column {name}: {shown} {rule}", stacklevel=2)
+
+
+def _name_far_off(found: MeasuredCsv) -> None:
+    """Warn of single readings far off their neighbours, which stay in the record."""
+    for column in found.of_kind(TEMPERATURE):
+        rows = np.flatnonzero(far_off(column.values))
+        if len(rows):
+            where = ", ".join(str(found.rows[i]) for i in rows[:NAMED_ROWS])
+            more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+            shown = ", ".join(f"{column.values[i]:g}" for i in rows[:NAMED_ROWS])
+            plural = "rows" if len(rows) > 1 else "row"
+            warnings.warn(
+                f"{display_path(found.path)}, {plural} {where}{more}, column {column.name}: {shown} "
+                f"{column.unit} lies far off its "
+                f"neighbours and stays; leave it out by --lost={column.values[rows[0]]:g} where it is no reading",
+                stacklevel=2,
+            )
+
+
+def _rows_kept(
+    block: Block, columns: list[CsvColumn], kept: np.ndarray, kinds: Sequence[str]
+) -> tuple[list[CsvColumn], tuple[int, ...], list[str]]:
+    """Rows in which a column that is used has a reading; others say nothing, such as those that mark an event."""
+    used = [c for c in columns if c.kind in kinds]
+    if not used:
+        return columns, block.lines, []
+    read = np.any([np.isfinite(c.values) for c in used], axis=0)
+    rows = np.flatnonzero(read)
+    blank = np.flatnonzero(~read)
+    words = any(np.any(np.isnan(c.values)) for c in used)
+    if not len(blank) or not words or len(rows) == 0:
+        return columns, block.lines, []
+    # a lost sample of all sensors between others is kept as such
+    ends = blank[(blank < rows[0]) | (blank > rows[-1])]
+    marked = [
+        i for i in blank if all(not block.cells[k][i] for k in range(len(block.names)) if _is_used(block, k, used))
+    ]
+    out = sorted({int(i) for i in ends} & {int(i) for i in marked})
+    if not out:
+        return columns, block.lines, []
+    stay = np.setdiff1d(np.arange(len(block.lines)), out)
+    note = f"{len(out)} rows without a reading at the ends left out"
+    return [replace(c, values=c.values[stay]) for c in columns], tuple(block.lines[i] for i in stay), [note]
+
+
+def _is_used(block: Block, k: int, used: Sequence[CsvColumn]) -> bool:
+    bare, _ = name_and_unit(block.names[k], list(SI_UNITS.values()))
+    return any(c.name in (bare, block.names[k]) for c in used)
+
+
+def _stated(
+    chosen: LoggerLayout, block: Block, signs: Signs, columns: Sequence[CsvColumn], heads: Sequence[_Head]
+) -> LoggerLayout:
+    """The layout as it was read: units where the file states none itself, which each file may state anew."""
+    clock = next(c for c in columns if c.kind == TIME)
+    own = {h.name: h.stated or h.numbers.unit for h in heads}
+    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(own.get(c.name, ""), SI_UNITS[c.kind])}
+    used = [
+        LayoutColumn(
+            name=c.name,
+            kind="temperature" if c.kind == TEMPERATURE else "heat flux",
+            unit=None if c.name in has_own else c.unit,
+        )
+        for c in columns
+        if c.kind in (TEMPERATURE, FLUX) and c.unit
+    ]
+    is_clock_time = "counted from" in clock.reason
+    order = next((o for o, words in ORDERS.items() if f"dates {words}" in clock.reason), None)
+    return chosen.model_copy(
+        update={
+            "separator": block.separator or None,
+            "decimal": signs.decimal if block.separator else None,
+            "dates": chosen.dates or (order if order != "year-first" else None),
+            "time": clock.name if chosen.period_s is None and block.has_names else None,
+            "time_unit": chosen.time_unit or (None if is_clock_time or clock.name in has_own else clock.unit),
+            "column": used if block.has_names else [],
+            "temperature_unit": None if block.has_names else chosen.temperature_unit,
+            "flux_unit": None if block.has_names else chosen.flux_unit,
+        }
+    )
+
+
+def lost_values(text: str) -> tuple[float, ...]:
+    """Readings of a lost sample that an option states, `-9999,9.9E37`.
+
+    raises : InputError, one line, where one is no number
+    """
+    try:
+        return tuple(plain_number(part.strip()) for part in text.split(",") if part.strip())
+    except ValueError:
+        raise InputError(f"--lost {text}: write numbers, such as --lost=-9999,9.9E37") from None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -192,12 +193,12 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         found = columns.get(lamp)
         where = f"column {lamp}"
         if found is None:
-            file = read_measured_csv(Path(lamp))
+            file = read_measured_csv(Path(lamp), kinds=(FLUX,))
             fluxes = file.of_kind(FLUX)
             if len(fluxes) != 1:
                 names = ", ".join(c.name for c in file.columns)
                 raise InputError(f"--lamp {lamp}: has {len(fluxes)} columns of a heat flux (of {names}); it needs one")
-            found, clock = fluxes[0], file.of_kind(TIME)[0].si
+            found, clock = fluxes[0], file.of_kind(TIME)[0].si + _later_s(file, measured)
             where = f"file {lamp}"
             if clock[0] > times[0] or clock[-1] < times[-1]:
                 raise InputError(
@@ -207,6 +208,8 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         else:
             clock = times
         flux = found.si
+        if found.guess:
+            warnings.warn(f"--lamp {lamp}, column {found.name}: {found.guess}", stacklevel=2)
         if np.any(np.isnan(flux)):
             raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
         note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
@@ -230,6 +233,19 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     after = "" if lit_s[1] <= times[-1] else f", which is after the last reading, {times[-1]:g} s (--lit)"
     note = f"{part}, from {lit_s[0]:g} to {lit_s[1]:g} s{after}"
     return Heat({"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}, (), "none", note)
+
+
+def _later_s(file: MeasuredCsv, measured: MeasuredCsv) -> float:
+    """By how much the zero of the times of a lamp's file is later than that of the readings [s].
+
+    raises : InputError where the two are of different clocks
+    """
+    if file.zero != measured.zero or (file.zero and (file.zero_s is None or measured.zero_s is None)):
+        raise InputError(
+            f"--lamp {display_path(file.path)}: its times and those of {display_path(measured.path)} are of different "
+            "clocks; write both as dates with times, or both in seconds of one clock"
+        )
+    return 0.0 if file.zero_s is None or measured.zero_s is None else file.zero_s - measured.zero_s
 
 
 def _lit(times: FloatArray, lit_s: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
@@ -393,7 +409,7 @@ def write_new_record(
     inputs = [measured.path, *([] if given.ratio_table is None else [given.ratio_table])]
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
-        said_of_options(out), shown_at(folder, out),
+        said_of_options(out), said_of_readings(measured, out), shown_at(folder, out),
     ):  # fmt: skip
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
@@ -401,7 +417,7 @@ def write_new_record(
         if given.ratio_table is not None:
             write_ratio_table(folder / RATIO_FILE, read_ratio_table(given.ratio_table))
         record = load_record(folder)
-    return record, [f"heated by {given.heat.note}", *given.heat.notes, *notes, *given.notes]
+    return record, [*measured.notes, f"heated by {given.heat.note}", *given.heat.notes, *notes, *given.notes]
 
 
 def _ratio_notes(given: RecordInput) -> list[str]:
@@ -463,6 +479,30 @@ def _of_option(line: str, declaration: str) -> str:
 
 
 @contextmanager
+def said_of_readings(measured: MeasuredCsv, out: str | os.PathLike[str]) -> Iterator[None]:
+    """Errors about readings that were not written, with the file, the row and the column that the user has."""
+    try:
+        yield
+    except InputError as error:
+        made = f"{display_path(Path(out) / 'thermocouples.csv')}, row "
+        raise InputError(*(_of_reading(line, made, measured) for line in error.problems)) from None
+
+
+def _of_reading(line: str, made: str, measured: MeasuredCsv) -> str:
+    found = re.fullmatch(r"(\d+), column (\S+?): (.*)", line.removeprefix(made)) if line.startswith(made) else None
+    if found is None or int(found[1]) - 2 >= len(measured.rows):
+        return line
+    columns = {_column_name(c.name): c.name for c in measured.columns}
+    return f"{measured.line(int(found[1]) - 2)}, column {columns.get(found[2], found[2])}: {found[3]}"
+
+
+def _column_name(name: str) -> str:
+    """Name of a column of a record: that of the file without blanks, and with its unit."""
+    plain = re.sub(r"[\s,]+", "_", name.strip())
+    return plain if plain.endswith("_K") else f"{plain}_K"
+
+
+@contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
     """Errors about files of a directory in the making, with the paths that they will have."""
     try:
@@ -487,10 +527,9 @@ def _of_reference(given: RecordInput) -> dict[str, Any]:
 
 
 def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
-    name = re.sub(r"\s+", "_", column.name.strip())
     return Sensor(
         name=column.name,
-        column=name if name.endswith("_K") else f"{name}_K",
+        column=_column_name(column.name),
         depth_m=given.depths_m[column.name],
         noise_sigma_K=given.noise_K,
     )
@@ -596,11 +635,8 @@ def like_record(
         )
     sensors, notes = [], []
     for column in columns:
-        name = re.sub(r"\s+", "_", column.name)
         depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
-        sensors.append(
-            Sensor(name=column.name, column=f"{name.removesuffix('_K')}_K", depth_m=depth, noise_sigma_K=noise_K)
-        )
+        sensors.append(Sensor(name=column.name, column=_column_name(column.name), depth_m=depth, noise_sigma_K=noise_K))
         other = known[column.name].noise_sigma_K if column.name in known else None
         notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
         if noise_K is None:
@@ -619,4 +655,4 @@ def like_record(
     )
     comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
     write_record(record, out, comment=comment)
-    return record, [*notes, f"stack, flight and heating of {display_path(Path(like))}"]
+    return record, [*measured.notes, *notes, f"stack, flight and heating of {display_path(Path(like))}"]

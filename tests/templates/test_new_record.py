@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -95,28 +97,39 @@ def test_a_lamp_of_unknown_flux_is_estimated() -> None:
         ("clock,plate\n10:00:00,20.0\n10:00:30,25\n10:01:00,30\n", 60.0, 303.15),
         ("2024-05-01T10:00:00,20.0\n2024-05-01T10:00:30,25\n", 30.0, 298.15),
         ("# logger\n# 2 channels\nElapsed time/s, TC1/K\n0, 300\n0.1, 301\n", 0.1, 301.0),
-        ("Date Time,Temp\n5/1/2024 10:00:00,70\n5/1/2024 10:00:01,88\n", 1.0, 304.26111111111),
+        ("Date Time,Temp F\n5/1/2024 10:00:00,70\n5/1/2024 10:00:01,88\n", 1.0, 304.26111111111),
         ("0 293.15\n1 294.15\n2 295.15\n", 2.0, None),
     ],
 )
 def test_separators_units_and_clocks_of_loggers_are_recognised(text: str, last_s: float, last_K: float | None) -> None:
     Path("t.csv").write_text(text, encoding="utf-8")
-    found = read_measured_csv(Path("t.csv"), temperatures=("column2",) if last_K is None else ())
+    guessed = (
+        pytest.warns(UserWarning, match="no unit is stated")
+        if not re.search("_K|°C|F|/K|2024-05", text)
+        else nullcontext()
+    )
+    with guessed:
+        found = read_measured_csv(Path("t.csv"), temperatures=("column2",) if last_K is None else ())
     assert found.of_kind(TIME)[0].si[-1] == pytest.approx(last_s)
-    if "2024-05" not in text:
+    if "2024-05" not in text:  # without names no column is a temperature
         assert found.of_kind(TEMPERATURE)[0].si[-1] == pytest.approx(last_K or 295.15)
 
 
 def test_a_guess_is_shown_with_its_reason_and_an_option_prevails() -> None:
-    Path("t.csv").write_text("t,plate,q\n0,70,0.0\n1,71,20.0\n2,72,20.0\n")
-    guessed = {c.name: c for c in read_measured_csv(Path("t.csv")).columns}
-    assert (guessed["plate"].unit, guessed["q"].unit, guessed["t"].unit) == ("degF", "kW/m2", "s")
-    assert "begins at 71: degF assumed" in guessed["plate"].reason
-    stated = read_measured_csv(Path("t.csv"), time_unit="min", temperature_unit="degC")
-    assert stated.of_kind(TEMPERATURE)[0].si[0] == 343.15
+    Path("t.csv").write_text("t,plate,q\n0,20,0.0\n1,21,20.0\n2,22,20.0\n")
+    with pytest.warns(UserWarning, match="no unit is stated") as told:
+        guessed = {c.name: c for c in read_measured_csv(Path("t.csv")).columns}
+    assert [str(w.message) for w in told] == [
+        "t.csv, column t: no unit is stated: s assumed (--time-unit)",
+        "t.csv, column plate: no unit is stated, and readings begin as in a room: degC assumed (--temperature-unit)",
+    ]  # the flux is told of where it is used
+    assert (guessed["plate"].unit, guessed["q"].unit, guessed["t"].unit) == ("degC", "kW/m2", "s")
+    assert "begins at 21: degC assumed" in guessed["plate"].reason
+    stated = read_measured_csv(Path("t.csv"), time_unit="min", temperature_unit="degF")
+    assert stated.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(266.483, abs=1e-3)
     assert stated.of_kind(TIME)[0].si[-1] == 120.0
     assert stated.of_kind(FLUX)[0].si[-1] == 20e3
-    assert read_measured_csv(Path("t.csv"), period_s=0.5).of_kind(TIME)[0].si[-1] == 1.0
+    assert read_measured_csv(Path("t.csv"), period_s=0.5, temperature_unit="C").of_kind(TIME)[0].si[-1] == 1.0
 
 
 def test_samples_without_a_number_are_lost_samples_and_not_zeros() -> None:
@@ -294,7 +307,7 @@ def test_what_is_missing_or_wrong_is_said_in_one_line(arguments: tuple[str, ...]
     [
         ("time_s,TC_K\n0,300\n1,301\n1,302\n", "row 4, column time: does not come after"),
         ("a,b\nx,y\n", "no rows of numbers"),
-        ("time_s,TC_K\n0,300\n1,301,5\n2,302\n", "row 3: does not have 2 cells"),
+        ("time_s,TC_K\n0,300\n1,301,5\n2,302\n", "row 3: `1, 301, 5` does not have 2 cells"),
         ("u,v\n1,1\n1,2\n0,1\n", "no column is a time"),
         ("time_s,v\n1,1\n2,2\n3,1\n", "no column is a temperature"),
         ("time_s,TC\n1,-120\n2,-119\n3,-90\n", "in no unit that is known"),

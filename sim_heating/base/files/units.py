@@ -33,6 +33,7 @@ WORDS = {
     "microseconds": "us", "btu": "BTU", "btus": "BTU", "fps": "ft/s", "kts": "knot", "psf": "lbf/ft**2",
     "pcf": "lb/ft**3", "slugs": "slug", "feet": "ft", "meters": "m", "metres": "m", "watt": "W", "watts": "W",
     "psi": "psi", "psia": "psi", "gm": "g", "lbm": "lb", "volt": "V", "volts": "V",
+    "sek": "s", "sekunden": "s", "minuten": "min", "stunden": "h",
 }  # fmt: skip
 """Words in small letters -> the name that pint knows, whatever the letters are in the file."""
 LETTERS = {
@@ -41,7 +42,7 @@ LETTERS = {
 }  # fmt: skip
 """Short names that pint takes for another unit, a charge, a capacity, a gas constant or an angle, or does not know."""
 DEGREES = re.compile(
-    r"(?i)(?:deg(?:s|ree|rees)?\.?|\u00c2?\u00b0|[\u00ba\u02da\ufffd]|(?<![\w)*])[*?])[ _]*"
+    r"(?i)(?:deg(?:s|ree|rees)?\.?|grad|\u00c2?\u00b0|[\u00ba\u02da\ufffd]|(?<![\w)*])[*?])[ _]*"
     r"(C|F|K|R|celsius|fahrenheit|kelvin|rankine)(?![A-Za-z])"
 )
 """A degree of a temperature; the sign is a star, a question mark or a ring where an encoding has lost it."""
@@ -103,6 +104,7 @@ def _plain(name: str) -> str:
     text = SERIAL_NUMBER.sub("", name).strip()
     while (inner := re.fullmatch(r"\(([^()]*)\)|\[([^\[\]]*)\]|<([^<>]*)>", text)) is not None:
         text = next(part for part in inner.groups() if part is not None).strip()
+    text = re.sub(r"^([CFKR])[°º]$", r"\1", text)
     text = DEGREES.sub(lambda found: SCALES[found[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
     text = re.sub(r"(?i)(?<![a-z])(?:sq\.? *|square +)([a-z]+)", r"\g<1>2", text)
     text = re.sub(r"(?i)(?<![a-z])(?:cu\. *|cu +|cubic +)([a-z]+)", r"\g<1>3", text)
@@ -195,6 +197,9 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
         found = re.fullmatch(pattern, head)
         if found:
             return found[1].strip(), found[2].strip()
+    inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
+    if inside and any(converted(inside[2], si) is not None for si in quantities):
+        return f"{inside[1]} {inside[3]}", inside[2]
     for first in _endings(head):
         name, ending = head[:first].rstrip("_ "), head[first:].lstrip("_ ")
         if not name:

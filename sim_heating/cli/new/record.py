@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 @click.command("record")
 @click.option(
-    "--csv", "csv_file", type=PATH, required=True, help="file of temperatures: a time and one column a thermocouple"
+    "--csv",
+    "csv_file",
+    type=PATH,
+    required=True,
+    metavar="FILE",
+    help="file of temperatures, CSV or another table of a logger: a time and one column a thermocouple",
 )
 @OUT
 @click.option(
@@ -104,7 +109,7 @@ if TYPE_CHECKING:
     help="stack, flight and heating of this record, in place of --layer and --lamp",
 )
 @click.option("--time", "time", metavar="COLUMN", help="column of the time, where the guess is wrong")
-@click.option("--time-unit", metavar="UNIT", help="its unit: s, ms, min, h")
+@click.option("--time-unit", metavar="UNIT", help="its unit: s, ms, min, h; of a clock hh:mm, mm:ss")
 @quantity_option("--period", "s", "period_s", "0.1s", "T", "time between rows, where there is no column of it")
 @click.option(
     "--temperature",
@@ -114,6 +119,17 @@ if TYPE_CHECKING:
     help="column of a temperature; repeat; others are left out",
 )
 @click.option("--temperature-unit", metavar="UNIT", help="unit of the temperatures: K, degC, degF")
+@click.option("--flux-unit", metavar="UNIT", help="unit of a column of heat flux: W/m2, kW/m2, BTU/ft2-s")
+@click.option("--separator", metavar="SIGN", help="between cells: `;`, `,`, tab, blank")
+@click.option("--decimal", type=click.Choice([".", ","]), help="decimal sign; the other one is that of thousands")
+@click.option("--dates", type=click.Choice(["day-first", "month-first", "year-first"]), help="order of dates")
+@click.option("--lost", metavar="NUMBERS", help="readings that stand for a lost sample: --lost=-9999,9.9E37")
+@click.option(
+    "--repeated", type=click.Choice(["spread", "first"]), help="rows of one time: even until the next, or the first one"
+)
+@click.option("--sheet", metavar="NAME", help="sheet of a workbook, or group of a TDMS file")
+@click.option("--layout", "layout_file", type=PATH, metavar="FILE", help="layout that was kept of another file (TOML)")
+@click.option("--keep-layout", type=PATH, metavar="FILE", help="write the layout of this file, for --layout")
 @quantity_option(
     "--noise", "K", "noise_sigma_K", "0.5K", "SIGMA", "random error of the thermocouples in K; default: estimated"
 )
@@ -136,20 +152,34 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     """
     from sim_heating.cli.path_check import describe_record
     from sim_heating.templates import record as maker
-    from sim_heating.templates.measured_csv import read_measured_csv
+    from sim_heating.templates.loggers.layout_file import read_layout, write_layout
+    from sim_heating.templates.measured_csv import lost_values, read_measured_csv
 
     if given["period"] is not None and not given["period"] > 0.0:
         raise InputError("--period: must be above 0")
     lamp = given["lamp"]
+    kept = None if given["layout_file"] is None else read_layout(given["layout_file"])
+    if kept is not None:
+        depths = {c.name: c.depth for c in kept.column if c.depth is not None} | depths
+    signs = {"tab": "\t", "blank": " "}
     measured = read_measured_csv(
         csv_file,
         time=given["time"],
         time_unit=given["time_unit"],
         temperatures=given["temperatures"],
         temperature_unit=given["temperature_unit"],
+        flux_unit=given["flux_unit"],
         period_s=given["period"],
+        separator=None if given["separator"] is None else signs.get(given["separator"], given["separator"]),
+        decimal=given["decimal"],
+        dates=given["dates"],
+        lost=() if given["lost"] is None else lost_values(given["lost"]),
+        repeated=given["repeated"],
+        sheet=given["sheet"],
+        layout=kept,
     )
     print_table(measured.table())
+    print_table(measured.first_rows())
     if given["like"] is not None:
         _refuse_with_like(layers, given)
         made, notes = maker.like_record(out, given["like"], measured, depths, given["title"], given["noise"])
@@ -183,6 +213,9 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
                 ratio_table=given["ratio_table"],
             ),
         )
+    if given["keep_layout"] is not None:
+        notes.append(f"layout of {csv_file.name} kept in {given['keep_layout']}: --layout reads the next files by it")
+        write_layout(given["keep_layout"], measured.stated, csv_file.name, depths)
     print_notes(notes)
     commands = (
         f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}"

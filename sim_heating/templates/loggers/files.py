@@ -1,0 +1,97 @@
+"""Tables that are no text: Parquet and Excel by pandas, TDMS of LabVIEW by npTDMS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path
+from sim_heating.templates.loggers.block import Block, cell_text, of_frame
+
+KINDS = {b"PAR1": "parquet", b"PK\x03\x04": "xlsx", b"\xd0\xcf\x11\xe0": "xls", b"TDSm": "tdms"}
+"""First bytes -> kind of file."""
+LIBRARIES = {"parquet": "pyarrow", "xlsx": "openpyxl", "xls": "xlrd", "tdms": "nptdms"}
+
+
+def kind_of_file(path: Path) -> str:
+    """`parquet`, `xlsx`, `xls`, `tdms` by the first bytes; empty for a text."""
+    try:
+        with path.open("rb") as stream:
+            return KINDS.get(stream.read(4), "")
+    except OSError:
+        return ""
+
+
+def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[str]]:
+    """The table of a file; rows of cells of a sheet, whose names are yet to be recognised.
+
+    sheet  : of a workbook, or group of a TDMS file; None where it has one alone
+    raises : InputError, one line, where the library is absent, the file is damaged, or the sheet has to be chosen
+    """
+    try:
+        if kind == "parquet":
+            return _parquet(path)
+        return _tdms(path, sheet) if kind == "tdms" else _workbook(path, sheet)
+    except ImportError:
+        library = LIBRARIES[kind]
+        raise InputError(
+            f"{display_path(path)}: needs {library}; pip install {library}, or export a CSV file"
+        ) from None
+    except InputError:
+        raise
+    except Exception as error:  # each library has its own
+        line = " ".join(str(error).split())[:120]
+        raise InputError(f"{display_path(path)}: cannot be read as {kind} ({line}); export a CSV file") from None
+
+
+def _parquet(path: Path) -> Block:
+    frame = pd.read_parquet(path)
+    if frame.index.name is not None or isinstance(frame.index, pd.DatetimeIndex):
+        frame = frame.rename_axis(str(frame.index.name or "time")).reset_index()
+    return of_frame(path, frame, {}, "Parquet", 1)
+
+
+def _workbook(path: Path, sheet: str | None) -> list[list[str]]:
+    sheets = {
+        name: table
+        for name, table in pd.read_excel(path, sheet_name=None, header=None, dtype=object).items()
+        if table.size
+    }
+    name = _chosen(path, "sheet", [str(s) for s in sheets], sheet)
+    return [[cell_text(v) for v in row] for row in sheets[name].itertuples(index=False)]
+
+
+def _tdms(path: Path, group: str | None) -> Block:
+    from nptdms import TdmsFile
+
+    read = TdmsFile.read(str(path))
+    groups = {g.name: g for g in read.groups() if any(len(c) for c in g.channels())}
+    channels = groups[_chosen(path, "group", list(groups), group)].channels()
+    columns: dict[str, object] = {}
+    units: dict[str, str] = {}
+    steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
+    lengths = {len(c) for c in channels}
+    if len(lengths) > 1 or len(steps) > 1:
+        raise InputError(f"{display_path(path)}: the channels of the group differ in length or rate; export one rate")
+    if steps:
+        step, offset = steps.pop(), float(channels[0].properties.get("wf_start_offset", 0.0))
+        columns["time"] = [offset + step * i for i in range(lengths.pop())]
+        units["time"] = "s"
+    for channel in channels:
+        columns[channel.name] = channel[:]
+        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
+        units |= {channel.name: str(unit)} if unit else {}
+    return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
+
+
+def _chosen(path: Path, what: str, names: list[str], chosen: str | None) -> str:
+    if chosen is not None and chosen not in names:
+        raise InputError(
+            f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}"
+        )
+    if chosen is None and len(names) != 1:
+        known = ", ".join(names) or "none with cells"
+        raise InputError(f"{display_path(path)}: has {len(names)} {what}s ({known}); choose one, --sheet NAME")
+    return chosen if chosen is not None else names[0]

@@ -1,0 +1,84 @@
+"""A stated layout of a recorder's files, kept in a TOML file for the next ones.
+
+format = "logger-layout/1"
+separator = ";"                     # between cells
+decimal = ","                       # decimal sign
+dates = "day-first"                 # or "month-first", "year-first"
+time = "Time"                       # column of the time
+time_unit = "ms"                    # or hh:mm, mm:ss
+lost = [-9999.0, 9.9e37]            # readings that stand for a lost sample
+[[column]]                          # the columns that are used
+name = "TC1"
+unit = "degC"
+depth = "back"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from sim_heating.base.files import Declared, read_toml, toml_text, write_text_atomic
+from sim_heating.base.files.schema import schema_line
+
+FORMAT = "logger-layout/1"
+
+
+class LayoutColumn(Declared):
+    """A column of the recorder's files that is a temperature or a heat flux."""
+
+    quantities: ClassVar = {"depth": None}
+
+    name: str = Field(min_length=1, description="name in the files, without its unit")
+    kind: Literal["temperature", "heat flux"] = Field(default="temperature", description="what it holds")
+    unit: str | None = Field(default=None, description="unit of its cells, as `degC`; what a file states where absent")
+    depth: str | None = Field(default=None, description="depth of the sensor, as `0.4mm`, `surface` or `back`")
+
+
+class LoggerLayout(Declared):
+    """How a recorder writes its files. What is absent is recognised in each file, or refused."""
+
+    quantities: ClassVar = {"lost": None, "period_s": None}
+
+    format: Literal["logger-layout/1"] = "logger-layout/1"
+    title: str = Field(default="", description="which recorder, in words")
+    separator: str | None = Field(
+        default=None, min_length=1, max_length=1, description="between cells; a blank for any number of blanks"
+    )
+    decimal: Literal[".", ","] | None = Field(
+        default=None, description="decimal sign; the other one is that of thousands"
+    )
+    dates: Literal["day-first", "month-first", "year-first"] | None = Field(
+        default=None, description="order of dates as 03/05/2024"
+    )
+    sheet: str | None = Field(default=None, description="sheet of a workbook, or group of a TDMS file")
+    time: str | None = Field(default=None, description="column of the time")
+    time_unit: str | None = Field(default=None, description="unit of the time, or the layout of its clock as `hh:mm`")
+    period_s: float | None = Field(default=None, gt=0.0, description="time between rows, in place of a column")
+    repeated: Literal["spread", "first"] | None = Field(
+        default=None, description="rows of one time are spread until the next, or the first of them is kept"
+    )
+    temperature_unit: str | None = Field(default=None, description="unit of temperatures that state none")
+    flux_unit: str | None = Field(default=None, description="unit of heat fluxes that state none")
+    lost: list[float] = Field(default_factory=list, description="readings that stand for a lost sample")
+    column: list[LayoutColumn] = Field(default_factory=list, description="columns that are used; all where absent")
+
+
+def read_layout(path: Path) -> LoggerLayout:
+    """The layout of a file; InputError, one line a problem, as `read_toml`."""
+    return read_toml(path, LoggerLayout)
+
+
+def write_layout(path: Path, layout: LoggerLayout, source: str, depths: Mapping[str, str]) -> None:
+    """Keep a layout in a TOML file, for the other files of a recorder.
+
+    source : name of the file that it was read from
+    depths : column -> depth of its sensor as a person types it
+    """
+    columns = [c.model_copy(update={"depth": depths.get(c.name, c.depth)}) for c in layout.column]
+    kept = layout.model_copy(update={"column": columns, "title": layout.title or f"as {source}"})
+    data = {"format": FORMAT} | kept.model_dump(exclude_none=True, exclude_defaults=True)
+    write_text_atomic(path, f"{schema_line('logger_layout')}\n{toml_text(data)}")

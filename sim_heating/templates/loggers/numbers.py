@@ -1,0 +1,226 @@
+"""Numbers in cells: the decimal and the thousands sign, decided once over all cells of a file, and units in cells."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import InputError
+from sim_heating.base.files.text import abbreviated
+from sim_heating.base.files.units import known_unit
+from sim_heating.templates.loggers.block import Block
+
+BLANKS = "\u00a0\u202f'"
+"""Thousands signs that are no decimal sign."""
+PLAIN_CHARACTERS = set("0123456789.+-eE")
+WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+-].*)")
+GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"
+EXPONENT = r"(?:[eE][+-]?\d+)?"
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Decimal and thousands sign of a file; the latter is empty where there is none."""
+
+    decimal: str
+    thousands: str = ""
+
+    @property
+    def words(self) -> str:
+        """As in `decimal comma, thousands point`."""
+        name = {".": "point", ",": "comma", "": ""}
+        more = f", thousands {name.get(self.thousands, 'blank')}" if self.thousands else ""
+        return f"decimal {name[self.decimal]}{more}"
+
+    @property
+    def pattern(self) -> re.Pattern[str]:
+        """Of a number that is written with these signs."""
+        point, comma = re.escape(self.decimal), re.escape(self.thousands)
+        whole = rf"(?:\d+|[1-9]\d{{0,2}}(?:{comma}\d{{3}})+)" if self.thousands else r"\d+"
+        return re.compile(rf"[+-]?(?:{whole}(?:{point}\d*)?|{point}\d+){EXPONENT}")
+
+
+def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> Signs:
+    """The signs of all numbers of a file.
+
+    columns : those of numbers, not of clocks
+    decimal : the decimal sign, where it is stated
+    raises  : InputError that names a cell where both readings hold, or cells contradict each other
+    """
+    stated = decimal or block.decimal or None
+    evidence: dict[str, tuple[int, int]] = {}  # decimal sign -> row and column of a cell that shows it
+    open_cells: dict[str, tuple[int, int]] = {}  # a single sign with three digits behind it
+    blank = ""
+    for k in columns:
+        cells = block.column(k)
+        joined = "".join(cells)
+        blank = next((b for b in BLANKS if b in joined), blank)
+        signs = {sign for sign in ".," if sign in joined}
+        for row, cell in enumerate(cells) if signs else ():
+            shown = _sign_of(cell)
+            if shown is not None:
+                (evidence if shown[0] else open_cells).setdefault(shown[1], (row, k))
+                if shown[0] and len(signs) == 1:
+                    break  # no other cell of the column has another sign
+    if stated is not None:
+        return Signs(stated, blank or _thousands(block, columns, stated))
+    if len(evidence) > 1:
+        row, k = max(evidence.values())
+        first = min(evidence.values())
+        two = f"`{block.cells[k][row]}`" + (f" and `{block.cells[first[1]][first[0]]}`" if first[0] >= 0 else "")
+        raise InputError(
+            f"{block.at(row, block.names[k])}: {two} do not have one decimal sign; state it, --decimal . or --decimal ,"
+        )
+    if evidence:
+        sign = next(iter(evidence))
+        return Signs(sign, blank or _thousands(block, columns, sign))
+    if not open_cells:
+        return Signs(".", blank)
+    for sign, at in open_cells.items():
+        row, k = at
+        if sign == "," or _may_be_thousands(block, columns):
+            cell = block.cells[k][row]
+            point = "." if sign == "," else ","
+            whole = re.sub(r"[.,]", "", cell)
+            raise InputError(
+                f"{block.at(row, block.names[k])}: `{cell}` may be {whole} or {cell.replace(',', '.')}; "
+                "state the decimal "
+                f"sign, --decimal {point} for {whole}, --decimal {sign} for {cell.replace(',', '.')}"
+            )
+    return Signs(".", blank)
+
+
+def _sign_of(cell: str) -> tuple[bool, str] | None:
+    """Whether a cell decides the decimal sign, and the sign; None where it has no sign."""
+    found = WITH_UNIT.fullmatch(cell)
+    text = (found[1] if found else cell).translate(str.maketrans("", "", BLANKS))
+    if not re.fullmatch(rf"[+-]?[\d.,]*\d[.,]?{EXPONENT}|[+-]?[.,]\d+{EXPONENT}", text):
+        return None
+    text = re.sub(r"[eE].*", "", text)
+    signs = [c for c in text if c in ".,"]
+    if not signs:
+        return None
+    last = signs[-1]
+    if len(set(signs)) == 2:
+        return (
+            (True, last)
+            if signs.count(last) == 1 and re.fullmatch(r"[+-]?\d{1,3}(?:[.,]\d{3})+[.,]\d*", text)
+            else None
+        )
+    other = "." if last == "," else ","
+    if len(signs) > 1:
+        return (True, other) if re.fullmatch(GROUPED.format(re.escape(last)), text) else None
+    return (False, last) if re.fullmatch(GROUPED.format(re.escape(last)), text) else (True, last)
+
+
+def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
+    """The thousands sign that cells show beside a decimal sign."""
+    other = "," if decimal == "." else "."
+    grouped = re.compile(GROUPED.format(re.escape(other)) + rf"(?:{re.escape(decimal)}\d*)?{EXPONENT}")
+    return other if any(other in c and grouped.fullmatch(_bare(c)) for k in columns for c in block.column(k)) else ""
+
+
+def _bare(cell: str) -> str:
+    found = WITH_UNIT.fullmatch(cell)
+    return (found[1] if found else cell).strip()
+
+
+def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
+    """Whether points with three digits behind them may be those of thousands: whole numbers of hundreds stand beside
+    them, or all are of one to nine thousand, where the separator is not that of countries with a decimal point."""
+    for k in columns:
+        cells = [c for c in map(_bare, block.column(k)) if c]
+        pointed = [c for c in cells if "." in c]
+        whole = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
+        if pointed and (
+            max(whole, default=0.0) >= 100.0
+            or (block.separator != "," and all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed))
+        ):
+            return True
+    return False
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers of a column.
+
+    values : (row,) NaN where the cell holds none
+    unit   : that stands in the cells; empty where none does
+    words  : texts in place of numbers, each once; empty cells aside
+    torn   : row of the first cell that is neither a number in this layout nor a word; -1 where there is none
+    """
+
+    values: FloatArray
+    unit: str
+    words: tuple[str, ...]
+    torn: int
+
+
+def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
+    """The numbers that the cells of a column hold."""
+    joined = set("".join(cells))
+    if joined <= PLAIN_CHARACTERS and signs.decimal == "." and not signs.thousands:
+        values = np.asarray(pd.to_numeric(pd.Series(cells, dtype=object), errors="coerce"), dtype=float)
+        bad = [int(i) for i in np.flatnonzero(np.isnan(values)) if cells[int(i)]]
+        torn = next((i for i in bad if any(c.isdigit() for c in cells[i])), -1)
+        return Numbers(np.where(np.isfinite(values), values, np.nan), "", tuple({cells[i] for i in bad}), torn)
+    pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
+    values = np.full(len(cells), math.nan)
+    units: set[str] = set()
+    words: dict[str, None] = {}
+    torn = -1
+    known: dict[str, tuple[float, str]] = {}
+    for i, cell in enumerate(cells):
+        if not cell:
+            continue
+        if cell not in known:
+            known[cell] = _read(cell, pattern, drop, signs.decimal)
+        value, unit = known[cell]
+        if math.isnan(value):
+            words[cell] = None
+            if torn < 0 and re.match(r"[+-]?[.,]?\d", cell):
+                torn = i
+        else:
+            values[i] = value
+            units.add(unit)
+    if (
+        len(units) == 2
+        and "" in units
+        and all(_is_code(values[i]) for i, c in enumerate(cells) if c and not known[c][1])
+    ):
+        units.discard("")  # the code of a lost sample states no unit
+    if len(units) > 1:
+        torn = torn if torn >= 0 else next(i for i, c in enumerate(cells) if c and known[c][1] != known[cells[0]][1])
+    unit = next(iter(units)) if len(units) == 1 else ""
+    return Numbers(values, unit, tuple(words), torn)
+
+
+def _is_code(value: float) -> bool:
+    """Whether a number may be a recorder's code of a lost sample: an overload, or a row of nines."""
+    return math.isnan(value) or abs(value) >= 1e30 or re.fullmatch(r"-9{2,5}(?:\.9{1,2}|\.0)?", f"{value}") is not None
+
+
+def _read(cell: str, pattern: re.Pattern[str], drop: dict[int, int | None], decimal: str) -> tuple[float, str]:
+    """The number of a cell and the unit behind it; NaN where it is none in this layout."""
+    text, unit = cell, ""
+    plain = text.replace("\u2212", "-").translate({ord(b): None for b in BLANKS})
+    if pattern.fullmatch(plain) is None:
+        found = WITH_UNIT.fullmatch(cell)
+        if found is None or known_unit(found[2]) is None:
+            return math.nan, ""
+        plain, unit = found[1].translate({ord(b): None for b in BLANKS}), found[2]
+        if pattern.fullmatch(plain) is None:
+            return math.nan, ""
+    value = float(plain.translate(drop).replace(decimal, "."))
+    return (value, unit) if math.isfinite(value) else (math.nan, "")
+
+
+def shown_cell(cell: str) -> str:
+    """A cell for a message."""
+    return abbreviated(cell).strip('"')

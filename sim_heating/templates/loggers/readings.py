@@ -1,0 +1,92 @@
+"""Readings that are none: codes of recorders, and single readings far off their neighbours.
+
+A reading is far off where it lies outside those of its six neighbours by more than SIGMAS times the robust scale of
+such distances (1.4826 times their median) and by more than those neighbours differ among themselves.
+
+source of the scale: Huber, Robust Statistics, section 5.1 (median absolute deviation); fault words: Keysight 34970A
+user's guide (overload 9.9E+37), Maxim MAX31855 (full scale 2047.75 degC at an open input), DS18B20 (85 degC at power
+on)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sim_heating.base.arrays import BoolArray, FloatArray
+
+OVERLOAD = 1e30
+"""A larger magnitude is the overload of a recorder, in any unit."""
+OPEN = (2048.0, 2047.0, 2047.75, 2047.9375, 1372.0, 1370.0, 32767.0, -32768.0, 65535.0, 6553.5, 3276.7, -127.0)
+"""Readings of a converter whose input is open or at the end of its range."""
+DROPPED = (0.0, 85.0)
+"""Readings of a converter that gave none, which may as well be true ones."""
+SIGMAS, LEAST, SMALLEST = 12.0, 3.0, 1.0
+"""Distance from which a reading is far off: in robust scales, in spans of its neighbours, and in the file's unit."""
+SIDE = 3
+"""Neighbours on each side."""
+
+
+def lost_codes(values: FloatArray, codes: Sequence[float]) -> BoolArray:
+    """(row,) whether a reading is one of the codes, or an overload."""
+    found: BoolArray = np.abs(values) >= OVERLOAD
+    for code in codes:
+        found |= np.isclose(values, code, rtol=1e-6, atol=1e-9)
+    return found
+
+
+def fault_codes(values: FloatArray) -> BoolArray:
+    """(row,) whether a reading is the code of a converter in fault: one of its values, far off the readings around it.
+
+    A run of a code is compared with the readings on both sides; one at an end, of an open input alone, with that of one
+    side.
+    """
+    found = np.zeros(len(values), dtype=bool)
+    for code in (*OPEN, *DROPPED):
+        is_code = np.isclose(values, code, rtol=0.0, atol=1e-9)
+        others = np.flatnonzero(np.isfinite(values) & ~is_code)
+        if not is_code.any() or len(others) < 3:
+            continue
+        scale = 1.4826 * float(np.median(np.abs(np.diff(values[others]))))
+        for i in np.flatnonzero(is_code):
+            k = int(np.searchsorted(others, i))
+            sides = [values[others[j]] for j in (k - 1, k) if 0 <= j < len(others)]
+            if len(sides) < 2 and code in DROPPED:
+                continue
+            apart = abs(sides[0] - sides[-1])
+            found[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
+    return found
+
+
+def far_off(values: FloatArray) -> BoolArray:
+    """(row,) whether a reading is far off its neighbours. Lost ones, NaN, have none."""
+    found = np.zeros(len(values), dtype=bool)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2 * SIDE + 3:
+        return found
+    v = values[known]
+    around = np.stack([_shifted(v, k) for k in (*range(-SIDE, 0), *range(1, SIDE + 1))])
+    middle = np.nanmedian(around, axis=0)
+    ordered = np.sort(around, axis=0)  # NaN beyond the ends last
+    count = np.sum(np.isfinite(around), axis=0)
+    # without the most extreme one, which may be another bad reading; at the ends neighbours stand on one side, and
+    # count
+    inner = count == 2 * SIDE
+    low = np.where(inner, ordered[1], ordered[0])
+    high = ordered[np.where(inner, count - 2, count - 1), np.arange(len(v))]
+    distance = np.abs(v - middle)
+    scale = 1.4826 * float(np.median(distance))
+    outside = np.maximum(low - v, v - high)
+    found[known] = (outside > np.maximum(SIGMAS * scale, SMALLEST)) & (outside > LEAST * (high - low))
+    return found
+
+
+def _shifted(values: FloatArray, by: int) -> FloatArray:
+    """Values so many places on, NaN beyond the ends."""
+    found = np.full(len(values), np.nan)
+    if by > 0:
+        found[:-by] = values[by:]
+    else:
+        found[-by:] = values[:by]
+    return found

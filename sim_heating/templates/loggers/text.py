@@ -1,0 +1,406 @@
+"""From the text of a logger to rows of cells: separator, rows of names and units, preamble, trailer."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path, read_text
+from sim_heating.base.files.text import abbreviated
+from sim_heating.base.files.units import converted, known_unit
+from sim_heating.templates.loggers.block import Block
+
+SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "blanks"}
+"""In the order in which they are preferred: a comma may be a decimal sign, a blank stands in dates."""
+Row = tuple[int, Sequence[str]]
+"""Line and cells; tuples, which the collector of garbage leaves alone, of a million rows."""
+PLAIN = r"[+-]?(?:\d[\d.,'\u00a0\u202f]*|[.,]\d+)(?:[eE][+-]?\d+)?"
+"""Pattern of a number with any signs."""
+NUMBER_CELL = re.compile(rf"{PLAIN}\s*(?:[^\d\s.,;:/-][^\d,;:]{{0,15}}\d?)?")
+"""A number, also with a unit behind it, such as `21.3 °C`."""
+CLOCK_CELL = re.compile(
+    r"'?(?:[A-Za-z]{3,9},? )?(?:\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3,9}\.?)[-/.]\d{1,4}.*|\d{1,3}(?: \d{1,2})?:\d{1,2}\b.*"
+    r"|\d{8}[T _]\d{4,6}.*|\d{1,2} [A-Za-z]{3,9} \d{4}.*|[A-Za-z]{3,9} \d{1,2},? \d{4}.*)"
+)
+"""What may be a date or a time of day."""
+SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
+"""Several numbers in one cell."""
+PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
+"""Words of a row that states how a logger reduced its samples."""
+NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
+"""Words by which a row is one of names."""
+TRAILER_LINES = 30
+"""Most lines behind the data that may be a summary."""
+SAMPLE_LINES = 4000
+"""Lines from which the separator is found: half from the beginning, half from the end."""
+
+
+def decoded(path: Path) -> str:
+    """The text of a file in UTF-8, UTF-16 or the code page of Windows.
+
+    raises : as `read_text`
+    """
+    try:
+        raw = path.read_bytes() if path.is_file() else b""
+    except OSError:
+        raw = b""
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", errors="replace")
+    try:
+        raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        if b"\0" not in raw:  # a spreadsheet of Windows: the degree sign is byte 0xb0
+            return raw.decode("cp1252", errors="replace")
+    return read_text(path)
+
+
+def text_block(path: Path, text: str, separator: str | None = None) -> Block:
+    """The block of data of a text.
+
+    separator : between cells, where it is known
+    raises    : InputError, one line, where rows differ in their cells, or there are none of numbers
+    """
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
+        separator, numbered = separator or stated[1], numbered[1:]
+    recorder = _recorder(numbered)
+    if recorder == "LabVIEW LVM":
+        return _lvm(path, numbered)
+    numbered, monitored = _without_arrows(numbered)
+    if monitored:
+        recorder = "serial monitor"
+    if not numbered:
+        raise InputError(
+            f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
+        )
+    sign = separator or _separator(numbered)
+    split: Sequence[Row] = [(i, tuple(split_line(line, sign))) for i, line in numbered]
+    return rows_block(path, split, sign, recorder=recorder, lines=dict(numbered))
+
+
+def _recorder(lines: Sequence[tuple[int, str]]) -> str:
+    """The recorder whose first line names it; empty where none does."""
+    first = lines[0][1].lstrip('"') if lines else ""
+    if first.startswith(("TOA5", "TOACI1")):
+        return f"Campbell {first[:6].rstrip(',' + chr(34))}"
+    if first.startswith("LabVIEW Measurement"):
+        return "LabVIEW LVM"
+    if "Plot Title" in first:
+        return "HOBO"
+    return ""
+
+
+def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
+    """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
+    arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
+    found = [(i, arrow.fullmatch(line.strip())) for i, line in lines]
+    if sum(m is not None for _, m in found) < 0.9 * len(lines):
+        return lines, False
+    rest = [(i, m[2]) for i, m in found if m is not None]
+    labelled = [re.findall(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t]*?)\s*(?=[,;\t]|$)", text) for _, text in rest]
+    if all(labelled) and len({tuple(n for n, _ in pairs) for pairs in labelled}) == 1:
+        head = ";".join(["time", *(name.strip() for name, _ in labelled[0])])
+        rows = [
+            (i, ";".join([m[1], *(value for _, value in pairs)]))
+            for (i, m), pairs in zip(((i, m) for i, m in found if m is not None), labelled, strict=True)
+        ]
+        return [(0, head), *rows], True
+    sign = _separator(rest) if any(s in text for _, text in rest[:50] for s in ",;\t ") else ";"
+    return [(i, m[1] + sign + m[2]) for i, m in found if m is not None], True
+
+
+def split_line(line: str, sign: str) -> list[str]:
+    """Cells of a line."""
+    if sign == " ":
+        return line.split()
+    if '"' in line:
+        cells = next(csv.reader([line.strip() if sign != "\t" else line], delimiter=sign, skipinitialspace=True))
+    else:
+        cells = line.split(sign)
+        if " " not in line and "\t" not in line and "\u00a0" not in line:
+            return cells
+    if "+ " in line or "- " in line:  # Graphtec
+        return [re.sub(r"^([+-])\s+(?=[\d.,])", r"\1", cell.strip()) for cell in cells]
+    return [cell.strip() for cell in cells]
+
+
+def _separator(lines: Sequence[tuple[int, str]]) -> str:
+    """The separator that gives most lines the same number of cells, two or more, each of one number at most."""
+    half = SAMPLE_LINES // 2
+    sample = [line for _, line in (lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]])]
+    best, most = ",", 0.0
+    for sign in SEPARATORS:
+        if not any((sign if sign != " " else " ") in line or (sign == " " and "\t" in line) for line in sample):
+            continue
+        rows = [split_line(line, sign) for line in sample]
+        width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
+        if width < 2:
+            continue
+        wrong = sum(any(_is_torn(c, sign) for c in row) for row in rows)
+        share = (often - wrong) / len(rows)
+        if share > most + 0.05:
+            best, most = sign, share
+    return best
+
+
+def _is_torn(cell: str, sign: str) -> bool:
+    """Whether a cell shows that another separator is right: it holds several numbers, or ends in one."""
+    if not cell or not any(c.isdigit() for c in cell):
+        return False
+    if sign == " " and cell[-1] in ",;":
+        return True
+    if sign == "," and re.search(r"\d\s*;", cell):
+        return True
+    if re.fullmatch(r"\d{8}\s+\d{4,6}", cell):
+        return False
+    if CLOCK_CELL.fullmatch(cell):
+        return re.search(r":\d{2}(?:\.\d+)?\s+[+-]?(?!\d\d:\d\d$)[\d.]", cell) is not None
+    return re.search(r"\d[.,]?\s+[+-]?[.,]?\d", cell) is not None
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, also one with a unit."""
+    return NUMBER_CELL.fullmatch(cell) is not None
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell may hold a date or a time of day."""
+    return CLOCK_CELL.fullmatch(cell) is not None and SEVERAL.fullmatch(cell) is None
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    """Whether cells are those of a row of data: a number or a clock at least, and no more texts than these."""
+    full = [c for c in cells if c]
+    values = sum(is_number(c) or is_clock(c) or c.lower() in ("nan", "inf") for c in full)
+    return any(is_number(c) or is_clock(c) for c in full) and 2 * values >= len(full)
+
+
+def rows_block(
+    path: Path,
+    split: Sequence[Row],
+    sign: str,
+    *,
+    recorder: str = "",
+    lines: dict[int, str] | None = None,
+) -> Block:
+    """The block of rows of cells, in which names, units, data and trailer are yet to be told apart.
+
+    split  : line and cells of each row that is not blank
+    lines  : texts of the lines; None for a sheet
+    raises : InputError, one line, for rows whose cells do not fit
+    """
+    file = display_path(path)
+    width = max(Counter(len(c) for _, c in split).items(), key=lambda item: (item[1], item[0]))[0]
+    first = _first_row(split, width, recorder)
+    if first is None:
+        raise InputError(f"{file}: no rows of numbers were found; give a file with a time and temperatures")
+    last = _last_row(split, first, width)
+    notes = []
+    if last + 1 < len(split):
+        line, cells = split[last + 1]
+        if len(split) - last - 1 > TRAILER_LINES:
+            rule = "does not have the cells of the rows above; cut the file there"
+            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+        notes.append(f"rows {line} to {split[-1][0]} behind the data left out (`{_shown(cells)}`)")
+    body = [k for k in range(first, last + 1) if not _is_comment(split[k][1])]
+    if len(body) < last + 1 - first:
+        notes.append(f"{last + 1 - first - len(body)} lines of comment amid the data left out")
+    for k in body:
+        line, cells = split[k]
+        if len(cells) != width and (len(cells) < width or any(cells[width:])):
+            rule = f"does not have {width} cells as the other rows; mend or remove it, or state --separator"
+            raise InputError(f"{file}, row {line}: `{_shown(cells)}` {rule}")
+    columns = [list(c) for c in zip(*(split[k][1][:width] for k in body), strict=True)]
+    while width > 1 and not any(columns[-1]) and not _named_cell(split, first, width - 1):
+        columns.pop()  # a separator ends each line
+        width -= 1
+    names, units, names_line = _head(file, split, first, width, recorder, lines)
+    words = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
+    said = [recorder, f"cells separated by {words}" if words else ""]
+    return Block(
+        path, tuple(names), tuple(units), tuple(columns), tuple(split[k][0] for k in body), sign, "", names_line,
+        ", ".join(part for part in said if part), tuple(notes),
+    )  # fmt: skip
+
+
+def _shown(cells: Sequence[str]) -> str:
+    return abbreviated(", ".join(cells)).strip('"')
+
+
+def _is_comment(cells: Sequence[str]) -> bool:
+    return cells[0].startswith("#") and len(cells[0]) > 1
+
+
+def _first_row(split: Sequence[Row], width: int, recorder: str) -> int | None:
+    """Index of the first row of data: of the usual width, and so is the next one."""
+    ahead = {"Campbell TOA5": 4, "Campbell TOACI1": 2}.get(recorder, 0)
+    for k in range(ahead, len(split)):
+        if len(split[k][1]) == width and not _is_comment(split[k][1]) and _is_data(split[k][1]):
+            after = split[k + 1][1] if k + 1 < len(split) else split[k][1]
+            if _is_comment(after) or (len(after) == width and _is_data(after)) or not _names_below(split, k):
+                return k
+    return None
+
+
+def _names_below(split: Sequence[Row], k: int) -> bool:
+    """Whether a row of names follows within a few rows."""
+    return any(sum(re.search(NAME_WORDS, c) is not None for c in cells) >= 2 for _, cells in split[k + 1 : k + 4])
+
+
+def _last_row(split: Sequence[Row], first: int, width: int) -> int:
+    """Index of the last row of data: behind it are lines of words, or of other cells."""
+    heads = [split[k][1][0] for k in range(first, min(first + 50, len(split)))]
+    named = sum(re.match(r"[A-Za-z]", h) is not None for h in heads) > 0.5 * len(heads)
+    last = len(split) - 1
+    while last > first:
+        cells = split[last][1]
+        lead = next((c for c in cells if c), "")
+        if (
+            len(cells) >= width
+            and _is_data(cells)
+            and (named or not re.match(r"[A-Za-z]", lead))
+            and not _is_comment(cells)
+        ):
+            break
+        last -= 1
+    return last
+
+
+def _named_cell(split: Sequence[Row], first: int, column: int) -> bool:
+    """Whether a column has a name right above the data."""
+    above = split[first - 1][1] if first else []
+    return len(above) > column and bool(above[column])
+
+
+def _head(
+    file: str, split: Sequence[Row], first: int, width: int, recorder: str, lines: dict[int, str] | None
+) -> tuple[list[str], list[str], int]:
+    """Names, units, and the line of the names: 0 where there are none."""
+    none = [""] * width
+    if recorder == "Campbell TOA5":
+        names, units = (_filled(split[k][1], width) for k in (1, 2))
+        return names, ["" if known_unit(u) is None else u for u in units], split[1][0]
+    above = [(split[k][0], _head_cells(split[k], width, lines)) for k in range(first - 1, max(first - 5, -1), -1)]
+    rows = [(line, cells) for line, cells in above if len(cells) == width]
+    if above and len(above[0][1]) != width:
+        line, cells = above[0]
+        if len(cells) > 1 and any(re.search(NAME_WORDS, c) for c in cells):
+            rule = f"for {width} cells in the rows below; give each column one name, or state --separator"
+            raise InputError(f"{file}, row {line}: {len(cells)} names (`{_shown(cells)}`) {rule}")
+    if rows and all(c.lower() in PROCESS for c in rows[0][1]):
+        rows = rows[1:]
+    if not rows:
+        return [f"column{k + 1}" for k in range(width)], none, 0
+    if len(rows) > 1 and (_is_unit_row(rows[0][1]) or _are_names_above(rows)):
+        return rows[1][1], [c.strip() for c in rows[0][1]], rows[1][0]
+    return rows[0][1], none, rows[0][0]
+
+
+def _are_names_above(rows: Sequence[tuple[int, list[str]]]) -> bool:
+    """Whether the second row above the data names a time and more, and the first one nothing: it holds units, known or
+    not."""
+    low, high = rows[0][1], rows[1][1]
+    is_named = sum(re.search(NAME_WORDS, c) is not None for c in high) >= 2
+    if is_named and any(converted(c, si) is not None for c in low if c for si in ("K", "W/m2")):
+        return True
+    return is_named and not any(re.search(NAME_WORDS, c) for c in low) and all(len(c) < 12 for c in low)
+
+
+def _head_cells(row: Row, width: int, lines: dict[int, str] | None) -> list[str]:
+    """Cells of a row above the data, without the mark of a comment; of names with blanks where blanks separate."""
+    line, cells = row[0], _trimmed(list(row[1]))
+    if len(cells) <= width <= len(row[1]):
+        cells = _filled(cells, width)  # the separators are there, and the last cells empty
+    if cells[0].startswith("#") and len(cells) > 1 and len(cells[0]) > 1:
+        cells = [cells[0].lstrip("# "), *cells[1:]] if cells[0].lstrip("# ") else cells[1:]
+    elif cells[0] == "#" and len(cells) == width + 1:
+        cells = cells[1:]
+    if len(cells) != width and lines is not None and line in lines:
+        wide = re.split(r"\t+|\s{2,}", lines[line].lstrip("# ").strip())
+        cells = wide if len(wide) == width else cells
+    return cells
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """Cells without the empty ones at the end, one at least."""
+    end = len(cells)
+    while end > 1 and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def _filled(cells: Sequence[str], width: int) -> list[str]:
+    return [*cells, *[""] * (width - len(cells))][:width]
+
+
+def _is_unit_row(cells: Sequence[str]) -> bool:
+    """Whether a row holds units: one of a time or a temperature at least, and nothing that is a name."""
+    full = [c.strip("[]()<> ") for c in cells if c.strip("[]()<> -")]
+    if not full or any(is_number(c) and c != "1" for c in full):
+        return False
+    usable = [any(converted(c, si) is not None for si in ("s", "K", "W/m2")) for c in full]
+    known = [u or known_unit(c) is not None or _is_clock_word(c) for u, c in zip(usable, full, strict=True)]
+    return (
+        any(usable) and sum(known) >= 0.5 * len(full) and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
+    )
+
+
+def _is_clock_word(cell: str) -> bool:
+    return re.fullmatch(r"(?i)[dhmsy:/ .\-]{4,}|ts|rn", cell) is not None
+
+
+def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
+    """The block of a LabVIEW measurement file, whose header states separator, decimal sign and units.
+
+    source : NI, Specification for the LabVIEW Measurement File (.lvm)
+    """
+    file = display_path(path)
+    header: dict[str, list[str]] = {}
+    ends = [k for k, (_, line) in enumerate(numbered) if line.startswith("***End_of_Header***")]
+    if not ends:
+        raise InputError(f"{file}: the header of the LabVIEW file does not end; it may have been cut off")
+    sign = {"comma": ","}.get(
+        next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t"
+    )
+    if len(ends) > 2:
+        raise InputError(f"{file}, row {numbered[ends[2]][0]}: a second segment begins; export each segment alone")
+    for _, line in numbered[: ends[-1]]:
+        key, *values = split_line(line, sign)
+        header[key] = values
+    if header.get("X_Columns", ["One"])[0] == "Multi":
+        raise InputError(
+            f"{file}: X_Columns is Multi: the sensors have times of their own; export with one column of time"
+        )
+    decimal = (header.get("Decimal_Separator") or ["."])[0] or "."
+    names_line, names_text = numbered[ends[-1] + 1]
+    names = [n or f"column{k + 1}" for k, n in enumerate(split_line(names_text, sign))]
+    units = ["", *header.get("Y_Unit_Label", [])]
+    width = len(_trimmed(names))
+    if names[width - 1] == "Comment":
+        width -= 1
+    rows = [(i, split_line(line, sign)[:width]) for i, line in numbered[ends[-1] + 2 :]]
+    if not rows:
+        raise InputError(f"{file}: no rows of numbers below the header; it may have been cut off")
+    step = [float(v.replace(",", ".")) for v in header.get("Delta_X", []) if v]
+    has_time = header.get("X_Columns", ["One"])[0] != "No"
+    if has_time:
+        names[0], units[0] = "X_Value", "s"
+        if (header.get("X_Dimension") or ["Time"])[0] not in ("Time", ""):
+            raise InputError(f"{file}: X_Dimension is {header['X_Dimension'][0]} and no time; give --period")
+    elif step:
+        names = ["X_Value", *names[1:]] if not rows[0][1][0] else ["X_Value", *names]
+        rows = [
+            (i, [repr(step[0] * k).replace(".", decimal), *(c[1:] if not c[0] else c)]) for k, (i, c) in enumerate(rows)
+        ]
+        units[0], width = "s", len(names[:width])
+    cells = tuple(list(c) for c in zip(*(_filled(c, width) for _, c in rows), strict=True))
+    return Block(
+        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign,
+        decimal, names_line,
+        f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
+    )  # fmt: skip

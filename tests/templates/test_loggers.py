@@ -1,0 +1,452 @@
+"""Files as loggers write them: each kind is read to what the file states, or refused with an option that then works."""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks.layouts import GOAL_READ, outcomes, share_read
+from benchmarks.verification.loggers import LOGGERS, READ
+from sim_heating.base.errors import InputError
+from sim_heating.cli import main
+from sim_heating.inputs.record import load_record
+from sim_heating.templates.loggers.readings import far_off
+from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
+from tests.templates.test_new_record import refused, run
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def span_s(found: MeasuredCsv) -> float:
+    t = found.of_kind(TIME)[0].si
+    return float(t[-1] - t[0])
+
+
+def range_K(found: MeasuredCsv, sensor: int = 0) -> tuple[float, float]:
+    T = found.of_kind(TEMPERATURE)[sensor].si
+    return float(np.nanmin(T)), float(np.nanmax(T))
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_logger_s_file_is_read_to_what_it_states(name: str) -> None:
+    found = read_measured_csv(LOGGERS / name)
+    assert (span_s(found), *range_K(found)) == pytest.approx(READ[name], abs=1e-4)
+
+
+ASKED = {
+    "hh_mm.csv": ("`10:45` may be hours and minutes or minutes and seconds; state --time-unit hh:mm",
+    {"time_unit": "hh:mm"},
+                  3600.0, 293.15),
+    "int_thousand_comma_quoted.csv": ("`1,100` may be 1100 or 1.100; state the decimal sign, --decimal . for 1100",
+                                      {"decimal": "."}, 120.0, 866.4833),
+    "held_clock.csv": ("row 3, column time: does not come after the row above, but has its time; state "
+    "--repeated spread",
+                       {"repeated": "first"}, 120.0, 293.16),
+    "duplicate_times.csv": ("or --repeated first (keep the first), or give --period", {"repeated": "spread"},
+    120.0, 293.21),
+}  # fmt: skip
+"""File -> what is asked, the answer, the span [s] and the first reading [K] that follow."""
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_what_two_layouts_fit_is_asked_with_the_option_that_answers(name: str) -> None:
+    said, answer, span, first_K = ASKED[name]
+    with pytest.raises(InputError) as refusal:
+        read_measured_csv(LOGGERS / name)
+    assert said in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    found = read_measured_csv(LOGGERS / name, **answer)  # type: ignore[arg-type]
+    assert span_s(found) == pytest.approx(span)
+    assert found.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(first_K, abs=1e-3)
+
+
+def test_rows_of_a_coarse_clock_are_spread_until_its_next_time() -> None:
+    spread = read_measured_csv(LOGGERS / "duplicate_times.csv", repeated="spread").of_kind(TIME)[0].si
+    assert spread[:5].tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+
+
+def test_a_held_clock_takes_a_period_in_its_place() -> None:
+    assert span_s(read_measured_csv(LOGGERS / "held_clock.csv", period_s=2.0)) == 2.0 * (
+        len((LOGGERS / "held_clock.csv").read_text().split()) - 2
+    )
+
+
+def test_heat_fluxes_have_the_unit_of_their_file() -> None:
+    btu, watt = (read_measured_csv(LOGGERS / f"{n}_flux.csv").of_kind(FLUX)[0].si.max() for n in ("btu", "w_m-2"))
+    assert btu == pytest.approx(18000.0, rel=1e-4)
+    assert watt == pytest.approx(900.0)
+
+
+def test_sensors_of_one_file_have_their_own_readings() -> None:
+    mixed = read_measured_csv(LOGGERS / "mixed_tabs_blanks.dat").of_kind(TEMPERATURE)
+    assert [c.si[0] for c in mixed] == [293.15, 343.15, 393.15, 493.15]
+    in_turn = read_measured_csv(LOGGERS / "multi_rate.csv").of_kind(TEMPERATURE)
+    assert [int(np.isfinite(c.si).sum()) for c in in_turn] == [61, 60, 60]
+    campbell = read_measured_csv(LOGGERS / "toa5.dat").of_kind(TEMPERATURE)
+    assert [c.name for c in campbell] == ["TC1_Avg", "TC2_Avg"]
+    assert [int(np.isnan(c.si).sum()) for c in campbell] == [1, 0]
+    by_row = read_measured_csv(LOGGERS / "long_format.csv").of_kind(TEMPERATURE)
+    assert [(c.name, len(c.si)) for c in by_row] == [("TC1", 61), ("TC2", 61)]
+
+
+def test_a_serial_monitor_names_no_columns_and_the_refusal_names_those_it_has() -> None:
+    arguments = ("--layer", "copper 3 mm", "--lamp", "unknown", "--out", "a")
+    assert "name one, --temperature COLUMN, of column2, column3" in refused(
+        "new", "record", "--csv", LOGGERS / "arduino_monitor.txt", *arguments
+    )
+    stated = ("--temperature", "column2", "--temperature-unit", "C", "--depth", "column2=back")
+    assert run("new", "record", "--csv", LOGGERS / "arduino_monitor.txt", *stated, *arguments).exit_code == 0
+    assert load_record("a").time_s[-1] == 120.0
+
+
+# Units ---------------------------------------------------------------------------------------------------------------
+
+
+def rows(head: str, cells: list[str]) -> Path:
+    Path("t.csv").write_text("\n".join([head, *cells]) + "\n", encoding="utf-8")
+    return Path("t.csv")
+
+
+PLAIN = ["0,20.5", "2,21.5", "4,22.5"]
+
+
+@pytest.mark.parametrize("unit", ["mV", "counts", "xyz", "Ohm", "deg", "type K"])
+@pytest.mark.parametrize("form", ["TC1 [{}]", "TC1 ({})", '"TC1, {}"', "TC1/{}"])
+def test_a_unit_that_is_no_temperature_is_refused_with_the_option(unit: str, form: str) -> None:
+    path = rows(f"Time (s),{form.format(unit)}", PLAIN)
+    if "/" in form and " " in unit:
+        return  # a blank ends what a slash begins
+    with pytest.raises(
+        InputError, match="is not a unit of temperature that is known; state it, --temperature-unit degC"
+    ):
+        read_measured_csv(path)
+    assert read_measured_csv(path, temperature_unit="degC").of_kind(TEMPERATURE)[0].si[0] == 293.65
+
+
+def test_a_time_that_is_not_read_is_refused_and_no_counter_takes_its_place() -> None:
+    path = rows("Scan,Time,TC1 (C)", [f"{i},T+{2 * i},20.5" for i in range(5)])
+    with pytest.raises(InputError, match=r"row 2, column Time: `T\+0` is in no layout of a time that is read"):
+        read_measured_csv(path)
+    with pytest.raises(InputError, match="no column is a time"):
+        read_measured_csv(rows("Scan,TC1 (C)", PLAIN))
+
+
+def test_what_is_assumed_without_a_unit_is_a_warning_to_programs_and_in_quiet(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows("Time,TC", PLAIN)
+    plate = ["new", "record", "--csv", "t.csv", "--layer", "copper 3 mm", "--lamp", "unknown", "--depth", "TC=back"]
+    said = "t.csv, column Time: no unit is stated: s assumed (--time-unit)"
+    warnings.simplefilter("always")
+    assert main([*plate, "--out", "a", "--quiet"]) == 0
+    assert said in capsys.readouterr().err
+    assert main([*plate, "--out", "b", "--json"]) == 0
+    assert said in json.loads(capsys.readouterr().out)["warnings"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "steps_s"), [("ms", 1e-3), ("min", 60.0), ("h", 3600.0)]
+)  # fmt: skip
+def test_times_that_nobody_logs_in_s_are_asked_for(unit: str, steps_s: float) -> None:
+    path = rows("Time,TC1 (C)", [f"{20000 * i},20.5" for i in range(4)])
+    with pytest.raises(InputError, match="states no unit, and steps of 20000 are hardly s; state it, --time-unit ms"):
+        read_measured_csv(path)
+    assert span_s(read_measured_csv(path, time_unit=unit)) == pytest.approx(60000.0 * steps_s)
+
+
+# Clocks --------------------------------------------------------------------------------------------------------------
+
+START = datetime(2024, 5, 3, 10, 45)
+STAMPS = [START + timedelta(seconds=2.0 * k) for k in range(61)]
+CLOCKS = {
+    "h:m:s:ms": "%m/%d/%Y %H:%M:%S:237", "ISO": "%Y-%m-%dT%H:%M:%SZ", "ISO basic": "%Y%m%dT%H%M%S",
+    "one number": "%Y%m%d%H%M%S", "AM and PM": "%m/%d/%y %I:%M:%S %p", "two digits": "%d.%m.%y %H:%M:%S",
+    "month": "%d-%b-%Y %H:%M:%S", "IRIG": "124:%H:%M:%S.5", "apostrophe": "'%y-%m-%d %H:%M:%S", "clock": "%H:%M:%S",
+    "two columns": "%d/%m/%Y,%H:%M:%S", "zone": "%Y-%m-%d %H:%M:%S UTC",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", CLOCKS)
+def test_a_clock_is_read_whatever_its_layout(layout: str) -> None:
+    head = "Date,Time,TC1 (C)" if layout == "two columns" else "Time,TC1 (C)"
+    found = read_measured_csv(rows(head, [f"{s.strftime(CLOCKS[layout])},20.5" for s in STAMPS]))
+    assert span_s(found) == 120.0
+
+
+def test_days_of_a_spreadsheet_are_days() -> None:
+    found = read_measured_csv(
+        rows("Date,TC1 (C)", [f"{45415.447916667 + 2.0 * k / 86400.0:.9f},20.5" for k in range(61)])
+    )
+    assert span_s(found) == pytest.approx(120.0, abs=1e-3)
+
+
+def test_the_order_of_day_and_month_holds_for_all_rows_or_is_asked() -> None:
+    days = [(START + timedelta(days=k / 6.0)).strftime("%d/%m/%Y %H:%M") for k in range(20)]
+    path = rows("Time,TC1 (C)", [f"{d},20.5" for d in days])
+    with pytest.raises(InputError, match=r"`03/05/2024 10:45` may be read .* --dates day-first or --dates month-first"):
+        read_measured_csv(path)
+    assert span_s(read_measured_csv(path, dates="day-first")) == pytest.approx(19 * 14400.0)
+    bad = rows("Time,TC1 (C)", ["13/05/2024 10:00,20.5", "05/14/2024 10:00,20.5", "13/05/2024 10:02,20.5"])
+    with pytest.raises(InputError, match="has no order of day and month that all dates have"):
+        read_measured_csv(bad)
+
+
+def test_an_hour_that_a_clock_loses_or_repeats_is_told() -> None:
+    autumn = [START + timedelta(seconds=2.0 * k - (3600.0 if k > 30 else 0.0)) for k in range(61)]
+    with pytest.raises(InputError, match="as where summer time ends: write UTC offsets"):
+        read_measured_csv(rows("Time,TC1 (C)", [f"{s:%Y-%m-%d %H:%M:%S},20.5" for s in autumn]))
+    spring = [START + timedelta(seconds=2.0 * k + (3600.0 if k > 30 else 0.0)) for k in range(61)]
+    with pytest.warns(UserWarning, match="row 33, column Time: the clock jumps by an hour"):
+        read_measured_csv(rows("Time,TC1 (C)", [f"{s:%Y-%m-%d %H:%M:%S},20.5" for s in spring]))
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the time zone of a process is set on Unix alone")
+def test_times_do_not_depend_on_the_time_zone_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    files = ("utc_log_us_autumn.csv", "dst_offset.csv", "hobo_am_pm.csv", "unix_ms.csv", "iso_basic.csv")
+    found = {}
+    for zone in ("UTC", "America/New_York", "Asia/Kathmandu"):
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
+        read = [read_measured_csv(LOGGERS / f) for f in files]
+        found[zone] = [(r.of_kind(TIME)[0].si.tolist(), r.zero_s) for r in read]
+    monkeypatch.undo()
+    time.tzset()
+    assert found["UTC"][0][0][-1] == 120.0
+    assert found["UTC"] == found["America/New_York"] == found["Asia/Kathmandu"]
+
+
+def test_the_flux_of_another_file_is_on_the_clock_of_the_readings() -> None:
+    rows("Time,TC1 (C)", [f"{s:%Y-%m-%d %H:%M:%S},20.5" for s in STAMPS])
+    late = [START + timedelta(seconds=2.0 * k - 10.0) for k in range(80)]
+    lines = [f"{s:%Y-%m-%d %H:%M:%S},{20 if s >= START + timedelta(seconds=20) else 0}" for s in late]
+    Path("lamp.csv").write_text("\n".join(["Time,Flux (kW/m2)", *lines]))
+    arguments = ("--layer", "copper 3 mm", "--depth", "TC1=back", "--emissivity", "0.9", "--out", "a")
+    assert run("new", "record", "--csv", "t.csv", "--lamp", "lamp.csv", *arguments).exit_code == 0
+    flown = load_record("a").conditions
+    assert flown.time_s[0] == -10.0
+    assert flown.time_s[np.argmax(flown["q_add_W_m2"] > 0.0)] == 20.0
+    Path("lamp.csv").write_text("time_s,flux_W_m2\n0,1\n500,1\n")
+    assert "are of different clocks" in refused("new", "record", "--csv", "t.csv", "--lamp", "lamp.csv", *arguments)
+
+
+# Readings that are none ----------------------------------------------------------------------------------------------
+
+
+def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
+    path = rows("Time (s),TC1 (C)", ["0,20", "2,777", "4,21", "6,9.9E37", "8,22"])
+    T = read_measured_csv(path, lost=(777.0,)).of_kind(TEMPERATURE)[0].si
+    assert np.isnan(T).tolist() == [False, True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "max31855_fault_2048.csv",
+            "rows 22, 32, column TC1: 2048 lies far off its neighbours and is a code of recorders",
+        ),
+        (
+            "benchlink_open.csv",
+            r"rows 22, 23, 24, 25, column Chan 101: 9.9e\+37 is the overload of a recorder: left out",
+        ),
+        ("sentinel_9999.csv", "rows 22, 23, 24, column TC1: -9999 is no temperature and taken for the code"),
+    ],
+)
+def test_the_code_of_a_recorder_is_told_by_the_rows_of_the_user_s_file(name: str, said: str) -> None:
+    with pytest.warns(UserWarning, match=rf"{name}, {said}"):
+        read_measured_csv(LOGGERS / name)
+
+
+def test_drop_outs_are_left_out_and_another_single_reading_is_named_and_stays() -> None:
+    hot = [f"{2 * k},{0 if k in (30, 31, 40) else 220 + k + (140 if k == 50 else 0)}" for k in range(61)]
+    path = rows("Time (s),TC1 (C)", hot)
+    with pytest.warns(UserWarning) as told:  # noqa: PT030 two of them
+        T = read_measured_csv(path).of_kind(TEMPERATURE)[0].si
+    said = [str(w.message) for w in told]
+    assert "t.csv, rows 32, 33, 42, column TC1: 0 lies far off its neighbours and is a code" in said[0]
+    assert (
+        "t.csv, row 52, column TC1: 410 C lies far off its neighbours and stays; leave it out by --lost=410" in said[1]
+    )
+    assert np.flatnonzero(np.isnan(T)).tolist() == [30, 31, 40]
+    assert np.isnan(read_measured_csv(path, lost=(410.0,)).of_kind(TEMPERATURE)[0].si[50])
+
+
+def test_a_run_of_a_fault_is_left_out_and_a_start_at_0_degC_is_not() -> None:
+    open_input = rows("Time (s),TC1 (C)", [f"{2 * k},{2048 if 20 <= k < 30 else 20.0 + k}" for k in range(61)])
+    assert int(np.isnan(read_measured_csv(open_input).of_kind(TEMPERATURE)[0].si).sum()) == 10
+    ice = rows("Time (s),TC1 (C)", [f"{2 * k},{max(0, 40 * (k - 9))}" for k in range(30)])
+    assert not np.isnan(read_measured_csv(ice).of_kind(TEMPERATURE)[0].si).any()
+
+
+def test_a_unit_in_a_column_of_its_own_is_that_of_the_readings() -> None:
+    by_row = rows("time_s,channel,value,unit", [f"{2 * (k // 2)},TC{k % 2},{68.0 + 9 * k},F" for k in range(20)])
+    assert [c.si[0] for c in read_measured_csv(by_row).of_kind(TEMPERATURE)] == [293.15, 298.15]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_heated_plate_with_noise_has_no_reading_far_off(seed: int) -> None:
+    """A step of the lamp, a hold, a fall, noise of 0.5 K and rounding: nothing of it is an outlier."""
+    t = np.arange(0.0, 300.0, 2.0)
+    T = 20.0 + np.clip((t - 20.0) * 4.0, 0.0, 400.0) * np.where(t < 200.0, 1.0, np.exp(-(t - 200.0) / 5.0))
+    assert not far_off(np.round(T + np.random.default_rng(seed).normal(0.0, 0.5, len(t)), 1)).any()
+
+
+def test_a_sensor_that_burnt_out_is_kept() -> None:
+    path = rows("Time (s),TC1 (C),TC2 (C)", [f"{2 * k},20.5,{21.5 if k < 15 else ''}" for k in range(61)])
+    assert int(np.isfinite(read_measured_csv(path).of_kind(TEMPERATURE)[1].si).sum()) == 15
+
+
+def test_readings_in_another_unit_are_refused_by_the_row_of_the_user_s_file() -> None:
+    path = rows("Time (s),TC1 (K)", PLAIN)
+    with pytest.raises(InputError, match=r"t.csv, row 2, column TC1: 20.5 K is 20.5 K and no temperature of a wall"):
+        read_measured_csv(path)
+
+
+# Layouts -------------------------------------------------------------------------------------------------------------
+
+T_C = 20.0 + np.clip(2.0 * np.arange(61) - 10.0, 0.0, 60.0) * 1.7
+RECORDERS = {
+    "HOBO, new": "#,Date-Time (EDT),\"Ch: 1 - Temperature   (°C)\",Button Down\n"
+    + "".join(f"{i},{s:%m/%d/%Y %H:%M:%S},{T:.2f},\n" for i, (s, T) in enumerate(zip(STAMPS, T_C, strict=True)))
+    + "62,05/03/2024 10:47:03,,Logged\n",
+    "Hioki": '"File name","AUTO0001.MEM"\n"Trigger Time","\'24-05-03 10:45:00"\n"CH","CH1-1"\n"Time(s)","CH1-1[°C]"\n'
+    + "".join(f"{2.0 * i:.4E},{T:.4E}\n" for i, T in enumerate(T_C)),
+    "PicoLog 6": ',"TC-08: Ch1 Last (°C)"\n'
+    + "".join(f"{s.isoformat()}+01:00,{T:.2f}\n" for s, T in zip(STAMPS, T_C, strict=True)),
+    "PicoLog 5": "Time\tTC1\nSeconds\tDegC\n" + "".join(f"{2 * i}\t{T:.2f}\n" for i, T in enumerate(T_C)),
+    "BenchLink 3": "Scan,Time,101 <Plate> (C),Alarm 101\n"
+    + "".join(f"{i},{s:%m/%d/%Y %H:%M:%S}:512,{T:.2f},0\n" for i, (s, T) in enumerate(zip(STAMPS, T_C, strict=True))),
+    "Graphtec": "Model,GL840\nNumber,Date&Time,ms,CH1\nNO.,Time,ms,degC\n"
+    + "".join(f"{i},{s:%Y/%m/%d %H:%M:%S},0,+ {T:.2f}\n" for i, (s, T) in enumerate(zip(STAMPS, T_C, strict=True))),
+    "serial monitor": "".join(f"{s:%H:%M:%S}.512 -> T1: {T:.2f} C\n" for s, T in zip(STAMPS, T_C, strict=True)),
+    "Switzerland": "Time (s);TC1 (C)\n" + "".join(f"{2 * i};{T:.2f}\n" for i, T in enumerate(T_C)).replace(".", ","),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("recorder", RECORDERS)
+def test_the_layout_of_a_recorder_is_read(recorder: str) -> None:
+    Path("t.csv").write_text(RECORDERS[recorder], encoding="utf-8")
+    found = read_measured_csv(Path("t.csv"))
+    assert (span_s(found), *range_K(found)) == pytest.approx((120.0, 293.15, 395.15))
+    assert len(found.rows) == 61
+
+
+def test_tables_with_types_are_read_as_text_is() -> None:
+    table = pd.DataFrame({"time": pd.to_datetime(STAMPS), "TC1 [degC]": T_C})
+    table.to_parquet("a.parquet")
+    table.set_index("time").to_parquet("b.parquet")
+    table.to_excel("a.xlsx", index=False, startrow=2)
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter("a.tdms") as stream:
+        steps = {"wf_increment": 2.0, "unit_string": "degC"}
+        stream.write_segment([nptdms.ChannelObject("run", "TC1", T_C, properties=steps)])
+    for name in ("a.parquet", "b.parquet", "a.xlsx", "a.tdms"):
+        found = read_measured_csv(Path(name))
+        assert (span_s(found), *range_K(found)) == pytest.approx((120.0, 293.15, 395.15)), name
+
+
+def test_a_workbook_of_several_sheets_asks_which() -> None:
+    table = pd.DataFrame({"Time (s)": 2.0 * np.arange(61), "TC1 [degC]": T_C})
+    with pd.ExcelWriter("a.xlsx") as book:
+        table.to_excel(book, sheet_name="run1", index=False)
+        table.to_excel(book, sheet_name="run2", index=False)
+    with pytest.raises(InputError, match=r"has 2 sheets \(run1, run2\); choose one, --sheet NAME"):
+        read_measured_csv(Path("a.xlsx"))
+    assert span_s(read_measured_csv(Path("a.xlsx"), sheet="run2")) == 120.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Time (s);TC1 (C)\n0;20,5\n2;21,5\n4;22.5\n", "do not have one decimal sign"),
+        ("Time (s),TC1 (C)\n0,20.5\n2,21.5 30.5\n4,22.5\n", "row 3, column TC1: `21.5 30.5` is no number"),
+        (
+            "Time (s),TC1 (C),TC2 (C)\n0,20.5\n2,21.5\n4,22.5\n",
+            "row 1: 3 names (`Time (s), TC1 (C), TC2 (C)`) for 2 cells",
+        ),
+        ("Time (s);TC1 (C)\n0;998\n2;999\n4;1.000\n6;1.002\n", "`1.000` may be 1000 or 1.000"),
+        ("Time TC1_C TC2_C\n2024-05-03 10:45:00 20.5 21.5\n2024-05-03 10:45:02 20.5 21.5\n", "3 names (`Time, TC1_C"),
+        ("Time (s),TC1 (C)\n0,998\n2,999\n4,1.000\n6,1.002\n", "`1.000` may be 1000 or 1.000"),
+        (
+            "Time (s),TC1 (C)\n0,20.5\n2,20.5\nTime (s),TC1 (C)\n0,20.5\n2,20.5\n",
+            "row 4, column Time: `Time (s)` is no time",
+        ),
+        (
+            "Time (s),TC1 (C),TC2 (C)\n0,20,2048\n2,21,2048\n",
+            "column TC2: reads 2048 throughout, as a converter in fault",
+        ),
+        ("Time (s),Temp,Unit\n0,20,C\n2,70,F\n", "row 3, column Unit: `F` is another unit than `C`"),
+        ("Time,TC1 (C)\n0 s,20.5\n2 min,21.5\n4 s,22.5\n", "column Time"),
+    ],
+)
+def test_what_no_layout_fits_is_refused_with_a_cell(text: str, said: str) -> None:
+    Path("t.csv").write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_measured_csv(Path("t.csv"))
+    assert said in str(refusal.value)
+
+
+def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
+    plate = ("--layer", "copper 3 mm", "--lamp", "unknown", "--emissivity", "0.9")
+    rows("millis;T_back;T_room", [f"{2000 * k};{20.0 + k};21.0".replace(".", ",") for k in range(61)])
+    first = ("--temperature", "T_back", "--temperature-unit", "C", "--lost=-1", "--depth", "T_back=back")
+    made = run("new", "record", "--csv", "t.csv", *plate, *first, "--keep-layout", "rig.toml", "--out", "a")
+    assert made.exit_code == 0, made.exception
+    assert "First rows as read" in made.output
+    rows("millis;T_back;T_room", [f"{2000 * k};{-1 if k == 7 else 60.0 + k};21.0".replace(".", ",") for k in range(61)])
+    assert run("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "b").exit_code == 0
+    record = load_record("b")
+    assert [s.column for s in record.sensors] == ["T_back_K"]
+    assert record.sensors[0].depth_m == 0.003
+    assert record.thermocouples["T_back_K"][0] == pytest.approx(333.15)
+    assert np.flatnonzero(np.isnan(record.thermocouples["T_back_K"])).tolist() == [7]
+    rows("millis;T_front", ["0;20,5", "2000;20,5"])
+    assert "--layout: column T_back: there is no such column" in refused(
+        "new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c"
+    )
+    Path("rig.toml").write_text(Path("rig.toml").read_text().replace("decimal", "decimals"))
+    assert "decimals" in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+
+
+def test_what_was_read_before_stays_readable() -> None:
+    """Quoted decimal commas, `sep=;`, UTF-16, seconds of 1970 without names, blanks and umlauts in the path."""
+    files = {
+        "quoted.csv": ('"Zeit (s)","TC1 (°C)"\n"0,0","20,55"\n"2,0","21,55"\n', "cp1252"),
+        "sep.csv": ("sep=;\nTime (s);TC1 (C)\n0,0;20,55\n2,0;21,55\n", "utf-8"),
+        "utf16.csv": ("Time (s)\tTC1 (°C)\n0,0\t20,55\n2,0\t21,55\n", "utf-16"),
+        "ein Prüfstand.csv": ("Time (s),TC1 (°C)\n0.0,20.55\n2.0,21.55\n", "utf-8-sig"),
+    }
+    for name, (text, encoding) in files.items():
+        Path(name).write_text(text, encoding=encoding)
+        found = read_measured_csv(Path(name))
+        assert (span_s(found), *range_K(found)) == pytest.approx((2.0, 293.7, 294.7)), name
+    Path("unix.csv").write_text("1714700000,293.15\n1714700002,294.15\n1714700004,295.15\n")
+    found = read_measured_csv(Path("unix.csv"), temperatures=("column2",), temperature_unit="K")
+    assert span_s(found) == 4.0
+
+
+def test_a_file_of_18611_rows_is_read_in_a_moment() -> None:
+    t = 0.05 * np.arange(18611)
+    Path("t.csv").write_text("Time (s),TC1 (C)\n" + "".join(f"{x:.2f},{20.0 + 0.01 * x:.3f}\n" for x in t))
+    assert span_s(read_measured_csv(Path("t.csv"))) == pytest.approx(930.5)
+
+
+def test_one_truth_in_random_layouts_is_never_read_wrongly(tmp_path: Path) -> None:
+    """Sixty here; five thousand by `python -m benchmarks layouts`."""
+    found, reasons = outcomes(60, 2024, tmp_path)
+    assert found["wrong"] == 0, reasons
+    assert share_read(found) >= GOAL_READ, reasons
