@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from sim_heating.base.errors import InputError, one_line, printable
+from sim_heating.base.errors import InputError, UnusualWarning, one_line, printable
 from sim_heating.base.progress import no_progress
 from sim_heating.cli.output import current_report, report_files, report_results
 
@@ -65,8 +65,10 @@ def silent_console(is_silent: bool) -> Iterator[None]:
 
 
 def show_warning(message: Warning | str, *_: Any) -> None:
-    """Print a warning on one line, without the place in the program that Python adds."""
+    """Print a warning on one line, once, without the place in the program that Python adds."""
     line = one_line(str(message))
+    if isinstance(message, UnusualWarning) and line in current_report().warnings:
+        return  # of a file that is read twice
     current_report().warnings.append(line)
     ERRORS.print(f"warning: {line}")
 

@@ -17,7 +17,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
-from sim_heating.base.limits import HOTTEST_K, QUANTITIES
+from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 
 Table = list[list[float]]
 """[[T_K, value], ...]"""
@@ -36,6 +36,10 @@ DENSE_KG_M3, DENSE_CONDUCTS_W_MK = 1000.0, 5e-3
 CONDUCTED_W_M2_KKG, WARM_K = 2.0, 200.0
 """Conductivity over density [W m2/(K kg)] that no material exceeds from this temperature on: diamond has 1.4."""
 
+FOAM_KG_M3, FOAM_CONDUCTS_W_MK = 400.0, 5.0
+"""Density [kg/m3] below which, and conductivity [W/(m K)] above which, hardly any material has both."""
+STANDS_OUT = 3.0
+"""Factor by which a node of a property is over, or under, both of its neighbours where it stands out."""
 LEAST, MOST = 1e-9, 1e9
 """Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
 
@@ -138,7 +142,8 @@ class Material(Declared):
     density. `source` and `confidence` are kept with the values. The limits of a solid are not those of a gas: a layer
     of gas, such as a gap, declares kind = "gas".
 
-    kind : "solid", or "gas" for a layer of gas
+    kind     : "solid", or "gas" for a layer of gas
+    apparent : whether the specific heat holds the latent heat of a change of phase, as a peak over a few kelvins
     """
 
     quantities: ClassVar = {
@@ -151,6 +156,7 @@ class Material(Declared):
     density_kg_m3: float = Field(gt=0.0, le=MOST, description="density in kg/m3, above 0")
     emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
     specific_heat_J_kgK: Table = Field(description="[[T_K, value], ...] in J/(kg K)")
+    apparent: bool = Field(default=False, description="whether the specific heat holds a latent heat as a peak")
     conductivity_W_mK: Annotated[
         Annotated[Table, Tag("in temperature")] | Annotated[PressureTable, Tag("at pressures")],
         Discriminator(_is_table),
@@ -188,6 +194,36 @@ class Material(Declared):
         """Properties that no material has, and those that only a gas has."""
         own = [*self._density_problems(), *self._heat_problems()]
         return super().implausible() or own or self._conductivity_problems()
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Properties that few materials have, and nodes of a table that stand out of their neighbours."""
+        found = super().unusual()
+        if self.kind == "gas":
+            return [(place, text) for place, text in found if place[0] == "emissivity"]
+        if not self.apparent:
+            heats = [(i, value) for i, (T_K, value) in enumerate(self.specific_heat_J_kgK) if T_K >= COLDEST_K]
+            far = [(("specific_heat_J_kgK", i, 1), usual_remark("specific_heat_from_100_K", v)) for i, v in heats]
+            found += [(place, text) for place, text in far if text is not None][:1] or [
+                (("specific_heat_J_kgK", heats[k][0], 1), f"{text}; a peak of latent heat declares apparent = true")
+                for k, text in nodes_that_stand_out([value for _, value in heats])
+            ]
+        _, T_K, k = self.conductivity_grid()
+        warm = np.flatnonzero(T_K >= COLDEST_K)
+        found += [
+            (("conductivity_W_mK",), f"at {T_K[warm[i]]:g} K {text}; check it")
+            for column in k[warm].T
+            for i, text in nodes_that_stand_out(column.tolist())
+        ][:1]
+        largest = float(np.max(k))
+        if self.density_kg_m3 < FOAM_KG_M3 and largest > FOAM_CONDUCTS_W_MK:
+            text = f"{largest:g} W/(m K) is unusual at {self.density_kg_m3:g} kg/m3"
+            found.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
+        if self.emissivity is not None:
+            found += [
+                (("emissivity", i, 1), f"{text}; check it")
+                for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
+            ]
+        return found
 
     def _density_problems(self) -> list[tuple[Location, str]]:
         """A density that neither a solid nor, with the conductivity of this one, a light solid has."""
@@ -235,6 +271,26 @@ class Material(Declared):
         T_K, k = pairs(table)
         # Any pressure would do: a single column is constant in pressure.
         return np.array([1.0]), T_K, k[:, np.newaxis]
+
+
+def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
+    """The node of a table of a positive property that is most off its neighbours, with what is unusual about it.
+
+    values : at increasing temperatures
+    returns : [] or one (index, text); an inner node is over or under both neighbours by STANDS_OUT, an end one by its
+              square
+    """
+    logs = np.log(np.asarray(values, dtype=np.float64))
+    if len(logs) < 2:
+        return []
+    steps = np.diff(logs)
+    inner = np.where(steps[:-1] * steps[1:] < 0.0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+    off = np.concatenate(([0.5 * abs(steps[0])], inner, [0.5 * abs(steps[-1])]))
+    worst = int(np.argmax(off))
+    if off[worst] <= np.log(STANDS_OUT):
+        return []
+    beside = values[worst - 1 if worst else 1]
+    return [(worst, f"{values[worst]:g} stands out beside {beside:g} of the node next to it")]
 
 
 def pairs(table: Table) -> tuple[FloatArray, FloatArray]:

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import CsvTable, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
-from sim_heating.heating.recorded_columns import implausible_values, with_density
+from sim_heating.heating.recorded_columns import implausible_values, unusual_values, with_density
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -70,6 +70,7 @@ def read_conditions(path: Path, length_m: float, surfaces: Collection[str] = SUR
     table = with_density(read_csv_columns(path, required, [*OPTIONAL, *spared]))
     table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))
+    tell(unusual_values(table))
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     # A column of the file takes precedence over the derived one.
