@@ -339,7 +339,7 @@ USUAL: dict[str, Usual] = {
         "local_angle_deg": (-20.0, 90.0, _ANGLE),
         # Materials, layers, faces and sensors
         "density_kg_m3": (10.0, 2e4, "felts and foams to tungsten"),
-        "specific_heat_from_100_K": (90.0, 5e3, "heavy metals to water; a peak of latent heat declares apparent = true"),
+        "specific_heat_from_100_K": (90.0, 5e3, "metals to water; a peak of latent heat declares apparent = true"),
         "conductivity_W_mK": (4e-3, 500.0, "aerogels in vacuum to silver and graphite"),
         "emissivity": (0.05, 1.0, "bright metals to coatings"),
         "thickness_m": (5e-6, 0.5, _TILE),

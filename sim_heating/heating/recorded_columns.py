@@ -294,20 +294,25 @@ def clock_problems(table: CsvTable) -> list[str]:
         a, b = ends[steep[0]], ends[steep[0] + 1]
         found = f"altitude changes by {abs(z[b] - z[a]):.4g} m over a path of {path[b] - path[a]:.4g} m"
         return [f"{where}: from {t[a]:g} to {t[b]:g} {found}; the time is not in s"]
-    fast = (z <= AROUND_BELOW_M) & (V >= HIGH_SPEED_M_S)
-    around = float(np.sum((0.5 * (V[1:] + V[:-1]) * np.diff(t))[fast[1:] & fast[:-1]]))
-    if around > AROUND_M:
-        found = f"the path faster than {HIGH_SPEED_M_S:g} m/s and below {AROUND_BELOW_M:g} m is {around:.3g} m long"
-        return [f"{where}: {found}, {around / 4e7:.3g} times around the Earth; the time is not in s"]
     ballistic = _ballistic_kg_m2(table, LOST_ENERGY)
-    if ballistic is None:
-        return []
-    if BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
-        return []
+    if ballistic is None or BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
+        return _around_problems(table)
     usual = {1e3: "milliseconds", 1e6: "microseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}
     close = [u for size, u in usual.items() if 50.0 <= ballistic / size <= 5e3]
     hint = f"the clock of the flight conditions is in {close[0]}, give s" if close else "check time, density and speed"
     return [f"{where}: the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area; {hint}"]
+
+
+def _around_problems(table: CsvTable) -> list[str]:
+    """A fast flight in the air that is longer than twice around the Earth."""
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    fast = (z <= AROUND_BELOW_M) & (V >= HIGH_SPEED_M_S)
+    around = float(np.sum((0.5 * (V[1:] + V[:-1]) * np.diff(t))[fast[1:] & fast[:-1]]))
+    if around <= AROUND_M:
+        return []
+    found = f"the path faster than {HIGH_SPEED_M_S:g} m/s and below {AROUND_BELOW_M:g} m is {around:.3g} m long"
+    where = f"{display_path(table.path)}, column time_s"
+    return [f"{where}: {found}, {around / 4e7:.3g} times around the Earth; the time is not in s"]
 
 
 def _ballistic_kg_m2(table: CsvTable, least_lost: float) -> float | None:
@@ -334,10 +339,10 @@ def lift_problems(table: CsvTable) -> list[str]:
     found = _least_carried(table)
     if found is None or found[1] >= CARRIED_KG_M2:
         return []
-    k, carried, needed = found
+    k, _, needed = found
     where = f"{display_path(table.path)}, row {table.lines[k]}, column velocity_m_s"
     at = f"{table['velocity_m_s'][k]:.4g} m/s at {table['altitude_m'][k]:.4g} m"
-    return [f"{where}: {at} fly on although {needed:.3g} m/s2 of lift are needed; check speed, altitude, time and density"]
+    return [f"{where}: {at} need {needed:.3g} m/s2 of lift, which no wing has there; check speed, altitude and time"]
 
 
 def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
@@ -357,7 +362,7 @@ def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
         end = min(end, len(t))
         part = slice(begin, end)
         begin = end
-        if np.min(z[part]) < CARRIED_ABOVE_M or not 1.0 < t[end - 1] - t[part.start]:
+        if np.min(z[part]) < CARRIED_ABOVE_M or t[end - 1] - t[part.start] <= 1.0:
             continue
         x = t[part] - t[part.start]
         bend, rise = 2.0 * np.polyfit(x, z[part], 2)[0], np.polyfit(x, V[part], 1)[0]
@@ -405,7 +410,7 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
         highest = table["p_inf_Pa"] + rho * V**2
         used = (V > 300.0) & (table["p_surface_Pa"] > 0.0)
         ratio = np.divide(table["p_surface_Pa"], highest, out=np.ones_like(V), where=used & (highest > 0.0))
-        yield "p_surface_Pa", (3e-4, 1.1), ratio, used, None, "is {:.3g} of p + rho V^2, the pressure at a stagnation point"
+        yield "p_surface_Pa", (3e-4, 1.1), ratio, used, None, "is {:.3g} of p + rho V^2, that of a stagnation point"
     if _has(table, "axial_accel_g"):
         drag = np.abs(table["axial_accel_g"]) * G0_M_S2
         q = 0.5 * rho * V**2
@@ -486,7 +491,8 @@ def unusual_values(table: CsvTable) -> list[str]:
     for column, usual, ratio, used, text in _usual_ratios(table):
         found = _mostly_outside(table, column, ratio, used, usual)
         if found is not None:
-            remarks.append(f"{found[0]}: {text.format(found[1])} ({usual[0]:g} to {usual[1]:g} is usual); check its unit")
+            ratio_text = text.format(found[1])
+            remarks.append(f"{found[0]}: {ratio_text} ({usual[0]:g} to {usual[1]:g} is usual); check its unit")
     return remarks + _path_remarks(table)
 
 
@@ -530,7 +536,8 @@ def _standing_out(table: CsvTable, name: str) -> list[str]:
     values, is_factor = table[name], name in FACTORS
     rows = np.flatnonzero(values > 0.0) if is_factor else np.arange(len(values))
     bad = np.zeros(len(values), dtype=bool)
-    bad[rows] = standing_out(table["time_s"][rows], values[rows], FACTORS[name] if is_factor else STEPS[name], is_factor)
+    step = FACTORS[name] if is_factor else STEPS[name]
+    bad[rows] = standing_out(table["time_s"][rows], values[rows], step, is_factor)
     return table.problems_where_not(name, ~bad, "stands out of the rows before and after it; check it")
 
 
@@ -559,7 +566,7 @@ def _usual_ratios(table: CsvTable) -> Iterator[tuple[str, tuple[float, float], F
         if np.any(used):
             low, high = np.percentile(length[used], [10.0, 90.0])
             change = np.full_like(length, high / low)
-            yield "log10_re", (1.0, LENGTH_SCATTER), change, used, "implies reference lengths that differ by a factor {:.3g}"
+            yield "log10_re", (1.0, LENGTH_SCATTER), change, used, "implies lengths that differ by a factor {:.3g}"
     for column, usual, ratio, used, _, text in _flight_ratios(table):
         yield column, usual, ratio, used, text
 
@@ -577,7 +584,9 @@ def _path_remarks(table: CsvTable) -> list[str]:
         remarks.append(f"{where}, column time_s: {found}; check time, density and speed")
     carried = _least_carried(table)
     if carried is not None and carried[1] < CARRIED_USUAL_KG_M2:
-        found = f"{carried[1]:.3g} kg/m2 of mass over lifting area would fly so (above {CARRIED_USUAL_KG_M2:g} is usual)"
+        found = (
+            f"{carried[1]:.3g} kg/m2 of mass over lifting area would fly so ({CARRIED_USUAL_KG_M2:g} or more is usual)"
+        )
         rows = f"row {table.lines[carried[0]]}, column velocity_m_s"
         remarks.append(f"{where}, {rows}: {found}; check speed, altitude, time and density")
     energy = 0.5 * V**2 + G0_M_S2 * z

@@ -870,7 +870,7 @@ def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile
         if rows.size == 0:
             continue
         usual = USUAL["temperature_K"]
-        odd = ~((T < usual.lowest) | (T > usual.highest))
+        odd = np.isnan(T) | ((usual.lowest <= T) & (usual.highest >= T))
         rule = f"is unusual ({usual.lowest:g} to {usual.highest:g} K: {usual.source}); check its unit"
         lines = thermocouples.problems_where_not(sensor.column, odd, rule)
         if not lines:
@@ -900,7 +900,7 @@ def _clock_remarks(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
     inside = np.mean((t >= flown[0]) & (t <= flown[-1]))
     where, least = f"{display_path(thermocouples.path)}, column time_s", OVERLAP
     if inside < least[1]:
-        return [f"{where}: {100.0 * inside:.3g} % of the readings lie within the conditions' time; is it the same clock?"]
+        return [f"{where}: {100.0 * inside:.3g} % of the readings lie within the conditions; is it the same clock?"]
     span = (t[-1] - t[0]) / (flown[-1] - flown[0]) if flown[-1] > flown[0] and len(t) > 2 else 1.0
     if span < least[0]:
         return [f"{where}: the readings last {100.0 * span:.3g} % of the conditions' time; is it the same clock?"]

@@ -82,7 +82,7 @@ class Initial(Convertible):
 ENTRY_ABOVE_M, ENTRY_FROM_M_S = 85e3, 3e3
 """Altitude [m] and speed [m/s] above which a flight begins as an entry."""
 ENTRY_GAMMA_DEG, ENTRY_SPEEDS_M_S = (-25.0, 8.0), (5e3, 12e3)
-"""Path angle [deg] and speed [m/s] of entries: skips and orbits to ballistic vehicles, suborbital ones to the Moon's."""
+"""Path angle [deg] and speed [m/s] of entries: skips to ballistic vehicles, suborbital ones to the Moon's."""
 
 
 def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> list[tuple[Location, str]]:
@@ -95,7 +95,7 @@ def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> l
     remarks: list[tuple[Location, str]] = []
     low, high = ENTRY_GAMMA_DEG
     if velocity_m_s >= ENTRY_FROM_M_S and not low <= gamma_deg <= high:
-        text = f"{gamma_deg:g} deg at {altitude_m:g} m and {velocity_m_s:g} m/s is unusual (entries: {low:g} to {high:g})"
+        text = f"{gamma_deg:g} deg at {altitude_m:g} m is unusual (entries: {low:g} to {high:g}); check it"
         remarks.append((("gamma_deg",), text))
     low, high = ENTRY_SPEEDS_M_S
     if not low <= velocity_m_s <= high:

@@ -75,7 +75,7 @@ class Declared(BaseModel):
         """Location and text of each number of the file that is possible and outside what is usual; one a field."""
         found: list[tuple[Location, str]] = []
         for name in (n for n in type(self).model_fields if n in self.model_fields_set):
-            found += _quantity_remarks(self, name, getattr(self, name))[:1]
+            found += [((name, *place), text) for place, text in _quantity_remarks(self, name, getattr(self, name))[:1]]
         return found
 
 
