@@ -145,11 +145,13 @@ def _campaign(place: Path, root: Path | None) -> CheckedPath:
 
 def _link(place: Path, root: Path | None) -> CheckedPath:
     from sim_heating.live.engine import check_estimate
+    from sim_heating.live.sources import check_sources
     from sim_heating.live.sources.mapping import FieldMapping
     from sim_heating.live.spec import load_link
 
     link = load_link(place, root=root)
-    FieldMapping(link)
+    mapping = FieldMapping(link)
+    check_sources(link, mapping)
     check_estimate(link)
     return CheckedPath("link", place, f"link {link.title}: {len(link.points)} control points")
 
