@@ -6,6 +6,7 @@ and the modules of the program within its functions only (tests/cli/test_startup
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
@@ -183,7 +184,10 @@ def _interrupted(report: CommandReport, signals: EndingSignals) -> int:
 
 
 def _system_error(report: CommandReport, error: OSError) -> int:
-    """Report an error of the system, such as a full disk; exit status."""
+    """Report an error of the system, such as a full disk, or of a path that none can be; exit status."""
+    if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+        place = one_line(str(error.filename))
+        return _failed(report, 2, "error", "input", f"{place}: cannot be opened ({error.strerror}); give another path")
     return _failed(report, 1, "failed", "system", one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
 
 

@@ -85,6 +85,7 @@ def print_warning(line: str) -> None:
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     """Value of an option --out; a directory that cannot be made or written is refused before any work."""
     from sim_heating.base.files import display_path, require_exclusive
+    from sim_heating.base.files.paths import portable_problem
     from sim_heating.base.files.text import abbreviated, os_error_reason
 
     if not value.strip():
@@ -96,6 +97,8 @@ def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path
         raise InputError(
             f"--out {abbreviated(value)}: {os_error_reason(error)}; name another directory for the results"
         ) from None
+    if (problem := portable_problem(path.name)) is not None:
+        raise InputError(f"--out {abbreviated(value)}: its last part {problem}")
     if not existing.is_dir():
         raise InputError(f"--out {value}: {display_path(existing)} is a file; name a directory for the results")
     require_exclusive(path)

@@ -44,6 +44,7 @@ from sim_heating.base.files import (
     toml_text,
     write_text_atomic,
 )
+from sim_heating.base.files.roots import portable_name
 from sim_heating.base.limits import HOTTEST_K, USUAL
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
@@ -417,7 +418,7 @@ class RecordFile(Construction):
         description="name of the flight, without / \\ | @; that of the directory above where absent",
     )
     vehicle: str = ""
-    control_point: str = Field(min_length=1, description="name of the control point")
+    control_point: Annotated[str, portable_name()] = Field(min_length=1, description="name of the control point")
     measured: bool = Field(description="true for a measurement, false for synthetic data")
     source: str = Field(default="", description="where measurements and construction come from")
     confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")

@@ -12,6 +12,8 @@ from typing import Any
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, suggestion, write_own_files, write_text_atomic
+from sim_heating.base.files.paths import portable_problem
+from sim_heating.base.files.text import abbreviated
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.scenario import load_scenario
@@ -197,6 +199,8 @@ def write_new_effect(
     """
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"effect {name}: write a name of small letters, digits and -, such as shock-passage")
+    if (problem := portable_problem(name)) is not None:
+        raise InputError(f"effect {abbreviated(name)}: {problem}")
     module = name.replace("-", "_")
     folder = Path(out)
     if name in effects() and not (folder / f"{module}.py").is_file():
