@@ -146,8 +146,13 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     given = sys.argv[1:] if arguments is None else arguments
     with reporting(given) as report:
         try:
-            with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
-                status = _status(given, report, signals)
+            try:
+                with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
+                    status = _status(given, report, signals)
+                signals.ignore()
+            except KeyboardInterrupt:  # between the command and its answer
+                signals.ignore()
+                status = _interrupted(report, signals)
         except Exception as error:  # a fault of the program, whose traceback follows
             report.error = {"kind": "internal", "message": one_line(repr(error)), "problems": []}
             report.print_json(1)
