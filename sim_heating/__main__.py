@@ -5,6 +5,7 @@ import errno
 import io
 import os
 import sys
+import threading
 from typing import Any, NoReturn
 
 from sim_heating.base.parallel.garbage import search_seldom
@@ -115,6 +116,8 @@ def run_and_exit() -> NoReturn:
     end = _End()
     atexit.register(end)
     end.status = main()
+    if any(t is not threading.current_thread() and not t.daemon for t in threading.enumerate()):
+        atexit._run_exitfuncs()  # Python would first wait for a thread that an effect has left, which may never end
     sys.exit(end.status)
 
 
