@@ -297,9 +297,7 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
 
 
-def vehicle_place(
-    file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None
-) -> Path:
+def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None) -> Path:
     """Directory of a vehicle that a file names: relative to the file or to the working directory, else by its name.
 
     key    : table and key that name it, for messages
