@@ -110,14 +110,8 @@ def judge(seed: int, number: int, folder: Path) -> Slip:
     """The slip of a number, and what `validate` says of it."""
     rng = random.Random(f"slip {seed}:{number}")
     while True:
-        case = rng.choice(list(CASES))
-        home, target, globs = CASES[case]
-        files = sorted(p for glob in globs for p in (ROOT / home).glob(glob) if p.suffix in (".toml", ".csv"))
-        path = rng.choice(files)
-        names = _names(path)
-        if not names:
-            continue
-        name = rng.choice(names)
+        case, path, name = rng.choice(_all_names())
+        home, target, _ = CASES[case]
         own = name.rpartition(".")[2].partition("[")[0]
         kinds = [*(f"{sign} {f}" for f in FACTORS for sign in ("x", "/"))]
         kinds += ["degC", "degF"] * 2 if own.endswith("_K") else []
@@ -146,6 +140,15 @@ def _validate(path: Path) -> tuple[str, str]:
 
 
 @cache
+def _all_names() -> list[tuple[str, Path, str]]:
+    """Case, file and name of every column and key with a unit, each once."""
+    found: list[tuple[str, Path, str]] = []
+    for case, (home, _, globs) in CASES.items():
+        files = sorted(p for glob in globs for p in (ROOT / home).glob(glob) if p.suffix in (".toml", ".csv"))
+        found += [(case, path, name) for path in files for name in _names(path)]
+    return found
+
+
 def _names(path: Path) -> list[str]:
     """Columns, or keys with the tables that they are in, whose numbers have a unit; `[k]` is a column of a list."""
     if path.suffix == ".csv":

@@ -114,10 +114,13 @@ def _csv(place: Path, root: Path | None) -> CheckedPath:
 
 
 def _vehicle(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.inputs.ratio_sources import RatioSource
     from sim_heating.simulation.scenario_check import check_vehicle  # trajectories are slow to import
 
     vehicle = load_vehicle(place, root=root)
     check_vehicle(vehicle)
+    for source in sorted((vehicle.directory / "ratio_sources").glob("*.toml")):
+        read_toml(source, RatioSource)
     return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 

@@ -36,6 +36,7 @@ from sim_heating.base.limits import (
     QUANTITIES,
     SLOWEST_M_S,
     USUAL,
+    Quantity,
 )
 from sim_heating.heating.atmosphere import CP_AIR, EARTH_RADIUS_M, G0_M_S2, GAMMA, HIGHEST_M, LOWEST_M, R_AIR, us76
 from sim_heating.heating.atmosphere import sutherland_viscosity as viscosity
@@ -291,6 +292,8 @@ def clock_problems(table: CsvTable) -> list[str]:
     ends = np.searchsorted(climbed, np.arange(0.0, climbed[-1], PART_M))
     steep = np.flatnonzero(np.abs(np.diff(z[ends])) > np.maximum(np.diff(path[ends]), LOW_M))
     if steep.size:
+        if alone := _standing_out(table, "altitude_m"):  # a sample, not the clock
+            return alone
         a, b = ends[steep[0]], ends[steep[0] + 1]
         found = f"altitude changes by {abs(z[b] - z[a]):.4g} m over a path of {path[b] - path[a]:.4g} m"
         return [f"{where}: from {t[a]:g} to {t[b]:g} {found}; the time is not in s"]
@@ -410,7 +413,7 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
         highest = table["p_inf_Pa"] + rho * V**2
         used = (V > 300.0) & (table["p_surface_Pa"] > 0.0)
         ratio = np.divide(table["p_surface_Pa"], highest, out=np.ones_like(V), where=used & (highest > 0.0))
-        yield "p_surface_Pa", (3e-4, 1.1), ratio, used, None, "is {:.3g} of p + rho V^2, that of a stagnation point"
+        yield "p_surface_Pa", (8e-4, 1.1), ratio, used, None, "is {:.3g} of p + rho V^2, that of a stagnation point"
     if _has(table, "axial_accel_g"):
         drag = np.abs(table["axial_accel_g"]) * G0_M_S2
         q = 0.5 * rho * V**2
@@ -469,13 +472,17 @@ GASES, DENSITIES, TEMPERATURES = (0.8, 1.25), (0.3, 3.0), (0.75, 1.35)
 TEMPERATURES_BELOW_M = 85e3
 LENGTHS_OF_VEHICLES_M, LENGTH_SCATTER = (0.05, 150.0), 3.0
 """Reference lengths [m] of vehicles, and the factor by which that of one flight may seem to change."""
-BALLISTIC_USUAL_KG_M2 = (25.0, 3e3)
-"""Mass over drag area [kg/m2] of inflated decelerators to slender entry bodies."""
+BALLISTIC_USUAL_KG_M2 = (60.0, 1300.0)
+"""Mass over drag area [kg/m2] of light capsules to heavy winged vehicles; inflated decelerators are below."""
 LOST_A_LITTLE = 0.1
 CARRIED_USUAL_KG_M2 = 15.0
 """Mass over lifting area [kg/m2] of the lightest hypersonic vehicles."""
 GAINED = 0.05
 """Part of the energy that a flight does not gain without thrust; winds and gusts give a few thousandths."""
+RADIANS = {"alpha_deg": 1.2, "elevon_deg": 0.35, "bodyflap_deg": 0.45}
+"""Column -> largest value [deg] of a fast flight below which it looks like radians: 20 deg are 0.35."""
+TRACK = (0.8, 1.25)
+"""Distance over ground between positions over that which the speed covers; winds and the turn of the Earth add 7 %."""
 GAMMA_DEG = 2.0
 """Median difference [deg] of a column of path angles and of the path."""
 
@@ -487,7 +494,7 @@ def unusual_values(table: CsvTable) -> list[str]:
     """
     remarks: list[str] = []
     for name in table.columns:
-        remarks += _beyond_usual(table, name) or _standing_out(table, name)
+        remarks += _beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
     for column, usual, ratio, used, text in _usual_ratios(table):
         found = _mostly_outside(table, column, ratio, used, usual)
         if found is not None:
@@ -498,13 +505,26 @@ def unusual_values(table: CsvTable) -> list[str]:
 
 def _beyond_usual(table: CsvTable, name: str) -> list[str]:
     """The first value of a column beyond its usual range."""
-    known = USUAL.get(name)
+    known = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
     if known is None:
         return []
+    if isinstance(known, Quantity):
+        return table.problems_where_not(
+            name, (table[name] >= known.lowest) & (table[name] <= known.highest), known.rule
+        )
     rule = f"is unusual ({known.lowest:g} to {known.highest:g}: {known.source}); check its unit"
     values = table[name]
     # NaN is a lost sample; a column of zeros says nothing.
     return table.problems_where_not(name, ~(values < known.lowest) & ~(values > known.highest) | (values == 0.0), rule)
+
+
+def _radians(table: CsvTable, name: str) -> list[str]:
+    """Angles of attack or of control surfaces that are as small throughout a fast flight as in radians."""
+    largest = RADIANS.get(name)
+    if largest is None or np.max(table["velocity_m_s"]) < 1000.0 or not 0.0 < np.max(np.abs(table[name])) < largest:
+        return []
+    found = f"is {np.max(np.abs(table[name])):.3g} deg at most; is it in radians?"
+    return [f"{display_path(table.path)}, column {name}: {found}"]
 
 
 def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor: bool = False) -> BoolArray:
@@ -556,7 +576,7 @@ def _usual_ratios(table: CsvTable) -> Iterator[tuple[str, tuple[float, float], F
     if _has(table, "mach"):
         own = _has(table, "T_inf_K")
         sound = np.sqrt(GAMMA * R_AIR * np.maximum(table["T_inf_K"] if own else T_0, 1.0))
-        used = (V > 50.0) & (table["mach"] > 0.1)
+        used = (V > 50.0) & (table["mach"] > 0.0)
         ratio = np.where(used, table["mach"] * sound / np.where(used, V, 1.0), 1.0)
         yield "mach", MACHS if own else MACHS_STANDARD, ratio, used, "is {:.3g} of velocity_m_s over the speed of sound"
     if _has(table, "log10_re", "T_inf_K"):
@@ -595,6 +615,7 @@ def _path_remarks(table: CsvTable) -> list[str]:
     if np.max(energy) >= 0.5 * HIGH_SPEED_M_S**2 and gained[k] > GAINED:
         found = f"the energy V^2 / 2 + g h has risen by {100.0 * gained[k]:.3g} % here, and drag lets it fall"
         remarks.append(f"{where}, row {table.lines[k]}, column velocity_m_s: {found}; was there thrust?")
+    remarks += _track_remarks(table)
     if _has(table, "gamma_deg"):
         climb = np.gradient(z, t)
         moving = V > 300.0
@@ -605,3 +626,22 @@ def _path_remarks(table: CsvTable) -> list[str]:
                 found = f"differs by {off:.3g} deg from the path that altitude, time and speed describe"
                 remarks.append(f"{where}, column gamma_deg: {found}; check its unit")
     return remarks
+
+
+def _track_remarks(table: CsvTable) -> list[str]:
+    """Positions over ground that the speed does not lead to, in the time that they take."""
+    if not _has(table, "latitude_deg", "longitude_deg"):
+        return []
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    latitude, longitude = np.radians(table["latitude_deg"]), np.radians(table["longitude_deg"])
+    north, east = np.diff(latitude), np.cos(0.5 * (latitude[1:] + latitude[:-1])) * np.sin(np.diff(longitude))
+    flat = np.sqrt(np.maximum((0.5 * (V[1:] + V[:-1]) * np.diff(t)) ** 2 - np.diff(z) ** 2, 0.0))
+    flown = flat * EARTH_RADIUS_M / (EARTH_RADIUS_M + z[1:])
+    used = flown > 100.0
+    if np.count_nonzero(used) < WINDOW_SAMPLES:
+        return []
+    ratio = float(np.median(EARTH_RADIUS_M * np.hypot(north, east)[used] / flown[used]))
+    if TRACK[0] <= ratio <= TRACK[1]:
+        return []
+    found = f"move over ground by {ratio:.3g} of what speed and time give; check their unit, and that of time and speed"
+    return [f"{display_path(table.path)}, columns latitude_deg and longitude_deg: {found}"]

@@ -38,6 +38,12 @@ CONDUCTED_W_M2_KKG, WARM_K = 2.0, 200.0
 
 FOAM_KG_M3, FOAM_CONDUCTS_W_MK = 400.0, 5.0
 """Density [kg/m3] below which, and conductivity [W/(m K)] above which, hardly any material has both."""
+DENSE_J_M3K, LIGHT_J_KGK, ROOM_K = (0.7e6, 6.5e6), (400.0, 3000.0), 250.0
+"""Heat capacity of dense solids by volume (plastics 1.5e6, nickel 6e6), of light ones by mass; from which T."""
+DENSE_LEAST_W_MK, LIGHT_MOST_W_MK, COOL_K = 0.1, (0.05, 1.5e-3), 600.0
+"""Least conductivity of dense solids; most of light ones, a + b density; below COOL_K, where radiation adds little."""
+FIRST_K, LAST_K, AIR_PA = (50.0, 500.0), (350.0, 4500.0), (5e4, 2.5e5)
+"""Ranges of the first and the last temperature of a property [K], and of the last pressure [Pa], near that of 1 atm."""
 STANDS_OUT = 3.0
 """Factor by which a node of a property is over, or under, both of its neighbours where it stands out."""
 LEAST, MOST = 1e-9, 1e9
@@ -218,11 +224,54 @@ class Material(Declared):
         if self.density_kg_m3 < FOAM_KG_M3 and largest > FOAM_CONDUCTS_W_MK:
             text = f"{largest:g} W/(m K) is unusual at {self.density_kg_m3:g} kg/m3"
             found.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
+        found += self._density_remarks(T_K, k) + self._axis_remarks()
         if self.emissivity is not None:
             found += [
                 (("emissivity", i, 1), f"{text}; check it")
                 for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
             ]
+        return found
+
+    def _density_remarks(self, T_K: FloatArray, k: FloatArray) -> list[tuple[Location, str]]:
+        """Heat capacity and conductivity that few solids of this density have."""
+        rho = self.density_kg_m3
+        found: list[tuple[Location, str]] = []
+        heats = [(i, c) for i, (T, c) in enumerate(self.specific_heat_J_kgK) if T >= ROOM_K]
+        for i, c in [] if self.apparent else heats:
+            low, high = (v / rho for v in DENSE_J_M3K) if rho >= DENSE_KG_M3 else LIGHT_J_KGK
+            if not low <= c <= high:
+                text = f"{c:.4g} J/(kg K) is unusual at {rho:g} kg/m3 ({low:.3g} to {high:.3g}); check both"
+                found.append((("specific_heat_J_kgK", i, 1), text))
+                break
+        cool = k[(T_K <= COOL_K) & (T_K >= COLDEST_K)]
+        if cool.size and rho >= DENSE_KG_M3 and np.min(cool) < DENSE_LEAST_W_MK:
+            text = f"{np.min(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 ({DENSE_LEAST_W_MK:g} and more); check both"
+            found.append((("conductivity_W_mK",), text))
+        highest = LIGHT_MOST_W_MK[0] + LIGHT_MOST_W_MK[1] * rho
+        if cool.size and rho < FOAM_KG_M3 and np.max(cool) > highest:
+            text = f"{np.max(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 (up to {highest:.3g}); check both"
+            found.append((("conductivity_W_mK",), text))
+        return found
+
+    def _axis_remarks(self) -> list[tuple[Location, str]]:
+        """Tables over temperatures or pressures that walls do not have."""
+        k = self.conductivity_W_mK
+        axes = {
+            "specific_heat_J_kgK": pairs(self.specific_heat_J_kgK)[0],
+            "conductivity_W_mK": self.conductivity_grid()[1],
+        }
+        if self.emissivity is not None:
+            axes["emissivity"] = pairs(self.emissivity)[0]
+        found: list[tuple[Location, str]] = [
+            ((name,), f"is over {T[0]:g} to {T[-1]:g} K, and walls have some 200 to 2000 K; check its temperatures")
+            for name, T in axes.items()
+            if len(T) > 1 and not (FIRST_K[0] <= T[0] <= FIRST_K[1] and LAST_K[0] <= T[-1] <= LAST_K[1])
+        ]
+        if isinstance(k, PressureTable) and len(k.p_Pa) > 1 and not AIR_PA[0] <= k.p_Pa[-1] <= AIR_PA[1]:
+            text = (
+                f"is over {k.p_Pa[0]:g} to {k.p_Pa[-1]:g} Pa, and air has 101325 Pa at sea level; check its pressures"
+            )
+            found.append((("conductivity_W_mK",), text))
         return found
 
     def _density_problems(self) -> list[tuple[Location, str]]:
@@ -681,4 +730,4 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     # all of them where one is unknown, which may be misspelt
     given = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in given.items()}}
-    return check(parts, Construction, where)
+    return check(parts, Construction, where, tells=False)  # which the files of its parts have told

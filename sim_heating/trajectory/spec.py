@@ -85,6 +85,10 @@ ENTRY_GAMMA_DEG, ENTRY_SPEEDS_M_S = (-25.0, 8.0), (5e3, 12e3)
 """Path angle [deg] and speed [m/s] of entries: skips to ballistic vehicles, suborbital ones to the Moon's."""
 
 
+INTERFACE_M, INTERFACE_GAMMA_DEG = 110e3, -0.4
+"""Altitude [m] from which an entry begins, and the shallowest path angle [deg] there that is no orbit."""
+
+
 def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> list[tuple[Location, str]]:
     """(key, text) of what is unusual about the state that an entry begins in; [] for other flights.
 
@@ -93,7 +97,7 @@ def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> l
     if altitude_m < ENTRY_ABOVE_M or velocity_m_s < SLOWEST_M_S:
         return []
     remarks: list[tuple[Location, str]] = []
-    low, high = ENTRY_GAMMA_DEG
+    low, high = ENTRY_GAMMA_DEG if altitude_m < INTERFACE_M else (ENTRY_GAMMA_DEG[0], INTERFACE_GAMMA_DEG)
     if velocity_m_s >= ENTRY_FROM_M_S and not low <= gamma_deg <= high:
         text = f"{gamma_deg:g} deg at {altitude_m:g} m is unusual (entries: {low:g} to {high:g}); check it"
         remarks.append((("gamma_deg",), text))

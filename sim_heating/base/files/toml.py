@@ -142,7 +142,10 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
     if value is None or isinstance(value, (str, bool)):
         return []
     declared = model.quantities.get(name, name)
-    if declared is None or isinstance(value, Mapping):
+    if isinstance(value, Mapping):
+        numbers = ((key, _unusual_numbers(key, v)) for key, v in value.items())
+        return [((key, *place), text) for key, found in numbers for place, text in found]
+    if declared is None:
         return []
     if isinstance(declared, str):
         return _unusual_numbers(_meant(model, declared), value)
@@ -259,9 +262,10 @@ def _toml_syntax(name: str, text: str, message: str) -> str:
     return f"{name}, line {place[1]}: {message[: place.start()]} (column {place[2]}); this is not TOML"
 
 
-def check(data: Any, model: type[M], where: str) -> M:
+def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
     """A pydantic model of plain data, with problems reported as in a file named `where`; what is unusual is told.
 
+    tells  : false where the data come from files that have been told of already
     raises : InputError, all problems at once
     """
     try:
@@ -276,7 +280,8 @@ def check(data: Any, model: type[M], where: str) -> M:
         raise InputError(*problems) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
-    tell(remarks_of(checked, data, where))
+    if tells:
+        tell(remarks_of(checked, data, where))
     return checked
 
 
