@@ -18,10 +18,6 @@ HEADER = 6
 """Bytes of a primary header; its last two hold the length of what follows less one (CCSDS 133.0-B-2, 4.1.3.5)."""
 
 
-FLOAT_BITS = (16, 32, 48, 64)
-"""Sizes of floating-point numbers in XTCE."""
-
-
 def packet_length(data: bytes | bytearray) -> int | None:
     """Bytes of the packet that begins the data; None where its header is not complete."""
     return HEADER + int.from_bytes(data[4:6], "big") + 1 if len(data) >= HEADER else None
@@ -134,8 +130,8 @@ def _bits(entry: Any) -> int | None:
 def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[str]:
     """Numbers of sizes that no number has; a container that begins with no primary header, or has no whole bytes."""
     for _, entry in entries:
-        bits, kind = _bits(entry), type(entry.parameter_type.encoding).__name__
-        if bits is not None and (not 1 <= bits <= 64 or (kind.startswith("Float") and bits not in FLOAT_BITS)):
+        bits = _bits(entry)
+        if bits is not None and not 1 <= bits <= 64:
             return [f"parameter `{entry.name}`: a number of {bits} bits cannot be; correct `sizeInBits`"]
     sizes = [_bits(entry) for is_common, entry in entries if is_common]
     ends = list(accumulate(takewhile(lambda size: size is not None, sizes)))
