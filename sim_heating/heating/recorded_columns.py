@@ -397,8 +397,8 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
     if _has(table, "H_r_J_kg"):
         T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
         total = 0.5 * V**2 + CP_AIR * T
-        used = V > 1000.0
-        yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, ENTHALPIES, "is {:.3g} of V^2 / 2 + cp T"
+        for used, possible in ((V > 1000.0, ENTHALPIES), (V <= SLOWEST_M_S, None)):
+            yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
     if _has(table, "h_ref_kg_m2_s"):
         h = table["h_ref_kg_m2_s"]
         used = (V > 1000.0) & (h > 0.0) & (rho > 0.0)
@@ -483,6 +483,8 @@ RADIANS = {"alpha_deg": 1.2, "elevon_deg": 0.35, "bodyflap_deg": 0.45}
 """Column -> largest value [deg] of a fast flight below which it looks like radians: 20 deg are 0.35."""
 TRACK = (0.8, 1.25)
 """Distance over ground between positions over that which the speed covers; winds and the turn of the Earth add 7 %."""
+HEADING_DEG = 15.0
+"""Median difference [deg] of a column of headings and of the path over ground."""
 GAMMA_DEG = 2.0
 """Median difference [deg] of a column of path angles and of the path."""
 
@@ -640,6 +642,12 @@ def _track_remarks(table: CsvTable) -> list[str]:
     used = flown > 100.0
     if np.count_nonzero(used) < WINDOW_SAMPLES:
         return []
+    if _has(table, "heading_deg"):
+        turned = np.degrees(np.arctan2(east, north)) - table["heading_deg"][1:]
+        off = float(np.median(np.abs((turned[used] + 180.0) % 360.0 - 180.0)))
+        if off > HEADING_DEG:
+            found = f"differs by {off:.3g} deg from the path over ground; check its unit"
+            return [f"{display_path(table.path)}, column heading_deg: {found}"]
     ratio = float(np.median(EARTH_RADIUS_M * np.hypot(north, east)[used] / flown[used]))
     if TRACK[0] <= ratio <= TRACK[1]:
         return []

@@ -854,7 +854,7 @@ def _check_record(
 
 FIRST_K, FIRST_RELATIVE = 60.0, 0.15
 """First reading less the declared initial temperature [K, and over it] that heating before the flight explains."""
-RADIUS_RATIOS = (0.2, 5.0)
+RADIUS_RATIOS = (0.5, 2.0)
 """Radius that the column of h_ref implies over the declared nose radius: formulas and rarefied air differ by less."""
 READING_K, OVERLAP = 60.0, (0.5, 0.5)
 """Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it."""

@@ -16,7 +16,9 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import tell
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
+from sim_heating.base.files.toml import remarks_of
 from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 
 Table = list[list[float]]
@@ -42,6 +44,10 @@ DENSE_J_M3K, LIGHT_J_KGK, ROOM_K = (0.7e6, 6.5e6), (400.0, 3000.0), 250.0
 """Heat capacity of dense solids by volume (plastics 1.5e6, nickel 6e6), of light ones by mass; from which T."""
 DENSE_LEAST_W_MK, LIGHT_MOST_W_MK, COOL_K = 0.1, (0.05, 1.5e-3), 600.0
 """Least conductivity of dense solids; most of light ones, a + b density; below COOL_K, where radiation adds little."""
+LIGHT_LAYER_M, METAL_LAYER_M, THIN_LAYER_M, METAL_W_MK = (5e-4, 0.15), (2e-4, 0.03), (4e-5, 4e-3), 3.0
+"""Thickness [m] of felts to thick tiles, of skins to blocks, of paints to bonds; k from which it is the second."""
+NOT_METAL_EMITS = 0.3
+"""Emissivity below which a surface is of bright metal; one of a poor conductor is above."""
 FIRST_K, LAST_K, AIR_PA = (50.0, 500.0), (350.0, 4500.0), (5e4, 2.5e5)
 """Ranges of the first and the last temperature of a property [K], and of the last pressure [Pa], near that of 1 atm."""
 STANDS_OUT = 3.0
@@ -226,6 +232,11 @@ class Material(Declared):
             found.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
         found += self._density_remarks(T_K, k) + self._axis_remarks()
         if self.emissivity is not None:
+            found += [
+                (("emissivity", i, 1), f"{value:g} is unusual where k is {np.max(k):.3g} W/(m K), of no bright metal")
+                for i, (_, value) in enumerate(self.emissivity)
+                if value < NOT_METAL_EMITS and np.max(k) < METAL_W_MK
+            ][:1]
             found += [
                 (("emissivity", i, 1), f"{text}; check it")
                 for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
@@ -606,6 +617,16 @@ class Construction(Declared):
         _raise_located(material_problems(self.stack, self.materials))
         return self
 
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Layers of a thickness that few of their material have, and a wall that few vehicles have."""
+        found = super().unusual()
+        for i, (layer, material) in enumerate(zip(self.stack.layer, self.layer_materials(), strict=True)):
+            kind, low, high = _usual_thickness(material)
+            if material.kind == "solid" and not low <= layer.thickness_m <= high:
+                text = f"{layer.thickness_m:g} m is unusual for {kind} ({low:g} to {high:g}); check its unit"
+                found.append((("stack", "layer", i, "thickness_m"), text))
+        return found
+
     def layer_materials(self) -> list[Material]:
         """The material of each layer, outermost first."""
         return [self.materials[layer.material] for layer in self.stack.layer]
@@ -625,6 +646,14 @@ class Construction(Declared):
         """
         outer, inner = (face_emittance(self.stack, self.materials, gas, face) for face in FACES)
         return 1.0 / (1.0 / (outer or 1.0) + 1.0 / (inner or 1.0) - 1.0)
+
+
+def _usual_thickness(material: Material) -> tuple[str, float, float]:
+    """What a material is by its density and conductivity, and the thickness [m] of layers of such materials."""
+    k = float(np.max(material.conductivity_grid()[2]))
+    if material.density_kg_m3 < DENSE_KG_M3:
+        return "insulation", *LIGHT_LAYER_M
+    return ("a metal or carbon", *METAL_LAYER_M) if k >= METAL_W_MK else ("a coating or an adhesive", *THIN_LAYER_M)
 
 
 FACES = {"emissivity_outer": -1, "emissivity_inner": 1}
@@ -730,4 +759,6 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     # all of them where one is unknown, which may be misspelt
     given = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in given.items()}}
-    return check(parts, Construction, where, tells=False)  # which the files of its parts have told
+    made = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
+    tell(remarks_of(made, parts, where, below=False))
+    return made

@@ -162,13 +162,15 @@ def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:
     return [(place, text) for place, number in numbers_in(value) if (text := usual_remark(name, number)) is not None]
 
 
-def remarks_of(model: BaseModel, data: Any, where: str) -> list[str]:
+def remarks_of(model: Declared, data: Any, where: str, *, below: bool = True) -> list[str]:
     """One line for each number of a model, and of the models below it, that is possible and unusual.
 
     data  : what the model was made of, in which the lines name tables and keys
     where : name of the file
+    below : false: of this model alone
     """
-    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in _unusual_below(model, ())]
+    found = _unusual_below(model, ()) if below else model.unusual()
+    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in found]
 
 
 def _unusual_below(value: Any, place: Location) -> list[tuple[Location, str]]:
@@ -280,7 +282,7 @@ def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
         raise InputError(*problems) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
-    if tells:
+    if tells and isinstance(checked, Declared):
         tell(remarks_of(checked, data, where))
     return checked
 
