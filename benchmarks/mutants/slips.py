@@ -59,6 +59,36 @@ CASES: dict[str, tuple[str, str, tuple[str, ...]]] = {
 WITHOUT_UNIT = ("seed", "bits", "nodes", "port", "jets")
 
 
+REASONS = {
+    "thickness_m": "layers of 0.04 to 150 mm are built",
+    "depth_m": "a sensor may be anywhere in its wall",
+    "noise_sigma_K": "0.01 to 30 K are declared; systematic errors are among them",
+    "sigma_K": "a stated uncertainty",
+    "nose_radius_m": "2 mm to 12 m are flown",
+    "heading_deg": "every heading is flown",
+    "latitude_deg": "every place is flown over",
+    "longitude_deg": "every place is flown over",
+    "alpha_deg": "0 to 60 deg are flown, and no other column says which",
+    "beta_deg": "sideslip is 0 in most flights",
+    "elevon_deg": "small deflections are flown",
+    "bodyflap_deg": "small deflections are flown",
+    "hold_s": "0.5 to 60 s are held",
+    "horizon_s": "a free choice",
+    "gamma_deg": "-0.4 to -25 deg are flown",
+    "conductivity_W_mK": "materials of this density have it",
+    "density_kg_m3": "materials of this conductivity have it",
+    "specific_heat_J_kgK": "materials of this density have it",
+    "emissivity": "surfaces have 0.3 to 1",
+    "ratio": "control points have 0.001 to 3",
+    "p_surface_Pa": "leeward pressures are a thousandth of those in front",
+    "bondline_K": "limits of 300 to 1200 K are set",
+    "sample_s": "recorders sample at 0.1 to 20 Hz",
+    "rate_hz": "recorders sample at 0.05 to 1000 Hz",
+}
+"""Quantity -> why a slip of it may be accepted without a word."""
+ELSE = "the value after the slip is usual as well"
+
+
 @dataclass(frozen=True)
 class Slip:
     """One slip and what became of it.
@@ -82,12 +112,14 @@ def run(count: int, seed: int) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         slips = [judge(seed, n, Path(folder)) for n in range(count)]
     figures = list(_figures(slips))
-    by_name = {
-        outcome: dict(Counter(s.name.rpartition(".")[2] for s in slips if s.outcome == outcome))
-        for outcome in ("refused", "told", "accepted")
+    tried = Counter(_own(s.name) for s in slips)
+    accepted = Counter(_own(s.name) for s in slips if s.outcome == "accepted")
+    by_quantity = {
+        name: {"accepted": n, "tried": tried[name], "reason": REASONS.get(name, ELSE)}
+        for name, n in sorted(accepted.items(), key=lambda item: (-item[1], item[0]))
     }
-    accepted = [f"{s.case}: {s.name} {s.factor}" for s in slips if s.outcome == "accepted"]
-    save("unit_slips", figures, {"seed": seed, "count": count, "by_quantity": by_name, "accepted": sorted(accepted)})
+    each = sorted(f"{s.case}: {s.name} {s.factor}" for s in slips if s.outcome == "accepted")
+    save("unit_slips", figures, {"seed": seed, "count": count, "by_quantity": by_quantity, "accepted": each})
     return figures
 
 
@@ -112,7 +144,7 @@ def judge(seed: int, number: int, folder: Path) -> Slip:
     while True:
         case, path, name = rng.choice(_all_names())
         home, target, _ = CASES[case]
-        own = name.rpartition(".")[2].partition("[")[0]
+        own = _own(name)
         kinds = [*(f"{sign} {f}" for f in FACTORS for sign in ("x", "/"))]
         kinds += ["degC", "degF"] * 2 if own.endswith("_K") else []
         kind = rng.choice(kinds)
@@ -126,6 +158,11 @@ def judge(seed: int, number: int, folder: Path) -> Slip:
         factor = kind.split()[-1]
         fits = own.endswith(FITTING[factor])
         return Slip(case, path.relative_to(ROOT).as_posix(), name, kind, fits, outcome, message)
+
+
+def _own(name: str) -> str:
+    """The quantity of a column, or of a key without its tables."""
+    return name.rpartition(".")[2].partition("[")[0]
 
 
 def _validate(path: Path) -> tuple[str, str]:
