@@ -248,8 +248,8 @@ def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
 
 
 COMMANDS = (
-    "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "new effect", "update-tables", "revert",
-    "fmu export", "fmu export --ssp",
+    "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "new effect", "update-tables",
+    "revert", "fmu export", "fmu export --ssp",
 )  # fmt: skip
 
 
@@ -272,9 +272,10 @@ def case(command: str, fresh: bool = False) -> Case:
     if command == "fmu export --ssp":
         os.environ["SOURCE_DATE_EPOCH"] = "0"
         vehicle = sh.load_vehicle(inputs() / "orbiter")
+        first, second = (sh.load_scenario(inputs() / f"{f}.toml").declared.trajectory for f in VELOCITIES_M_S)
         return Case(
-            lambda folder: None if fresh else export_ssp(vehicle, folder / "out" / "a.ssp", fmi=2),
-            lambda folder: export_ssp(vehicle, folder / "out" / "a.ssp", fmi=3),
+            lambda folder: None if fresh else export_ssp(vehicle, first, folder / "out" / "a.ssp"),
+            lambda folder: export_ssp(vehicle, second, folder / "out" / "a.ssp"),
             fresh=fresh,
         )
     if command == "fmu export":
