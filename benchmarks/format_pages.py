@@ -18,7 +18,7 @@ from sim_heating.base.files import write_text_atomic
 from sim_heating.base.files.schema import SCHEMAS, schema_line, schema_path
 from sim_heating.cli import main as sim_heating
 from sim_heating.formats.catalogue import FORMATS, ModelFormat, format_named, formats_with_schema
-from sim_heating.formats.page import format_page, index_page
+from sim_heating.formats.page import format_page, index_page, limits_page
 from sim_heating.formats.schema_files import schema_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,7 +37,7 @@ def pages() -> dict[Path, str]:
     examples = {f.example: (ROOT / f.example).read_text() for f in FORMATS if f.example is not None}
     found = {schema_path(f.name): schema_text(f) for f in formats_with_schema()}
     found |= {PAGES / f"{f.name}.md": format_page(f, examples) for f in FORMATS}
-    return found | {PAGES / "index.md": index_page()}
+    return found | {PAGES / "index.md": index_page(), PAGES / "limits.md": limits_page()}
 
 
 def shipped_files() -> dict[Path, ModelFormat]:

@@ -28,6 +28,7 @@ import sim_heating as sh
 from benchmarks.measure import Figure, save
 from sim_heating.base.files import MARKER, file_digest, results_digest, settle
 from sim_heating.base.files.package import data_folders
+from sim_heating.simulation.fmu_export.ssp import export_ssp
 
 POINT = "V09T9527"
 SCENARIO = f"""
@@ -230,11 +231,26 @@ def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
     def plan(flight: str) -> Callable[[Path], object]:
         return lambda out: sh.plan(inputs() / f"{flight}_study.toml", out, workers=1)
 
+    def figures(flight: str) -> Callable[[Path], object]:
+        from sim_heating.campaign.figures.paper import draw_figures, write_figures
+
+        drawn = draw_figures([inputs() / flight], [5, 6])
+        return lambda out: write_figures(drawn, out)
+
+    def new_effect(flight: str) -> Callable[[Path], object]:
+        from sim_heating.templates.starters import write_new_effect
+
+        mode = "multiply" if flight == "before" else "add"
+        return lambda out: write_new_effect(out, "kill-test", mode=mode, vehicle="orbiter", point=POINT)
+
     return {"run": run, "synthesize": synthesize, "predict": predict, "estimate": estimate,
-            "close-loop": close_loop, "plan": plan}  # fmt: skip
+            "close-loop": close_loop, "plan": plan, "figures": figures, "new effect": new_effect}  # fmt: skip
 
 
-COMMANDS = ("run", "synthesize", "predict", "estimate", "close-loop", "plan", "update-tables", "revert", "fmu export")
+COMMANDS = (
+    "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "new effect", "update-tables",
+    "revert", "fmu export", "fmu export --ssp",
+)  # fmt: skip
 
 
 @cache
@@ -253,6 +269,15 @@ def case(command: str, fresh: bool = False) -> Case:
                 (folder / "out" / "notes.txt").write_text("mine")
 
         return Case(prepare, lambda folder: after(folder / "out"), fresh=fresh)
+    if command == "fmu export --ssp":
+        os.environ["SOURCE_DATE_EPOCH"] = "0"
+        vehicle = sh.load_vehicle(inputs() / "orbiter")
+        first, second = (sh.load_scenario(inputs() / f"{f}.toml").declared.trajectory for f in VELOCITIES_M_S)
+        return Case(
+            lambda folder: None if fresh else export_ssp(vehicle, first, folder / "out" / "a.ssp"),
+            lambda folder: export_ssp(vehicle, second, folder / "out" / "a.ssp"),
+            fresh=fresh,
+        )
     if command == "fmu export":
         os.environ["SOURCE_DATE_EPOCH"] = "0"  # its time of generation would make equal models different files
         vehicle = sh.load_vehicle(inputs() / "orbiter")

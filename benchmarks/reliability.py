@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
 
-NAMES = ("mutants", "kills", "concurrency", "journals")
+NAMES = ("mutants", "unit_slips", "kills", "concurrency", "journals")
 """Benchmarks that have tables here."""
 GOOD = ("accepted", "refused", "failed")
 
@@ -27,7 +27,7 @@ def table_of(marked: str) -> str | None:
     if not path.is_file():
         return f"Not run yet: `python -m benchmarks {name}`.\n"
     results = json.loads(path.read_text())
-    by_part = {"formats": by_format, "slips": slips, "faults": faults, "commands": kills, "pairs": pairs}
+    by_part = {"formats": by_format, "quantities": slips, "faults": faults, "goals": goals}
     return by_part.get(part, figures)(results)
 
 
@@ -57,13 +57,9 @@ def by_format(results: Mapping[str, Any]) -> str:
 
 
 def slips(results: Mapping[str, Any]) -> str:
-    """Unit slips that were accepted, by quantity: times accepted of times tried, for each factor."""
-    factors = ("1e-06", "0.001", "1000", "1e+06")
-    rows = [
-        (name, *("/".join(map(str, row[f])) if f in row else "" for f in factors))
-        for name, row in results["accepted_scaled"].items()
-    ]
-    return markdown_table(("format: quantity", *(f"x {f}" for f in factors)), rows)
+    """Slips of the unit that were accepted without a word, by quantity, with the reason."""
+    rows = [(name, f"{row['accepted']}/{row['tried']}", row["reason"]) for name, row in results["by_quantity"].items()]
+    return markdown_table(("quantity", "accepted", "why it may be"), rows)
 
 
 def faults(results: Mapping[str, Any]) -> str:
@@ -72,16 +68,8 @@ def faults(results: Mapping[str, Any]) -> str:
     return markdown_table(("number", "file", "damage", "fault", "message"), rows) if rows else "None.\n"
 
 
-def kills(results: Mapping[str, Any]) -> str:
-    """Kills of each command, what a reader found after them, and what the same command left when it ran again."""
-    columns = ("kills", "readers find: before", "readers find: after", "readers find: mixed", "again: same",
-               "again: differs or refused")  # fmt: skip
-    rows = [(name, *(row.get(c, 0) for c in columns)) for name, row in results["commands"].items()]
-    return markdown_table(("command", *columns), rows)
-
-
-def pairs(results: Mapping[str, Any]) -> str:
-    """How often two commands at once ended in which way."""
-    ways = sorted({how for row in results["pairs"].values() for how in row})
-    rows = [(name, *(row.get(how, 0) for how in ways)) for name, row in results["pairs"].items()]
-    return markdown_table(("pair", *ways), rows)
+def goals(results: Mapping[str, Any]) -> str:
+    """How many figures have a goal, and those that miss it."""
+    stated = [f for f in results["figures"] if f["target"] is not None]
+    missed = [(f["what"], f"{f['value']:g}", f"{f['target']:g}") for f in stated if f["verdict"] != "yes"]
+    return markdown_table(("figure", "found", "goal"), [("figures with a goal", str(len(stated)), ""), *missed])

@@ -5,6 +5,7 @@ import errno
 import io
 import os
 import sys
+import threading
 from typing import Any, NoReturn
 
 from sim_heating.base.parallel.garbage import search_seldom
@@ -64,14 +65,28 @@ def _text_output(number: int, before: Any, title: str) -> Any:
 def main() -> int:
     """Run the command; its exit status: 0 done, 1 failed, 2 bad usage or input, 128 and its number after a signal."""
     signals = EndingSignals()
-    signals.install()
-    _open_standard_streams()
     try:
+        signals.install()
+        _open_standard_streams()
         from sim_heating import cli
-    except KeyboardInterrupt:
-        print("interrupted: nothing was begun", file=sys.stderr)
-        return signals.exit_status
-    return cli.main(signals=signals)
+
+        return cli.main(signals=signals)
+    except KeyboardInterrupt:  # of the half second before the command is known; later ones are its own
+        return _interrupted(signals.exit_status)
+
+
+def _interrupted(status: int) -> int:
+    """Report an interrupt that came while the program was loaded, as a command reports its own; the exit status."""
+    message = "interrupted: nothing was begun"
+    print(message, file=sys.stderr)
+    if "--json" in sys.argv[1:]:
+        from sim_heating.cli.output import CommandReport
+
+        report = CommandReport(sys.argv[1:])
+        report.command = next((a for a in sys.argv[1:] if not a.startswith("-")), "")
+        report.error = {"kind": "interrupted", "message": message, "problems": [message]}
+        report.print_json(status)
+    return status
 
 
 class _End:
@@ -101,6 +116,8 @@ def run_and_exit() -> NoReturn:
     end = _End()
     atexit.register(end)
     end.status = main()
+    if any(t is not threading.current_thread() and not t.daemon for t in threading.enumerate()):
+        atexit._run_exitfuncs()  # Python would first wait for a thread that an effect has left, which may never end
     sys.exit(end.status)
 
 

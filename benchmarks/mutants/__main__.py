@@ -10,6 +10,7 @@ import click
 from benchmarks.measure import table
 from benchmarks.mutants import COUNT, LEDGER, SEED, inputs, run
 from benchmarks.mutants.judge import mutant, run_numbers, write_mutant
+from benchmarks.mutants.slips import run as run_slips
 from benchmarks.mutants.subjects import command_text, execute
 
 
@@ -17,8 +18,12 @@ from benchmarks.mutants.subjects import command_text, execute
 @click.option("--count", type=click.IntRange(1), default=COUNT, show_default=True)
 @click.option("--seed", type=int, default=SEED, show_default=True)
 @click.option("--only", type=int, multiple=True, help="run these alone, with all that they print")
-def main(count: int, seed: int, only: tuple[int, ...]) -> None:
+@click.option("--slips", type=click.IntRange(1), help="judge so many slips of the unit in shipped inputs instead")
+def main(count: int, seed: int, only: tuple[int, ...], slips: int | None) -> None:
     """Run and print."""
+    if slips is not None:
+        click.echo(table(run_slips(slips, seed)))
+        return
     if not only:
         click.echo(table(run(count, seed)))
         return

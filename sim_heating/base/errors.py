@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -91,6 +91,19 @@ class LeftOutWarning(UserWarning):
     Evidence, sections of a page and entries of a JSON file are pieces. What a command was asked for, such as
     temperatures, estimates or a finding, fails as a whole instead.
     """
+
+
+class UnusualWarning(UserWarning):
+    """Input that is possible and accepted, yet outside what flights, vehicles and materials are like in fact."""
+
+
+def tell(remarks: Iterable[str]) -> None:
+    """Tell what is unusual about an input, each remark as an UnusualWarning of one line: file, row or key, and why.
+
+    A command prints them, and lists them in the object of `--json`; a program that uses the package sees warnings.
+    """
+    for remark in dict.fromkeys(map(one_line, remarks)):
+        warnings.warn(remark, UnusualWarning, stacklevel=3)
 
 
 def reason_of(error: Exception) -> str:

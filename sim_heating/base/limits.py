@@ -1,8 +1,13 @@
 """Physical limits of quantities, in a file, typed by a person or from a host, with the rule that a message states.
 
 `LIMITS` holds the columns of flight conditions, `QUANTITIES` every number of a declared file, by its key or by the unit
-that the key ends in. The limits are wide: they catch values in another unit and damaged samples, not unusual vehicles
-or flights. Where a value outside would be usual in another unit, the message asks for it and states what to write.
+that the key ends in. What is beyond them is impossible and is refused. The limits are wide: they catch values in
+another unit and damaged samples, not unusual vehicles or flights. Where a value outside would be usual in another unit,
+the message asks for it and states what to write.
+
+`USUAL` holds the narrower range that flights, vehicles and materials have in fact, each with what it rests on. What is
+beyond it is possible: it is accepted, and told in a line (`errors.tell`). Both tables serve records, trajectories,
+links, scenarios, vehicles and studies alike; relations between columns are `heating.recorded.plausible`.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "T_surroundings_K": (1.0, HOTTEST_K, "is not a temperature of surroundings in K (1 or above)"),
     "T_back_K": (1.0, HOTTEST_K, "is not a temperature behind a wall in K (1 or above)"),
     "q_Pa": (0.0, 1e8, "is not a dynamic pressure in Pa (0 or above)"),
-    "q_add_W_m2": (-1e10, 1e10, "is not a heat flux in W/m2"),
+    "q_add_W_m2": (-1e3, 1e8, "is not a flux in W/m2 that a wall absorbs from a lamp or the sun (-1000 to 1e8)"),
     "velocity_m_s": (0.0, FASTEST_M_S, "is not a speed in m/s (0 to 20000); a larger one looks like ft/s"),
     "mach": (0.0, 1e3, "is not a Mach number (0 to 1000)"),
     "alpha_deg": (-180.0, 180.0, "is not an angle of attack in degrees (-180 to 180)"),
@@ -35,8 +40,8 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "rho_kg_m3": (1e-300, 100.0, "is not a density of air in kg/m3 (above 0, to 100)"),
     "p_inf_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
     "p_surface_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
-    "h_ref_kg_m2_s": (0.0, 1e4, "is not a film coefficient (0 or above)"),
-    "H_r_J_kg": (0.0, 1e11, "is not a recovery enthalpy (0 or above; enthalpies are zero at 0 K)"),
+    "h_ref_kg_m2_s": (0.0, 100.0, "is not a film coefficient in kg/(m2 s) (0 to 100)"),
+    "H_r_J_kg": (0.0, 5e8, "is not a recovery enthalpy in J/kg (0 to 5e8; enthalpies are zero at 0 K)"),
     "jets": (0.0, 1.0, "is not a share of jets firing (0 to 1)"),
 }
 """Column -> lowest value, highest value, and the rule that a message states about a value outside."""
@@ -181,6 +186,7 @@ QUANTITIES: dict[str, Quantity] = {
     "contact_m2K_W": _range(0.0, 1e3, "a contact resistance in m2 K/W"),
     "p_Pa": _range(0.0, 1e10, "a pressure in Pa"),
     "T_K": _range(0.0, HOTTEST_K, "a temperature in K"),
+    "stream_K": _range(0.0, HOTTEST_K, "a temperature of a free stream in K"),
     "initial_K": _range(0.0, HOTTEST_K, "a temperature in K"),
     "noise_sigma_K": _range(0.0, 1e3, "a standard deviation of a temperature in K"),
     "bias_K": _range(-2e3, 2e3, "an error of a temperature in K"),
@@ -214,10 +220,158 @@ UNITS: dict[str, Quantity] = {
 """Unit that a key ends in, longer ones first -> range of a number whose key has none of its own."""
 
 
+@dataclass(frozen=True)
+class Usual:
+    """Range in which values of a quantity lie in fact, in the unit of its key.
+
+    lowest, highest : ends of the range, both included
+    source          : what the range rests on
+    """
+
+    lowest: float
+    highest: float
+    source: str
+
+    def remark(self, value: float) -> str | None:
+        """`value is unusual (LOWEST to HIGHEST: SOURCE)` for a value outside the range, else None.
+
+        A value of 0 stands for none. Where the lowest is above 0 the range is that of the magnitude.
+        """
+        if value == 0.0 or self.lowest <= (abs(value) if self.lowest > 0.0 else value) <= self.highest:
+            return None
+        return f"{value:g} is unusual ({self.lowest:g} to {self.highest:g}: {self.source}); check its unit"
+
+
+_ANGLE = "flights of this kind"
+_WING = "wings from a model to the Orbiter's 250 m2"
+_TILE = "coatings to thick insulations"
+_OVEN = "stands and walls at rest"
+
+USUAL: dict[str, Usual] = {
+    name: Usual(*row)
+    for name, row in {
+        # Columns of conditions
+        "altitude_m": (-500.0, 4e5, "the Dead Sea to a low orbit"),
+        "velocity_m_s": (0.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
+        "T_inf_K": (120.0, 1500.0, "the coldest mesopause to the thermosphere"),
+        "stream_K": (35.0, 1500.0, "wind tunnels to the thermosphere"),
+        "T_surroundings_K": (2.5, 2000.0, "space to a furnace"),
+        "T_back_K": (120.0, 900.0, "a wall in orbit to a hot structure"),
+        "T_upstream_K": (120.0, 2500.0, "a wall in orbit to carbon at the nose"),
+        "q_Pa": (0.0, 2e5, "entries stay below 0.1 MPa"),
+        "qbar_Pa": (0.0, 2e5, "entries stay below 0.1 MPa"),
+        "q_add_W_m2": (-100.0, 5e6, "the noise of a flux gauge to the strongest lamps"),
+        "mach": (0.0, 45.0, "entries from a solar orbit"),
+        "alpha_deg": (-60.0, 180.0, "wings below 60 deg, capsules near 160 or -20 deg"),
+        "beta_deg": (-20.0, 20.0, _ANGLE),
+        "elevon_deg": (-45.0, 45.0, "travel of control surfaces"),
+        "bodyflap_deg": (-45.0, 45.0, "travel of control surfaces"),
+        "log10_re": (-2.0, 9.5, "a model at 130 km to a large vehicle at sea level"),
+        "p_inf_Pa": (0.0, 2e5, "the atmosphere, at most twice that of sea level"),
+        "p_surface_Pa": (0.0, 1e6, "stagnation pressures of entries"),
+        "h_ref_kg_m2_s": (0.0, 5.0, "a nose of 1 cm at Mach 20 and 20 km has 3"),
+        "H_r_J_kg": (1e5, 9.2e7, "air at 100 K to an entry at 13.5 km/s"),
+        # A flight, its schedules and manoeuvres
+        "flight_speed_m_s": (60.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
+        "at_velocity_m_s": (60.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
+        "reversals_m_s": (60.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
+        "at_mach": (0.2, 45.0, "entries from a solar orbit"),
+        "below_mach": (0.2, 45.0, "entries from a solar orbit"),
+        "bodyflap_above_mach": (0.2, 45.0, "entries from a solar orbit"),
+        "mach_of_table": (0.0, 45.0, "entries from a solar orbit"),
+        "log10_re_onset": (4.0, 8.0, "measured transitions"),
+        "re_theta_over_m_e": (50.0, 1000.0, "measured transitions"),
+        "alpha_sens": (-0.1, 0.1, "measured transitions"),
+        "transition_factor": (1.0, 8.0, "turbulent over laminar heating"),
+        "transition_width": (5e-3, 0.5, "measured transitions"),
+        "bank_deg": (-150.0, 150.0, _ANGLE),
+        "bank_limits_deg": (-150.0, 150.0, _ANGLE),
+        "down_deg": (1.0, 15.0, "manoeuvres of the Shuttle: 2 to 10 deg"),
+        "up_deg": (1.0, 15.0, "manoeuvres of the Shuttle: 2 to 10 deg"),
+        "amplitude_deg": (1.0, 20.0, "pulses of the Shuttle: 2 to 10 deg"),
+        "sideslip_amplitude_deg": (0.2, 10.0, "manoeuvres of the Shuttle: 1 to 3 deg"),
+        "from_deg": (-45.0, 45.0, "travel of control surfaces"),
+        "to_deg": (-45.0, 45.0, "travel of control surfaces"),
+        "rate_deg_s": (0.05, 40.0, "actuators move at up to 30 deg/s"),
+        "alpha_rate_deg_s": (0.05, 20.0, "vehicles pitch at 1 to 5 deg/s"),
+        "bank_rate_deg_s": (0.5, 40.0, "vehicles roll at 3 to 20 deg/s"),
+        "hold_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "hold_down_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "hold_up_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "pause_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "on_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "off_s": (0.5, 60.0, "parts of a manoeuvre"),
+        "duration_s": (0.5, 1e4, "manoeuvres to whole entries"),
+        "sample_s": (0.05, 10.0, "recorders of temperature sample at 0.1 to 10 Hz"),
+        "rate_hz": (0.05, 1000.0, "recorders and flight simulators"),
+        "soak_s": (10.0, 2e4, "the heat of an entry reaches a structure within minutes to hours"),
+        "horizon_s": (5.0, 3600.0, "a part of an entry"),
+        "drag_m_s2": (0.1, 100.0, "drag of gliding entries"),
+        "start_drag_m_s2": (0.02, 10.0, "guided entries begin at 0.1 to 1 m/s2"),
+        "frequency_rad_s": (2e-3, 1.0, "loops of entry guidance"),
+        "wind_m_s": (-250.0, 250.0, "the strongest jet streams have 120 m/s"),
+        "density_factor": (0.4, 2.5, "the atmosphere's density over the standard one below 120 km"),
+        "scale_height_m": (5e3, 1.2e4, "the Earth's atmosphere has 6 to 8.5 km"),
+        "cross_range_km": (0.0, 5e3, "lifting entries"),
+        "clock_skew_s": (-10.0, 10.0, "recorders of one vehicle"),
+        "tau_s": (0.0, 60.0, "thermocouples in walls"),
+        "venting_tau_s": (0.0, 1e3, "tiles vent within seconds"),
+        # A vehicle and its parts
+        "mass_kg": (5.0, 5e5, "a small capsule to the largest orbiter"),
+        "nose_radius_m": (2e-3, 12.0, "a sharp wing to a blunt heat shield"),
+        "reference_length_m": (0.2, 80.0, "a model to the largest orbiter"),
+        "running_length_m": (0.01, 60.0, "a model to the largest orbiter"),
+        "length_m": (0.02, 80.0, "a model to the largest orbiter"),
+        "chord_m": (0.1, 80.0, "a model to the largest orbiter"),
+        "span_m": (0.1, 80.0, "a model to the largest orbiter"),
+        "reference_area_m2": (0.02, 1000.0, _WING),
+        "area_m2": (0.02, 1000.0, _WING),
+        "position_m": (-80.0, 80.0, "a model to the largest orbiter"),
+        "step_m": (5e-3, 60.0, "running lengths of a vehicle"),
+        "point_m": (5e-3, 60.0, "running lengths of a vehicle"),
+        "footprint_m": (1e-3, 5.0, "the extent of a joint"),
+        "x_over_L": (0.0, 1.2, "a vehicle with its body flap"),
+        "surface_K": (350.0, 3500.0, "paints to carbon"),
+        "bondline_K": (300.0, 1200.0, "adhesives to hot structures"),
+        "max_use_K": (350.0, 3500.0, "paints to carbon"),
+        "relative_sigma": (1e-3, 1.0, "tables of heating"),
+        "method_sigma": (1e-3, 1.0, "tables of heating"),
+        "correction_sigma": (1e-3, 1.0, "tables of heating"),
+        "inclination_deg": (-180.0, 180.0, _ANGLE),
+        "local_angle_deg": (-20.0, 90.0, _ANGLE),
+        # Materials, layers, faces and sensors
+        "density_kg_m3": (20.0, 2e4, "felts and foams to tungsten"),
+        "specific_heat_from_100_K": (90.0, 5e3, "metals to water; a peak of latent heat declares apparent = true"),
+        "conductivity_W_mK": (4e-3, 500.0, "aerogels in vacuum to silver and graphite"),
+        "emissivity": (0.05, 1.0, "bright metals to coatings"),
+        "thickness_m": (5e-6, 0.5, _TILE),
+        "depth_m": (0.0, 0.5, _TILE),
+        "contact_m2K_W": (0.0, 0.05, "joints and thin gaps"),
+        "cp_J_kgK": (500.0, 1.5e4, "heavy gases to hydrogen"),
+        "initial_K": (150.0, 700.0, "walls before an entry or a test"),
+        "surroundings_K": (2.5, 2000.0, "space to a furnace"),
+        "h_W_m2K": (0.0, 2e3, _OVEN),
+        "noise_sigma_K": (1e-2, 30.0, "thermocouples and their recorders"),
+        "bias_K": (-100.0, 100.0, "thermocouples and their recorders"),
+        "temperature_K": (100.0, 3000.0, "walls in flight and thermocouples in tests"),
+        "wall_K": (100.0, 3000.0, "walls in flight"),
+    }.items()
+}  # fmt: skip
+"""Key of a declared file, column, or name that a model gives a number -> range of its values in fact, with its source.
+
+A quantity that is absent here has its impossible range alone."""
+
+
 @cache
 def quantity(name: str) -> Quantity | None:
     """Range of a number by its key, else by the unit that the key ends in; None for a number without a unit."""
     return QUANTITIES.get(name) or next((q for unit, q in UNITS.items() if name.endswith(unit)), None)
+
+
+def usual_remark(name: str, value: float) -> str | None:
+    """What is unusual about a value of a quantity or column, in the words of a message; None where nothing is."""
+    known = USUAL.get(name)
+    return None if known is None else known.remark(value)
 
 
 def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:

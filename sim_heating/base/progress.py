@@ -48,6 +48,12 @@ class EndingSignals:
                 signal.signal(number, self._end)
         sys.unraisablehook = self._raise_again
 
+    def ignore(self) -> None:
+        """Ignore ending signals from now on: the work is done, and its answer is not to be cut off."""
+        for number in ENDING_SIGNALS:
+            if signal.getsignal(number) == self._end:
+                signal.signal(number, signal.SIG_IGN)
+
     @property
     def received(self) -> bool:
         """Whether a signal came."""
@@ -88,7 +94,7 @@ class EndingSignals:
 def signals_deferred() -> Iterator[None]:
     """Ending signals are handled after the block; for the start of processes, which a signal would leave half-made.
 
-    Processes and threads that the block starts are not reached by a Ctrl-C of the terminal: the command ends them.
+    Processes and threads that the block starts are not reached by what the terminal sends: the command ends them.
     Without effect outside the main thread, which alone handles signals.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -113,10 +119,13 @@ def signals_deferred() -> Iterator[None]:
 
 
 def _block_interrupts() -> Any:
-    """Block Ctrl-C in this thread and in what it starts from now on; the earlier mask, None where there is no such."""
+    """Block what a terminal sends in this thread and in what it starts from now on: Ctrl-C and the hangup.
+
+    returns : the earlier mask, None where there is no such
+    """
     if not hasattr(signal, "pthread_sigmask"):
         return None
     from multiprocessing.resource_tracker import ensure_running
 
     ensure_running()  # with the first process it is started, and removes the block
-    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})

@@ -207,6 +207,8 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
     declared = read_toml(place, CampaignFile)
     vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
     roots = roots_of(place, root, vehicle.directory)
+    raise_problems(_repeated_flights(declared, display_path(place)))
+    read: dict[Path, Scenario] = {}
     flights, problems = [], []
     for i, source in enumerate(declared.flight, start=1):
         key = "scenario" if source.scenario is not None else "records"
@@ -216,7 +218,7 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
         elif source.scenario is None:
             flights.append(FlightInput((), (), found, source.check))
         else:
-            scenario = load_scenario(found, root=root)
+            scenario = read[found] if found in read else read.setdefault(found, load_scenario(found, root=root))
             seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
             flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
             if scenario.vehicle.name != vehicle.name:
@@ -235,3 +237,16 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
         problems.append(f"{display_path(place)}: two flights are named {name}; give each scenario its own `flight`")
     raise_problems(problems)
     return Campaign(place, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
+
+
+def _repeated_flights(declared: CampaignFile, place: str) -> list[str]:
+    """The first flight that is stated again: one scenario with one seed, or one directory of records."""
+    first: dict[tuple[str, int | None], int] = {}
+    for i, source in enumerate(declared.flight, start=1):
+        name = os.path.normpath(source.scenario or source.records or "")
+        for seed in source.seeds or [None]:
+            k = first.setdefault((name, seed), i)
+            if k != i:
+                what = name if seed is None else f"{name} with seed {seed}"
+                return [f"{place}, [[flight]] {i}: {what} is that of [[flight]] {k}; remove one, or give other `seeds`"]
+    return []

@@ -6,6 +6,7 @@ and the modules of the program within its functions only (tests/cli/test_startup
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
@@ -145,8 +146,13 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     given = sys.argv[1:] if arguments is None else arguments
     with reporting(given) as report:
         try:
-            with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
-                status = _status(given, report, signals)
+            try:
+                with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
+                    status = _status(given, report, signals)
+                signals.ignore()
+            except KeyboardInterrupt:  # between the command and its answer
+                signals.ignore()
+                status = _interrupted(report, signals)
         except Exception as error:  # a fault of the program, whose traceback follows
             report.error = {"kind": "internal", "message": one_line(repr(error)), "problems": []}
             report.print_json(1)
@@ -183,7 +189,10 @@ def _interrupted(report: CommandReport, signals: EndingSignals) -> int:
 
 
 def _system_error(report: CommandReport, error: OSError) -> int:
-    """Report an error of the system, such as a full disk; exit status."""
+    """Report an error of the system, such as a full disk, or of a path that none can be; exit status."""
+    if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+        place = one_line(str(error.filename))
+        return _failed(report, 2, "error", "input", f"{place}: cannot be opened ({error.strerror}); give another path")
     return _failed(report, 1, "failed", "system", one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
 
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from sim_heating.base.errors import InputError, one_line, printable
+from sim_heating.base.errors import InputError, UnusualWarning, one_line, printable
 from sim_heating.base.progress import no_progress
 from sim_heating.cli.output import current_report, report_files, report_results
 
@@ -65,8 +65,10 @@ def silent_console(is_silent: bool) -> Iterator[None]:
 
 
 def show_warning(message: Warning | str, *_: Any) -> None:
-    """Print a warning on one line, without the place in the program that Python adds."""
+    """Print a warning on one line, once, without the place in the program that Python adds."""
     line = one_line(str(message))
+    if isinstance(message, UnusualWarning) and line in current_report().warnings:
+        return  # of a file that is read twice
     current_report().warnings.append(line)
     ERRORS.print(f"warning: {line}")
 
@@ -83,6 +85,7 @@ def print_warning(line: str) -> None:
 def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path:
     """Value of an option --out; a directory that cannot be made or written is refused before any work."""
     from sim_heating.base.files import display_path, require_exclusive
+    from sim_heating.base.files.paths import portable_problem
     from sim_heating.base.files.text import abbreviated, os_error_reason
 
     if not value.strip():
@@ -94,6 +97,8 @@ def results_directory(_: click.Context, __: click.Parameter, value: str) -> Path
         raise InputError(
             f"--out {abbreviated(value)}: {os_error_reason(error)}; name another directory for the results"
         ) from None
+    if (problem := portable_problem(path.name)) is not None:
+        raise InputError(f"--out {abbreviated(value)}: its last part {problem}")
     if not existing.is_dir():
         raise InputError(f"--out {value}: {display_path(existing)} is a file; name a directory for the results")
     require_exclusive(path)

@@ -62,13 +62,14 @@ def figures(
     require_writable(out, COMMAND, inputs=flights)
     with progress_line("figures") as progress:
         found = draw_figures(flights, only, points=points, reference=reference, root=root, progress=progress)
-        names = write_figures(found, out)
+        names = write_figures(found, out) if found.drawn else []
     for figure in found.drawn:
         CONSOLE.print(f"Figure {figure.number}: {figure.title}")
         for line in figure.notes:
             CONSOLE.print(f"    {line}")
     for number, reason in found.left_out.items():
         CONSOLE.print(f"Figure {number} is left out: {reason}")
-    print_outputs(out, names, "figures.json")
     if not found.drawn:
-        raise InputError("figures: these flights give none of them; the reasons are above")
+        reasons = (f"figure {number}: {reason}" for number, reason in found.left_out.items())
+        raise InputError("figures: these flights give none of them, and nothing was written", *reasons)
+    print_outputs(out, names, "figures.json")

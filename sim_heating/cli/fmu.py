@@ -23,12 +23,16 @@ def _archive(option: str, suffix: str, text: str, required: bool = False) -> Cal
 
     def check(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
         from sim_heating.base.files import require_exclusive
+        from sim_heating.base.files.paths import portable_problem
+        from sim_heating.base.files.text import abbreviated
         from sim_heating.simulation.fmu_export.parts.archive import require_replaceable
 
         if value is None:
             return None
         if value.suffix != suffix:
             raise InputError(f"{option} {value}: name a file that ends in {suffix}")
+        if (problem := portable_problem(value.name)) is not None:
+            raise InputError(f"{option} {abbreviated(str(value))}: {problem}")
         if value.is_dir():
             raise InputError(f"{option} {value}: is a directory; name a file that ends in {suffix}")
         with error_context(option):

@@ -120,10 +120,13 @@ def _csv(place: Path, root: Path | None) -> CheckedPath:
 
 
 def _vehicle(place: Path, root: Path | None) -> CheckedPath:
+    from sim_heating.inputs.ratio_sources import RatioSource
     from sim_heating.simulation.scenario_check import check_vehicle  # trajectories are slow to import
 
     vehicle = load_vehicle(place, root=root)
     check_vehicle(vehicle)
+    for source in sorted((vehicle.directory / "ratio_sources").glob("*.toml")):
+        read_toml(source, RatioSource)
     return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 
@@ -151,11 +154,13 @@ def _campaign(place: Path, root: Path | None) -> CheckedPath:
 
 def _link(place: Path, root: Path | None) -> CheckedPath:
     from sim_heating.live.engine import check_estimate
+    from sim_heating.live.sources import check_sources
     from sim_heating.live.sources.mapping import FieldMapping
     from sim_heating.live.spec import load_link
 
     link = load_link(place, root=root)
-    FieldMapping(link)
+    mapping = FieldMapping(link)
+    check_sources(link, mapping)
     check_estimate(link)
     return CheckedPath("link", place, f"link {link.title}: {len(link.points)} control points")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.limits import QUANTITIES, USUAL, quantity
 from sim_heating.formats.catalogue import FORMATS, ColumnFormat, FileFormat, KeyFormat, ModelFormat
 from sim_heating.formats.schema_files import schema
 
@@ -214,12 +215,31 @@ def _example(declared: FileFormat, read: Mapping[str, str]) -> list[str]:
     return ["## Example", "", f"`{declared.example}`:", "", f"```{language}", *shown, "```", "", *rest]
 
 
+def limits_page() -> str:
+    """The page of the ranges of quantities: beyond the possible one a number is refused, beyond the usual one told."""
+    rows = []
+    for name in sorted({*QUANTITIES, *USUAL}):
+        known, usual = quantity(name), USUAL.get(name)
+        possible = "" if known is None else f"{known.lowest:g} to {known.highest:g}"
+        rows.append(f"| `{name}` | {possible} | " + ("|" if usual is None else f"{usual.lowest:g} to {usual.highest:g}")
+                    + (" |" if usual is None else f" | {usual.source} |"))  # fmt: skip
+    text = (
+        "# Ranges of quantities\n\nA number beyond the possible range of its key or column is refused. One beyond the "
+        "usual range is accepted, and a warning tells it, also in `--json`; 0 stands for none. A key that is absent "
+        "here has the range of the unit that it ends in. Columns of conditions are compared with one another and with "
+        "the rows before and after them as well: `sim_heating.heating.recorded.plausible` states each relation.\n\n"
+        "| key, column or quantity | possible | usual | the usual range rests on |\n|---|---|---|---|\n"
+    )
+    return text + "\n".join(rows) + "\n"
+
+
 def index_page() -> str:
     """The page that lists all formats."""
     rows = [f"| [`{f.file}`]({f.name}.md) | {f.title} |" for f in FORMATS]
     text = (
         "# File formats\n\nAll numbers are in SI units and angles in degrees; a key or column ends in its unit. Files "
         "are UTF-8. `sim-heating validate PATH` checks any of them and reports every problem in one line with file, "
-        "place and rule. `sim-heating formats NAME` prints the keys of a format.\n\n| file | |\n|---|---|\n"
+        "place and rule. `sim-heating formats NAME` prints the keys of a format. [Ranges of quantities](limits.md) "
+        "states what is refused and what is told.\n\n| file | |\n|---|---|\n"
     )
     return text + "\n".join(rows) + "\n"

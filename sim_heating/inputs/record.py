@@ -26,7 +26,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.conditions import DERIVED, HEATING, RATIO_VARIABLES, STATE, SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
     CsvTable,
     Declared,
@@ -45,7 +45,8 @@ from sim_heating.base.files import (
     toml_text,
     write_text_atomic,
 )
-from sim_heating.base.limits import HOTTEST_K
+from sim_heating.base.files.roots import portable_name
+from sim_heating.base.limits import HOTTEST_K, USUAL
 from sim_heating.heating.atmosphere import R_AIR, us76
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import (
@@ -58,7 +59,13 @@ from sim_heating.heating.ratio.table import (
 )
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
-from sim_heating.heating.recorded.plausible import implausible_values, with_density
+from sim_heating.heating.recorded.plausible import (
+    implausible_values,
+    implied_radius_m,
+    standing_out,
+    unusual_values,
+    with_density,
+)
 from sim_heating.heating.recorded.reading import local_pressure, lowered_confidence, read_flight
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
@@ -444,7 +451,7 @@ class RecordFile(Construction):
         description="name of the flight, without / \\ | @; that of the directory above where absent",
     )
     vehicle: str = ""
-    control_point: str = Field(min_length=1, description="name of the control point")
+    control_point: Annotated[str, portable_name()] = Field(min_length=1, description="name of the control point")
     measured: bool = Field(description="true for a measurement, false for synthetic data")
     source: str = Field(default="", description="where measurements and construction come from")
     confidence: str = Field(default="", description="A read in a data set, B known from the literature, C judged")
@@ -904,9 +911,66 @@ def _check_record(
             *_turbulent_problems(declared.heating, table, turbulent, home),
         ]
     )
+    tell(_remarks(conditions, thermocouples, declared, home))
     table = declared.heating.constant_ratio() if table is None else table
     flown, lines = Conditions(conditions.columns), thermocouples.lines
     return Record(declared, flown, thermocouples.columns, table, home, turbulent, rows=lines)
+
+
+FIRST_K, FIRST_RELATIVE = 60.0, 0.15
+"""First reading less the declared initial temperature [K, and over it] that heating before the flight explains."""
+RADIUS_RATIOS = (0.5, 2.0)
+"""Radius that the column of h_ref implies over the declared nose radius: formulas and rarefied air differ by less."""
+READING_K, OVERLAP = 60.0, (0.5, 0.5)
+"""Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it."""
+
+
+def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile, home: Path) -> list[str]:
+    """What is possible and unusual about the samples of a record, and about them and its declaration together."""
+    remarks = unusual_values(conditions)
+    declaration = display_path(home / DECLARATION)
+    t, flown = thermocouples["time_s"], conditions["time_s"]
+    for sensor in declared.thermocouples.sensor:
+        T = thermocouples[sensor.column]
+        rows = np.flatnonzero(np.isfinite(T))
+        if rows.size == 0:
+            continue
+        usual = USUAL["temperature_K"]
+        odd = np.isnan(T) | ((usual.lowest <= T) & (usual.highest >= T))
+        rule = f"is unusual ({usual.lowest:g} to {usual.highest:g} K: {usual.source}); check its unit"
+        lines = thermocouples.problems_where_not(sensor.column, odd, rule)
+        if not lines:
+            alone = np.zeros(len(T), dtype=bool)
+            alone[rows] = standing_out(t[rows], T[rows], READING_K)
+            rule = "stands out of the readings before and after it; check it, or leave the cell of a lost sample empty"
+            lines = thermocouples.problems_where_not(sensor.column, ~alone, rule)
+        first, initial = float(T[rows[0]]), declared.stack.initial_K
+        cold = declared.stack.initial == "uniform" and initial is not None and t[rows[0]] - flown[0] < 30.0
+        if not lines and cold and abs(first - initial) > FIRST_K + FIRST_RELATIVE * initial:
+            rule = f"is the first reading, and {declaration} declares initial_K = {initial:g}; check both"
+            lines = [thermocouples.problem(int(rows[0]), sensor.column, rule)]
+        remarks += lines
+    remarks += _clock_remarks(conditions, thermocouples)
+    radius = declared.heating.nose_radius_m
+    if declared.heating.reference == "columns" and radius is not None and "h_ref_kg_m2_s" in conditions.columns:
+        ratio = implied_radius_m(conditions)
+        if ratio is not None and not RADIUS_RATIOS[0] <= ratio / radius <= RADIUS_RATIOS[1]:
+            text = f"h_ref_kg_m2_s is that of a sphere of {ratio:.3g} m radius, and nose_radius_m = {radius:g}"
+            remarks.append(f"{declaration}, [heating]: {display_path(conditions.path)}, column {text}; check both")
+    return remarks
+
+
+def _clock_remarks(conditions: CsvTable, thermocouples: CsvTable) -> list[str]:
+    """Readings that cover little of the flight, or that lie mostly outside it."""
+    t, flown = thermocouples["time_s"], conditions["time_s"]
+    inside = np.mean((t >= flown[0]) & (t <= flown[-1]))
+    where, least = f"{display_path(thermocouples.path)}, column time_s", OVERLAP
+    if inside < least[1]:
+        return [f"{where}: {100.0 * inside:.3g} % of the readings lie within the conditions; is it the same clock?"]
+    span = (t[-1] - t[0]) / (flown[-1] - flown[0]) if flown[-1] > flown[0] and len(t) > 2 else 1.0
+    if span < least[0]:
+        return [f"{where}: the readings last {100.0 * span:.3g} % of the conditions' time; is it the same clock?"]
+    return []
 
 
 def _condition_problems(table: CsvTable, declared: RecordFile) -> list[str]:

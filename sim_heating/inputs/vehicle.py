@@ -297,20 +297,19 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
     raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
 
 
-def vehicle_place(
-    file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None
-) -> str | Path:
-    """A vehicle that a file names: its directory relative to the file or to the working directory, else its name.
+def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None) -> Path:
+    """Directory of a vehicle that a file names: relative to the file or to the working directory, else by its name.
 
     key    : table and key that name it, for messages
     root   : as `load_vehicle` takes it
-    raises : InputError where the directory is not in a folder that the file may name
+    raises : InputError naming file and key where there is no such vehicle, or not in a folder that the file may name
     """
     if os.path.isfile(file.parent / vehicle / "vehicle.toml"):
         return roots_of(file, root).named(vehicle, key)
     if os.path.isfile(Path(vehicle) / "vehicle.toml"):
         return roots_of(file, root).named(vehicle, key, Path())
-    return vehicle
+    with error_context(f"{display_path(file)}: {key}"):
+        return vehicle_directory(vehicle)
 
 
 def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:

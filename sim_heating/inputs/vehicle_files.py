@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from sim_heating.base.files import Declared, LocatedError, Location, path_below
+from sim_heating.base.files.roots import portable_name
 from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition
@@ -130,7 +131,9 @@ class DeclaredEffect(Declared):
 class ControlPointFile(Declared):
     """Contents of control_points/<NAME>.toml."""
 
-    name: str = Field(pattern=f"^{NAME}$", description="letters, digits and _, the name of the file")
+    name: Annotated[str, portable_name()] = Field(
+        pattern=f"^{NAME}$", description="letters, digits and _, the name of the file"
+    )
     title: str
     heat_shield: str = Field(description="kind of heat shield, free text")
     position_m: list[float] = Field(min_length=3, max_length=3, description="[x aft, y starboard, z up] from the nose")

@@ -27,6 +27,7 @@ from sim_heating.live.ahead.look_ahead import AheadOfLink
 from sim_heating.live.filtering.estimates import Innovation, LiveEstimate, LiveOptions
 from sim_heating.live.filtering.estimator import LiveEstimator
 from sim_heating.live.filtering.parameters import check_estimated
+from sim_heating.live.filtering.plausible import FrameRemarks
 from sim_heating.live.filtering.points import ConditionsOfFrame, LivePoint, RecordPoints, VehiclePoints
 from sim_heating.live.recording.journal import Journal, read_journal
 from sim_heating.live.results.followed import Followed
@@ -177,6 +178,7 @@ class LinkEngine:
         self.link, self.journal = link, journal
         self.estimator = make_estimator(link) if estimator is None else estimator
         self.mapping = FieldMapping(link)
+        self._unusual = FrameRemarks(display_path(link.path))
         self.remarks = Remarks()
         for line in [] if journal is None else journal.told:
             self.remarks.add(line)
@@ -303,6 +305,8 @@ class LinkEngine:
         if isinstance(sample, Frame):
             self._frames.count(arrived_s)
             self.counts["frames"] += 1
+            for line in self._unusual.add(sample):
+                self.remarks.add(line)
             if self._latest_frame is None or sample.time_s >= self._latest_frame.time_s:
                 self._latest_frame = sample
             return

@@ -20,6 +20,7 @@ from sim_heating.base.kernels.block import D0, GAPS, HEAD_ROWS, LANES, NODE_ROWS
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.operations import call_step, pointer
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
+from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.march.ensemble import Ensemble
 from sim_heating.march.frames import Flights, set_flight_conditions
 from sim_heating.march.point import PointModel, initial_temperatures
@@ -360,8 +361,16 @@ class LinearMarch:
         Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
         found = self.attempt(shifts_s, initial_K)
+        self._check_effects(found)
         self.nominal.check()
         return [self._checked(track, result) for track, result in zip(self.tracks, found, strict=True)]
+
+    def _check_effects(self, found: Sequence[Linearised | None]) -> None:
+        """Look for the reason of a failure in the effects that a user defined, as an ensemble does."""
+        for track, result in zip(self.tracks, found, strict=True):
+            for use in track.model.effects if result is None else ():
+                if fault := unusable_value(use, self.time_s, self.histories[track.flight]):
+                    raise RunError(f"{track.model.name}: {fault}")
 
     @staticmethod
     def _checked(track: Track, result: Linearised | None) -> Linearised:

@@ -28,6 +28,7 @@ from sim_heating.base.limits import LIMITS, limit_message
 from sim_heating.heating.atmosphere import HIGHEST_M
 from sim_heating.heating.edge_flow import pack_flows
 from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.compiled import unusable_value
 from sim_heating.heating.reference.models import reference_model
 from sim_heating.inputs.points import point_of_vehicle, wall_enthalpy_code, wall_enthalpy_of
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle, upstream_point
@@ -318,9 +319,16 @@ class HeatingPlugin:
         return _counted(self.names, self.ensemble.steps_of_negative_ratio)
 
     def check(self) -> None:
-        """raises : RunError naming the points whose step did not converge since the reset."""
+        """raises : RunError naming the points whose step did not converge since the reset; an effect that a user
+        defined and that has no usable value at the last frame is named with its file."""
         failed = _counted(self.names, self.ensemble.failures)
         if failed:
+            lanes, conditions = self.ensemble.lanes.tolist(), self._arguments[3]
+            for i, model in enumerate(self.ensemble.models):
+                for use in model.effects if model.name in failed else ():
+                    history = conditions[lanes.index(i)][np.newaxis]
+                    if fault := unusable_value(use, np.array([self.time_s]), history):
+                        raise RunError(f"plug-in, {model.name}: {fault}")
             raise RunError(f"plug-in, time_s {self.time_s:g}: the thermal step of {', '.join(failed)} did not converge")
 
 

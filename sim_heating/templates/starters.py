@@ -25,7 +25,8 @@ from sim_heating.base.files import (
     write_own_files,
     write_text_atomic,
 )
-from sim_heating.base.files.paths import real_path
+from sim_heating.base.files.paths import portable_problem, real_path
+from sim_heating.base.files.text import abbreviated
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.heating.effects import effects
 from sim_heating.heating.recorded.reading import OPTION, lowered_confidence
@@ -284,6 +285,8 @@ def write_new_effect(
     """
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
         raise InputError(f"effect {name}: write a name of small letters, digits and -, such as shock-passage")
+    if (problem := portable_problem(name)) is not None:
+        raise InputError(f"effect {abbreviated(name)}: {problem}")
     module = name.replace("-", "_")
     folder = Path(out)
     if name in effects() and not (folder / f"{module}.py").is_file():

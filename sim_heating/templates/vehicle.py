@@ -23,7 +23,9 @@ from sim_heating.base.files import (
     toml_text,
     write_text_atomic,
 )
+from sim_heating.base.files.paths import portable_problem
 from sim_heating.base.files.schema import schema_line
+from sim_heating.base.files.text import abbreviated
 from sim_heating.inputs.ratio_sources import write_tables
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_directory
 from sim_heating.inputs.vehicle_files import NAME
@@ -142,6 +144,8 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
     name = Path(os.path.abspath(out)).name
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"--out {out}: its last part is the vehicle's name: letters, digits, - and _")
+    if (problem := portable_problem(name)) is not None:
+        raise InputError(f"--out {abbreviated(str(out))}: its last part {problem}")
     values = _values(name, given)
     files = {
         "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", **values),

@@ -16,8 +16,10 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.errors import tell
 from sim_heating.base.files import COLDEST_K, Declared, LocatedError, Location, celsius_rule, check, suggestion
-from sim_heating.base.limits import HOTTEST_K, QUANTITIES
+from sim_heating.base.files.toml import remarks_of
+from sim_heating.base.limits import HOTTEST_K, QUANTITIES, usual_remark
 
 Table = list[list[float]]
 """[[T_K, value], ...]"""
@@ -36,6 +38,20 @@ DENSE_KG_M3, DENSE_CONDUCTS_W_MK = 1000.0, 5e-3
 CONDUCTED_W_M2_KKG, WARM_K = 2.0, 200.0
 """Conductivity over density [W m2/(K kg)] that no material exceeds from this temperature on: diamond has 1.4."""
 
+FOAM_KG_M3, FOAM_CONDUCTS_W_MK = 400.0, 5.0
+"""Density [kg/m3] below which, and conductivity [W/(m K)] above which, hardly any material has both."""
+DENSE_J_M3K, LIGHT_J_KGK, ROOM_K = (0.7e6, 6.5e6), (400.0, 3000.0), 250.0
+"""Heat capacity of dense solids by volume (plastics 1.5e6, nickel 6e6), of light ones by mass; from which T."""
+DENSE_LEAST_W_MK, LIGHT_MOST_W_MK, COOL_K = 0.1, (0.05, 1.5e-3), 600.0
+"""Least conductivity of dense solids; most of light ones, a + b density; below COOL_K, where radiation adds little."""
+LIGHT_LAYER_M, METAL_LAYER_M, THIN_LAYER_M, METAL_W_MK = (5e-4, 0.15), (2e-4, 0.03), (4e-5, 4e-3), 3.0
+"""Thickness [m] of felts to thick tiles, of skins to blocks, of paints to bonds; k from which it is the second."""
+NOT_METAL_EMITS = 0.3
+"""Emissivity below which a surface is of bright metal; one of a poor conductor is above."""
+FIRST_K, LAST_K, AIR_PA = (50.0, 500.0), (350.0, 4500.0), (5e4, 2.5e5)
+"""Ranges of the first and the last temperature of a property [K], and of the last pressure [Pa], near that of 1 atm."""
+STANDS_OUT = 3.0
+"""Factor by which a node of a property is over, or under, both of its neighbours where it stands out."""
 LEAST, MOST = 1e-9, 1e9
 """Limits of any property or thickness in its SI unit. A value outside them is in another unit."""
 
@@ -138,7 +154,8 @@ class Material(Declared):
     density. `source` and `confidence` are kept with the values. The limits of a solid are not those of a gas: a layer
     of gas, such as a gap, declares kind = "gas".
 
-    kind : "solid", or "gas" for a layer of gas
+    kind     : "solid", or "gas" for a layer of gas
+    apparent : whether the specific heat holds the latent heat of a change of phase, as a peak over a few kelvins
     """
 
     quantities: ClassVar = {
@@ -151,6 +168,7 @@ class Material(Declared):
     density_kg_m3: float = Field(gt=0.0, le=MOST, description="density in kg/m3, above 0")
     emissivity: Table | None = Field(default=None, description="[[T_K, value], ...], value above 0, up to 1")
     specific_heat_J_kgK: Table = Field(description="[[T_K, value], ...] in J/(kg K)")
+    apparent: bool = Field(default=False, description="whether the specific heat holds a latent heat as a peak")
     conductivity_W_mK: Annotated[
         Annotated[Table, Tag("in temperature")] | Annotated[PressureTable, Tag("at pressures")],
         Discriminator(_is_table),
@@ -188,6 +206,84 @@ class Material(Declared):
         """Properties that no material has, and those that only a gas has."""
         own = [*self._density_problems(), *self._heat_problems()]
         return super().implausible() or own or self._conductivity_problems()
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Properties that few materials have, and nodes of a table that stand out of their neighbours."""
+        found = super().unusual()
+        if self.kind == "gas":
+            return [(place, text) for place, text in found if place[0] == "emissivity"]
+        if not self.apparent:
+            heats = [(i, value) for i, (T_K, value) in enumerate(self.specific_heat_J_kgK) if T_K >= COLDEST_K]
+            far = [(("specific_heat_J_kgK", i, 1), usual_remark("specific_heat_from_100_K", v)) for i, v in heats]
+            found += [(place, text) for place, text in far if text is not None][:1] or [
+                (("specific_heat_J_kgK", heats[k][0], 1), f"{text}; a peak of latent heat declares apparent = true")
+                for k, text in nodes_that_stand_out([value for _, value in heats])
+            ]
+        _, T_K, k = self.conductivity_grid()
+        warm = np.flatnonzero(T_K >= COLDEST_K)
+        found += [
+            (("conductivity_W_mK",), f"at {T_K[warm[i]]:g} K {text}; check it")
+            for column in k[warm].T
+            for i, text in nodes_that_stand_out(column.tolist())
+        ][:1]
+        largest = float(np.max(k))
+        if self.density_kg_m3 < FOAM_KG_M3 and largest > FOAM_CONDUCTS_W_MK:
+            text = f"{largest:g} W/(m K) is unusual at {self.density_kg_m3:g} kg/m3"
+            found.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
+        found += self._density_remarks(T_K, k) + self._axis_remarks()
+        if self.emissivity is not None:
+            found += [
+                (("emissivity", i, 1), f"{value:g} is unusual where k is {np.max(k):.3g} W/(m K), of no bright metal")
+                for i, (_, value) in enumerate(self.emissivity)
+                if value < NOT_METAL_EMITS and np.max(k) < METAL_W_MK
+            ][:1]
+            found += [
+                (("emissivity", i, 1), f"{text}; check it")
+                for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
+            ]
+        return found
+
+    def _density_remarks(self, T_K: FloatArray, k: FloatArray) -> list[tuple[Location, str]]:
+        """Heat capacity and conductivity that few solids of this density have."""
+        rho = self.density_kg_m3
+        found: list[tuple[Location, str]] = []
+        heats = [(i, c) for i, (T, c) in enumerate(self.specific_heat_J_kgK) if T >= ROOM_K]
+        for i, c in [] if self.apparent else heats:
+            low, high = (v / rho for v in DENSE_J_M3K) if rho >= DENSE_KG_M3 else LIGHT_J_KGK
+            if not low <= c <= high:
+                text = f"{c:.4g} J/(kg K) is unusual at {rho:g} kg/m3 ({low:.3g} to {high:.3g}); check both"
+                found.append((("specific_heat_J_kgK", i, 1), text))
+                break
+        cool = k[(T_K <= COOL_K) & (T_K >= COLDEST_K)]
+        if cool.size and rho >= DENSE_KG_M3 and np.min(cool) < DENSE_LEAST_W_MK:
+            text = f"{np.min(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 ({DENSE_LEAST_W_MK:g} and more); check both"
+            found.append((("conductivity_W_mK",), text))
+        highest = LIGHT_MOST_W_MK[0] + LIGHT_MOST_W_MK[1] * rho
+        if cool.size and rho < FOAM_KG_M3 and np.max(cool) > highest:
+            text = f"{np.max(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 (up to {highest:.3g}); check both"
+            found.append((("conductivity_W_mK",), text))
+        return found
+
+    def _axis_remarks(self) -> list[tuple[Location, str]]:
+        """Tables over temperatures or pressures that walls do not have."""
+        k = self.conductivity_W_mK
+        axes = {
+            "specific_heat_J_kgK": pairs(self.specific_heat_J_kgK)[0],
+            "conductivity_W_mK": self.conductivity_grid()[1],
+        }
+        if self.emissivity is not None:
+            axes["emissivity"] = pairs(self.emissivity)[0]
+        found: list[tuple[Location, str]] = [
+            ((name,), f"is over {T[0]:g} to {T[-1]:g} K, and walls have some 200 to 2000 K; check its temperatures")
+            for name, T in axes.items()
+            if len(T) > 1 and not (FIRST_K[0] <= T[0] <= FIRST_K[1] and LAST_K[0] <= T[-1] <= LAST_K[1])
+        ]
+        if isinstance(k, PressureTable) and len(k.p_Pa) > 1 and not AIR_PA[0] <= k.p_Pa[-1] <= AIR_PA[1]:
+            text = (
+                f"is over {k.p_Pa[0]:g} to {k.p_Pa[-1]:g} Pa, and air has 101325 Pa at sea level; check its pressures"
+            )
+            found.append((("conductivity_W_mK",), text))
+        return found
 
     def _density_problems(self) -> list[tuple[Location, str]]:
         """A density that neither a solid nor, with the conductivity of this one, a light solid has."""
@@ -235,6 +331,26 @@ class Material(Declared):
         T_K, k = pairs(table)
         # Any pressure would do: a single column is constant in pressure.
         return np.array([1.0]), T_K, k[:, np.newaxis]
+
+
+def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
+    """The node of a table of a positive property that is most off its neighbours, with what is unusual about it.
+
+    values : at increasing temperatures
+    returns : [] or one (index, text); an inner node is over or under both neighbours by STANDS_OUT, an end one by its
+              square
+    """
+    logs = np.log(np.asarray(values, dtype=np.float64))
+    if len(logs) < 2:
+        return []
+    steps = np.diff(logs)
+    inner = np.where(steps[:-1] * steps[1:] < 0.0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+    off = np.concatenate(([0.5 * abs(steps[0])], inner, [0.5 * abs(steps[-1])]))
+    worst = int(np.argmax(off))
+    if off[worst] <= np.log(STANDS_OUT):
+        return []
+    beside = values[worst - 1 if worst else 1]
+    return [(worst, f"{values[worst]:g} stands out beside {beside:g} of the node next to it")]
 
 
 def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
@@ -514,6 +630,16 @@ class Construction(Declared):
         _raise_located(material_problems(self.stack, self.materials))
         return self
 
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Layers of a thickness that few of their material have, and a wall that few vehicles have."""
+        found = super().unusual()
+        for i, (layer, material) in enumerate(zip(self.stack.layer, self.layer_materials(), strict=True)):
+            kind, low, high = _usual_thickness(material)
+            if material.kind == "solid" and not low <= layer.thickness_m <= high:
+                text = f"{layer.thickness_m:g} m is unusual for {kind} ({low:g} to {high:g}); check its unit"
+                found.append((("stack", "layer", i, "thickness_m"), text))
+        return found
+
     def layer_materials(self) -> list[Material]:
         """The material of each layer, outermost first."""
         return [self.materials[layer.material] for layer in self.stack.layer]
@@ -533,6 +659,14 @@ class Construction(Declared):
         """
         outer, inner = (face_emittance(self.stack, self.materials, gas, face) for face in FACES)
         return 1.0 / (1.0 / (outer or 1.0) + 1.0 / (inner or 1.0) - 1.0)
+
+
+def _usual_thickness(material: Material) -> tuple[str, float, float]:
+    """What a material is by its density and conductivity, and the thickness [m] of layers of such materials."""
+    k = float(np.max(material.conductivity_grid()[2]))
+    if material.density_kg_m3 < DENSE_KG_M3:
+        return "insulation", *LIGHT_LAYER_M
+    return ("a metal or carbon", *METAL_LAYER_M) if k >= METAL_W_MK else ("a coating or an adhesive", *THIN_LAYER_M)
 
 
 FACES = {"emissivity_outer": -1, "emissivity_inner": 1}
@@ -638,4 +772,6 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     # all of them where one is unknown, which may be misspelt
     given = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
     parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in given.items()}}
-    return check(parts, Construction, where)
+    made = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
+    tell(remarks_of(made, parts, where, below=False))
+    return made

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES, Conditions
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import CsvTable, display_path, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
-from sim_heating.heating.recorded.plausible import implausible_values, with_density
+from sim_heating.heating.recorded.plausible import implausible_values, unusual_values, with_density
 from sim_heating.heating.recorded.reading import TABLE, FlightTable, Statement, read_flight
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.trajectory.flight import Flight, OnFrame, VehicleData
@@ -85,6 +85,7 @@ def read_conditions(
     raise_problems(_problems(table))
     if found.notes:
         warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
+    tell(unusual_values(table))
     given = dict(table.columns)
     derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
     # A column of the file takes precedence over the derived one.

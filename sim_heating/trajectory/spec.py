@@ -85,6 +85,39 @@ class Initial(Convertible):
         """Problems of the numbers, and of altitude and speed together."""
         return [*super().implausible(), *state_problems(self.altitude_m, self.velocity_m_s)]
 
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Numbers, and an entry so steep, so slow or so fast as hardly any begins."""
+        return [*super().unusual(), *entry_remarks(self.altitude_m, self.velocity_m_s, self.gamma_deg)]
+
+
+ENTRY_ABOVE_M, ENTRY_FROM_M_S = 85e3, 3e3
+"""Altitude [m] and speed [m/s] above which a flight begins as an entry."""
+ENTRY_GAMMA_DEG, ENTRY_SPEEDS_M_S = (-25.0, 8.0), (5e3, 12e3)
+"""Path angle [deg] and speed [m/s] of entries: skips to ballistic vehicles, suborbital ones to the Moon's."""
+
+
+INTERFACE_M, INTERFACE_GAMMA_DEG = 110e3, -0.4
+"""Altitude [m] from which an entry begins, and the shallowest path angle [deg] there that is no orbit."""
+
+
+def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> list[tuple[Location, str]]:
+    """(key, text) of what is unusual about the state that an entry begins in; [] for other flights.
+
+    altitude_m, velocity_m_s, gamma_deg : altitude [m], speed [m/s] and path angle [deg]
+    """
+    if altitude_m < ENTRY_ABOVE_M or velocity_m_s < SLOWEST_M_S:
+        return []
+    remarks: list[tuple[Location, str]] = []
+    low, high = ENTRY_GAMMA_DEG if altitude_m < INTERFACE_M else (ENTRY_GAMMA_DEG[0], INTERFACE_GAMMA_DEG)
+    if velocity_m_s >= ENTRY_FROM_M_S and not low <= gamma_deg <= high:
+        text = f"{gamma_deg:g} deg at {altitude_m:g} m is unusual (entries: {low:g} to {high:g}); check it"
+        remarks.append((("gamma_deg",), text))
+    low, high = ENTRY_SPEEDS_M_S
+    if not low <= velocity_m_s <= high:
+        text = f"{velocity_m_s:g} m/s at {altitude_m:g} m is unusual (entries: {low:g} to {high:g}); check its unit"
+        remarks.append((("velocity_m_s",), text))
+    return remarks
+
 
 def state_problems(altitude_m: float, velocity_m_s: float) -> list[tuple[Location, str]]:
     """Problems of a state in free flight: a speed in km/s or an altitude in km, by what the other one is.

@@ -350,3 +350,55 @@ def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("error: late.toml: [trajectory]: `sample_s`: 1000 s is longer than")
     assert not (workdir / "out").exists()
+
+
+EARLY = """
+import builtins, os, signal, sys
+import sim_heating.__main__ as program
+load = builtins.__import__
+def stop(name, *rest):
+    if name == "{module}" and not program_stopped:
+        program_stopped.append(name)
+        os.kill(os.getpid(), signal.{number})
+    return load(name, *rest)
+program_stopped = []
+builtins.__import__ = stop
+sys.argv = ["sim-heating", "run", "--json", "scenarios/popu_mach20.toml", "--out", "{out}"]
+program.run_and_exit()
+"""
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("module", ["rich.console", "click", "numpy"])
+def test_a_signal_while_the_program_loads_leaves_the_object_of_json(tmp_path: Path, number: str, module: str) -> None:
+    code = EARLY.format(number=number, module=module, out=tmp_path / "out")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    answer = json.loads(done.stdout)
+    assert answer["status"] == done.returncode == 128 + getattr(signal, number)
+    assert answer["command"] == "run"
+    assert answer["error"]["kind"] == "interrupted"
+    assert not (tmp_path / "out").exists()
+
+
+LEAVING = """
+import threading, time
+from sim_heating import Effect, Parameter, flight, njit
+threading.Thread(target=time.sleep, args=(60.0,)).start()
+@njit
+def nothing(B, c, p, wall_K):
+    return 1.0 + B[p]
+EFFECT = Effect(name="leaves-a-thread", mode="multiply", kernel=nothing, needs=(), neutral={"rise": 0.0},
+    parameters=(Parameter("rise", "1", 0.0, 0.3, -0.5, 5.0, "relative rise"),), physics="none", source="none")
+"""
+
+
+def test_a_thread_that_an_effect_leaves_does_not_hold_the_process(workdir: Path) -> None:
+    (workdir / "effects").mkdir()
+    (workdir / "effects" / "leaving.py").write_text(LEAVING)
+    flown = '\n[[effect]]\nname = "leaves-a-thread"\nparameters = { rise = 0.1 }\n'
+    (workdir / "short.toml").write_text((workdir / "short.toml").read_text() + flown)
+    begun_s = time.monotonic()
+    environment = ENVIRONMENT | {"SIM_HEATING_EFFECTS": str(workdir / "effects")}
+    done = subprocess.run([*MODULE, "validate", "short.toml"], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - begun_s < 55.0

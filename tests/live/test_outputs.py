@@ -101,9 +101,15 @@ def test_this_machine_needs_no_token_and_other_sites_get_nothing(state):
         assert "token" not in server.url
         assert ask(server.url)[0] == 200
         assert ask(server.url, Host="elsewhere.invalid")[0] == 421  # a name that was made to lead here
+        for host in ("127.0.0.1; script-src *", "local host", "127.0.0.1:80:80", "[::1"):  # which the policy would hold
+            assert ask(server.url, Host=host)[0] == 400
+        assert ask(server.url, Origin="http://[bad")[0] == 400
         socket_url = f"ws://127.0.0.1:{server.port}/page"
         with pytest.raises(InvalidStatus):
             asyncio.run(first_message(socket_url, origin="http://elsewhere.invalid"))
+        with pytest.raises(InvalidStatus) as no_address:
+            asyncio.run(first_message(socket_url, origin="http://[bad"))
+        assert no_address.value.response.status_code == 400
         own = f"http://127.0.0.1:{server.port}"
         assert asyncio.run(first_message(socket_url, origin=own))["sequence"] == state.sequence
 

@@ -25,6 +25,28 @@ def os_error_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+DEVICES = frozenset(
+    ("con", "prn", "aux", "nul", "conin$", "conout$", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10)))
+)
+"""Names of devices, which no file of Windows can have, with any extension and in any case (Microsoft, Naming Files)."""
+LONGEST_NAME = 200
+"""Most bytes of a name; systems hold 255, of which names of partial files and extensions take some."""
+
+
+def portable_problem(name: str) -> str | None:
+    """Why a file or folder of this name cannot be on every system, in the words of a message; None where it can.
+
+    name : without folders
+    """
+    if name.partition(".")[0].rstrip(" ").lower() in DEVICES:
+        return "is the name of a device on Windows, where no file can have it; choose another name"
+    if name.endswith((" ", ".")) and name not in (".", ".."):
+        return "ends in a blank or a dot, which Windows drops; choose another name"
+    if (size := len(os.fsencode(name))) > LONGEST_NAME:
+        return f"has {size} bytes; give a name of at most {LONGEST_NAME}"
+    return None
+
+
 def umask() -> int:
     """File mode mask of the process, which can only be read by setting it."""
     mask = os.umask(0)

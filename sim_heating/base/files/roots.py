@@ -19,7 +19,7 @@ from pydantic import AfterValidator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import data_folders
-from sim_heating.base.files.paths import display_path, real_path
+from sim_heating.base.files.paths import display_path, portable_problem, real_path
 from sim_heating.base.files.text import abbreviated, raise_problems
 
 DATA = ("aircraft_data", "scenarios")
@@ -41,6 +41,20 @@ def path_below(rule: str) -> AfterValidator:
         absolute = posix.is_absolute() or windows.root or windows.drive
         if absolute or ".." in (*posix.parts, *windows.parts) or posix.name == "" or not name.isprintable():
             raise ValueError(f"`{name}` {rule}")
+        for part in posix.parts:
+            if (problem := portable_problem(part)) is not None:
+                raise ValueError(f"{abbreviated(name)} {problem}")
+        return name
+
+    return AfterValidator(check)
+
+
+def portable_name() -> AfterValidator:
+    """A validator of names that files are named after: what another system cannot hold is refused."""
+
+    def check(name: str) -> str:
+        if (problem := portable_problem(name)) is not None:
+            raise ValueError(f"{abbreviated(name)} {problem}")
         return name
 
     return AfterValidator(check)

@@ -9,6 +9,7 @@ import stat
 import tempfile
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +34,19 @@ NAMES_LISTED = 24
 """Known names that a message lists."""
 
 
+MANY_NAMES, OTHER_LENGTH = 5000, 2
+"""Of more names, as many are compared that begin alike and differ in length by at most so many letters."""
+
+
 def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name most similar to a wrong one, ignoring case, or None where none is similar.
 
     cutoff : least similarity, 0 to 1 (difflib)
     """
     by_lower = {k.lower(): k for k in known}
+    if len(by_lower) > MANY_NAMES:  # each comparison takes microseconds
+        alike = (k for k in by_lower if k[:1] == name[:1].lower() and abs(len(k) - len(name)) <= OTHER_LENGTH)
+        by_lower = {k: by_lower[k] for k in islice(alike, MANY_NAMES)}
     found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
     return by_lower[found[0]] if found else None
 

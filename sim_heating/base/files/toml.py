@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
-from sim_heating.base.errors import InputError, RunError
+from sim_heating.base.errors import InputError, RunError, tell
 from sim_heating.base.files.schema import documented
 from sim_heating.base.files.text import (
     abbreviated,
@@ -27,7 +27,7 @@ from sim_heating.base.files.text import (
     read_text,
     suggestion,
 )
-from sim_heating.base.limits import Quantity, numbers_in, quantity
+from sim_heating.base.limits import Quantity, numbers_in, quantity, usual_remark
 
 Location = tuple[str | int, ...]
 _FROM_FILE = object()
@@ -70,6 +70,13 @@ class Declared(BaseModel):
             for name in type(self).model_fields
             for place, text in _quantity_problems(self, name, getattr(self, name))
         ]
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Location and text of each number of the file that is possible and outside what is usual; one a field."""
+        found: list[tuple[Location, str]] = []
+        for name in (n for n in type(self).model_fields if n in self.model_fields_set):
+            found += [((name, *place), text) for place, text in _quantity_remarks(self, name, getattr(self, name))[:1]]
+        return found
 
 
 class Convertible(Declared):
@@ -128,6 +135,57 @@ def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Loc
         for _, text in _range_problems(known, number)
     ]
     return problems or _axis_problems(columns[0], value)
+
+
+def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Location, str]]:
+    """The unusual numbers of one field, as `_quantity_problems` has the impossible ones."""
+    if value is None or isinstance(value, (str, bool)):
+        return []
+    declared = model.quantities.get(name, name)
+    if isinstance(value, Mapping):
+        numbers = ((key, _unusual_numbers(key, v)) for key, v in value.items())
+        return [((key, *place), text) for key, found in numbers for place, text in found]
+    if declared is None:
+        return []
+    if isinstance(declared, str):
+        return _unusual_numbers(_meant(model, declared), value)
+    return [
+        ((i, j), text)
+        for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
+        for j, (column, number) in enumerate(zip(declared, row, strict=False))
+        if column is not None
+        for _, text in _unusual_numbers(_meant(model, column), number)
+    ]
+
+
+def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:
+    return [(place, text) for place, number in numbers_in(value) if (text := usual_remark(name, number)) is not None]
+
+
+def remarks_of(model: Declared, data: Any, where: str, *, below: bool = True) -> list[str]:
+    """One line for each number of a model, and of the models below it, that is possible and unusual.
+
+    data  : what the model was made of, in which the lines name tables and keys
+    where : name of the file
+    below : false: of this model alone
+    """
+    found = _unusual_below(model, ()) if below else model.unusual()
+    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in found]
+
+
+def _unusual_below(value: Any, place: Location) -> list[tuple[Location, str]]:
+    if isinstance(value, BaseModel):
+        found = [((*place, *loc), text) for loc, text in value.unusual()] if isinstance(value, Declared) else []
+        items: Any = [(name, getattr(value, name)) for name in type(value).model_fields]
+    elif isinstance(value, Mapping):
+        found, items = [], value.items()
+    elif isinstance(value, (list, tuple)) and value and isinstance(value[0], BaseModel):
+        found, items = [], enumerate(value)
+    else:
+        return []
+    for key, item in items:
+        found += _unusual_below(item, (*place, key))
+    return found
 
 
 def _meant(model: Declared, name: str) -> str:
@@ -206,13 +264,14 @@ def _toml_syntax(name: str, text: str, message: str) -> str:
     return f"{name}, line {place[1]}: {message[: place.start()]} (column {place[2]}); this is not TOML"
 
 
-def check(data: Any, model: type[M], where: str) -> M:
-    """A pydantic model of plain data, with problems reported as in a file named `where`.
+def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
+    """A pydantic model of plain data, with problems reported as in a file named `where`; what is unusual is told.
 
+    tells  : false where the data come from files that have been told of already
     raises : InputError, all problems at once
     """
     try:
-        return model.model_validate(data, context=_FROM_FILE)
+        checked = model.model_validate(data, context=_FROM_FILE)
     except ValidationError as error:
         # An unknown key is often the reason why another is missing, so it comes first. In a file of another format
         # every key is wrong, so the format alone is reported.
@@ -223,6 +282,9 @@ def check(data: Any, model: type[M], where: str) -> M:
         raise InputError(*problems) from None
     except RecursionError:
         raise InputError(f"{where}: tables or lists are nested too deeply") from None
+    if tells and isinstance(checked, Declared):
+        tell(remarks_of(checked, data, where))
+    return checked
 
 
 def _one_error_per_union(errors: Sequence[Any], data: Any) -> list[Any]:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from sim_heating.base.errors import InputError, RunError
@@ -296,7 +297,10 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         if scheduler is None:
             with ExitStack() as ending:
                 with signals_deferred():  # processes half started would not be ended
-                    client = ending.enter_context(Client(ending.enter_context(_local_processes(workers))))
+                    # Workers that a signal ends leave their files behind.
+                    files = TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
+                    cluster = _local_processes(workers, ending.enter_context(files))
+                    client = ending.enter_context(Client(ending.enter_context(cluster)))
                 client.run(search_seldom, on_error="ignore")
                 yield client
             return
@@ -316,9 +320,10 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             yield client
 
 
-def _local_processes(workers: int | None) -> Any:
+def _local_processes(workers: int | None, files: str) -> Any:
     """A cluster of processes on this machine, without a dashboard and reachable from this machine alone.
 
+    files  : folder of the files of its workers
     raises : RunError where the processes do not start
     """
     from distributed import LocalCluster
@@ -328,6 +333,7 @@ def _local_processes(workers: int | None) -> Any:
         return LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
             scheduler_kwargs={"dashboard": False}, silence_logs=logging.CRITICAL, memory_limit=0,
+            local_directory=files,
         )  # fmt: skip
     except (RuntimeError, OSError) as error:
         cause = error.__cause__ or error

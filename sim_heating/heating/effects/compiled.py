@@ -249,7 +249,7 @@ def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> s
         return ""
     function = getattr(effect.kernel, "py_func", effect.kernel)
     for t, conditions in zip(time_s, history, strict=True):
-        for wall_K in PROBED_WALLS_K if effect.needs_wall else (PROBED_WALL_K,):
+        for wall_K in PROBED_WALLS_K:  # a kernel may depend on the wall without a word of it
             try:
                 with np.errstate(all="ignore"):
                     value = float(function(_numbers(use.values, conditions), 0, CONDITIONS, wall_K))
@@ -257,7 +257,7 @@ def unusable_value(use: EffectUse, time_s: FloatArray, history: FloatArray) -> s
                 value = math.nan
             if math.isfinite(value) and not (value < 0.0 and effect.mode != "add"):
                 continue
-            wall = f" at a wall of {wall_K:g} K" if effect.needs_wall else ""
+            wall = f" at a wall of {wall_K:g} K" if effect.needs_wall or wall_K != PROBED_WALLS_K[0] else ""
             rule = "a factor of 0 or above" if effect.mode != "add" else "a finite number"
             return f"{effect_context(effect)}: is {value:g} at time_s {t:g}{wall}; return {rule} for every input"
     return ""

@@ -88,7 +88,7 @@ class FlowState(Declared):
     recovery                : enthalpy that the ratio is reduced with in this state; the total one where absent
     """
 
-    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s"}
+    quantities: ClassVar = {"velocity_m_s": "flight_speed_m_s", "T_inf_K": "stream_K"}
 
     velocity_m_s: float = Field(gt=0.0, description="free-stream speed in m/s")
     T_inf_K: float = Field(gt=0.0, description="free-stream temperature in K")

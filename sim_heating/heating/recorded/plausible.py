@@ -1,7 +1,9 @@
-"""Plausibility of recorded flight conditions: each column within its limits, and consistent with the others.
+"""Flight conditions by columns: what is impossible, and what is unusual, about each, its neighbours and the others.
 
-Tolerances follow from physics and are wide: what is refused is a column in another unit, in another's place, or
-damaged, never a flight with scatter, in another gas, or with an atmosphere that differs from the standard one.
+`implausible_values` is refused. Its tolerances follow from physics and are wide: a column in another unit, in another's
+place, or damaged, never a flight with scatter, in another gas, or with an atmosphere that differs from the standard
+one. `unusual_values` is told, and the columns are used: a relation that is off what flights on Earth have, or a sample
+that stands out of those before and after it. Records, trajectories and links are checked alike.
 
     p = rho R T       R between that of carbon dioxide and of hydrogen; a pressure in hPa, or a temperature in
                       Rankine, lies outside
@@ -11,11 +13,17 @@ damaged, never a flight with scatter, in another gas, or with an atmosphere that
     log10 Re          = log10(rho V L / mu) with one length L; natural logarithms lie outside
     p over h          near that of the standard atmosphere at 0.3048 h alone: altitudes in ft lie outside
     rho over h        falls by at least e in 100 km, which no planet's atmosphere exceeds
+    mass / (C_L S)    = rho V^2 / 2 over z'' + g - V^2 / (R + z), the lift that a path above 55 km needs; a speed in
+                      other units is too slow for it, and no lift carries so little
+    path in air       a fast flight below 90 km does not go around the Earth twice
+    H_r, h_ref        = V^2 / 2 + cp T, and 2 * 1.7415e-4 (rho / R)^0.5 V of a sphere (Sutton and Graves, TR R-376), by
+                      which a film coefficient implies a radius R
+    qbar, gamma       = rho V^2 / 2, and sin gamma = (dh/dt) / V
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -28,9 +36,12 @@ from sim_heating.base.limits import (
     LOW_RULE,
     QUANTITIES,
     SLOWEST_M_S,
+    USUAL,
+    Quantity,
 )
-from sim_heating.heating.atmosphere import G0_M_S2, GAMMA, HIGHEST_M, LOWEST_M, R_AIR, us76
+from sim_heating.heating.atmosphere import CP_AIR, EARTH_RADIUS_M, G0_M_S2, GAMMA, HIGHEST_M, LOWEST_M, R_AIR, us76
 from sim_heating.heating.atmosphere import sutherland_viscosity as viscosity
+from sim_heating.heating.reference.stagnation import SUTTON_GRAVES
 
 FT_S = 304.8
 """1000 ft/s in m/s: the unit of speed that the Shuttle's literature calls Mach."""
@@ -67,10 +78,27 @@ SCATTER = 0.6
 """Logarithm of the ratio by which a relation of one sample may be off beyond its limits: three times 20 %."""
 SAME = 2e-3
 """Relative difference of two columns that are the same but for rounding."""
-
-
 LONGEST_S = 1e6
 """Longest flight in a file, twelve days [s]: a march of seconds through years would not end."""
+
+
+CARRIED_ABOVE_M = 55e3
+"""Altitude [m] above which no balloon floats, so that lift or speed carries what does not fall."""
+CARRIED_KG_M2 = 1.0
+"""Mass over lifting area [kg/m2] below which nothing flies: sheets of paper have 0.1, inflated decelerators 30."""
+LIFT_SLACK_M_S2 = 3.0
+"""Vertical acceleration [m/s2] that speeds relative to a turning Earth, and rounded altitudes, leave unexplained."""
+WINDOW_S, WINDOW_SAMPLES = 60.0, 5
+AROUND_M, AROUND_BELOW_M = 8e7, 90e3
+"""Path [m] of twice around the Earth, and altitude [m] below which no fast flight is as long."""
+RADII_M = (1e-6, 1e7)
+"""Radii [m] of a sphere that a film coefficient may imply."""
+ENTHALPIES = (0.4, 20.0)
+"""Recovery enthalpy over V^2 / 2 + cp T: edges have 0.84 and more, streams of arc jets a few."""
+QBARS = (0.5, 2.0)
+"""Dynamic pressure over rho V^2 / 2."""
+THRUST_M_S2 = 0.5
+"""Rise of the speed [m/s2] above which a flight is under thrust, which carries it too."""
 
 
 def implausible_values(table: CsvTable) -> list[str]:
@@ -156,9 +184,7 @@ def gas_problems(table: CsvTable) -> list[str]:
     """Pressure, density and temperature that are those of no gas."""
     if not _has(table, "p_inf_Pa", "rho_kg_m3", "T_inf_K"):
         return []
-    p, expected = table["p_inf_Pa"], table["rho_kg_m3"] * R_AIR * table["T_inf_K"]
-    used = (p > 0.0) & (expected > 0.0)
-    found = _mostly_outside(table, "p_inf_Pa", np.divide(p, expected, out=np.ones_like(p), where=used), used, GAS_RANGE)
+    found = _mostly_outside(table, "p_inf_Pa", *_gas_ratio(table), GAS_RANGE)
     if found is None:
         return []
     units = {0.01: "hPa", 1e-3: "kPa", 1.0 / 47.88: "psf", 1.0 / 6894.8: "psi", 1.0 / 133.32: "torr",
@@ -166,6 +192,13 @@ def gas_problems(table: CsvTable) -> list[str]:
     close = [unit for size, unit in units.items() if 0.8 < found[1] / size < 1.25]
     hint = f"; it looks like {close[0]}, give Pa" if close else "; check units and order of p, rho and T"
     return [f"{found[0]}: p is {found[1]:.3g} of rho R T of air, as no gas has it{hint}"]
+
+
+def _gas_ratio(table: CsvTable) -> tuple[FloatArray, BoolArray]:
+    """p / (rho R T) with R of air, and the rows that have it."""
+    p, expected = table["p_inf_Pa"], table["rho_kg_m3"] * R_AIR * table["T_inf_K"]
+    used = (p > 0.0) & (expected > 0.0)
+    return np.divide(p, expected, out=np.ones_like(p), where=used), used
 
 
 def mach_problems(table: CsvTable) -> list[str]:
@@ -200,8 +233,7 @@ def reynolds_problems(table: CsvTable) -> list[str]:
     """Reynolds numbers that imply no length: natural logarithms, or another column."""
     if not _has(table, "log10_re", "T_inf_K"):
         return []
-    unit = table["rho_kg_m3"] * table["velocity_m_s"] / viscosity(np.maximum(table["T_inf_K"], 1.0))
-    used = (unit > 1e-2) & (table["log10_re"] > -3.0)
+    unit, used = _unit_reynolds(table)
     length = np.where(used, 10.0 ** table["log10_re"] / np.where(used, unit, 1.0), 1.0)
     found = _mostly_outside(table, "log10_re", length, used, LENGTHS_M)
     if found is None:
@@ -210,6 +242,12 @@ def reynolds_problems(table: CsvTable) -> list[str]:
     natural = _mostly_outside(table, "log10_re", as_log, used, LENGTHS_M) is None
     hint = "it looks like a natural logarithm, give the base-10 one" if natural else "check the columns of rho V L / mu"
     return [f"{found[0]}: implies a reference length of {found[1]:.3g} m; {hint}"]
+
+
+def _unit_reynolds(table: CsvTable) -> tuple[FloatArray, BoolArray]:
+    """Reynolds number of 1 m, rho V / mu(T) [1/m], and the rows with which a Reynolds number implies a length."""
+    unit = table["rho_kg_m3"] * table["velocity_m_s"] / viscosity(np.maximum(table["T_inf_K"], 1.0))
+    return unit, (unit > 1e-2) & (table["log10_re"] > -3.0)
 
 
 def profile_problems(table: CsvTable) -> list[str]:
@@ -282,25 +320,142 @@ def clock_problems(table: CsvTable) -> list[str]:
     ends = np.searchsorted(climbed, np.arange(0.0, climbed[-1], PART_M))
     steep = np.flatnonzero(np.abs(np.diff(z[ends])) > np.maximum(np.diff(path[ends]), LOW_M))
     if steep.size:
+        if alone := _standing_out(table, "altitude_m"):  # a sample, not the clock
+            return alone
         a, b = ends[steep[0]], ends[steep[0] + 1]
         found = f"altitude changes by {abs(z[b] - z[a]):.4g} m over a path of {path[b] - path[a]:.4g} m"
         return [f"{where}: from {t[a]:g} to {t[b]:g} {found}; the time is not in s"]
-    inside = z <= STANDARD_BELOW_M
-    if np.count_nonzero(inside) < 3:
-        return []
-    t, V, rho, z = t[inside], V[inside], table["rho_kg_m3"][inside], z[inside]
-    energy = 0.5 * V**2 + G0_M_S2 * z
-    lost = energy[0] - energy[-1]
-    if lost < LOST_ENERGY * energy[0] or energy[0] < 0.5 * HIGH_SPEED_M_S**2:
-        return []
-    work = float(np.trapezoid(0.5 * rho * V**3, t))
-    ballistic = work / lost
-    if BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
-        return []
+    ballistic = _ballistic_kg_m2(table, LOST_ENERGY)
+    if ballistic is None or BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
+        return _around_problems(table)
     usual = {1e3: "milliseconds", 1e6: "microseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}
     close = [u for size, u in usual.items() if 50.0 <= ballistic / size <= 5e3]
     hint = f"the clock of the flight conditions is in {close[0]}, give s" if close else "check time, density and speed"
     return [f"{where}: the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area; {hint}"]
+
+
+def _around_problems(table: CsvTable) -> list[str]:
+    """A fast flight in the air that is longer than twice around the Earth."""
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    fast = (z <= AROUND_BELOW_M) & (V >= HIGH_SPEED_M_S)
+    around = float(np.sum((0.5 * (V[1:] + V[:-1]) * np.diff(t))[fast[1:] & fast[:-1]]))
+    if around <= AROUND_M:
+        return []
+    found = f"the path faster than {HIGH_SPEED_M_S:g} m/s and below {AROUND_BELOW_M:g} m is {around:.3g} m long"
+    where = f"{display_path(table.path)}, column time_s"
+    return [f"{where}: {found}, {around / 4e7:.3g} times around the Earth; the time is not in s"]
+
+
+def _ballistic_kg_m2(table: CsvTable, least_lost: float) -> float | None:
+    """Mass over drag area [kg/m2] with which a fast flight slows below 100 km; None where it hardly does.
+
+    least_lost : part of the first sample's energy that it loses at least
+    """
+    inside = table["altitude_m"] <= STANDARD_BELOW_M
+    if np.count_nonzero(inside) < 3:
+        return None
+    t, V, rho, z = (table[n][inside] for n in ("time_s", "velocity_m_s", "rho_kg_m3", "altitude_m"))
+    energy = 0.5 * V**2 + G0_M_S2 * z
+    lost = float(energy[0] - energy[-1])
+    if lost < least_lost * energy[0] or energy[0] < 0.5 * HIGH_SPEED_M_S**2:
+        return None
+    return float(np.trapezoid(0.5 * rho * V**3, t)) / lost
+
+
+def lift_problems(table: CsvTable) -> list[str]:
+    """A path high up that falls less than its speed and the thin air around it let it: the speed is too low.
+
+    As of a speed that was multiplied by pi/180: 130 m/s at 80 km, where the air carries 0.02 m/s2.
+    """
+    found = _least_carried(table)
+    if found is None or found[1] >= CARRIED_KG_M2:
+        return []
+    k, _, needed = found
+    where = f"{display_path(table.path)}, row {table.lines[k]}, column velocity_m_s"
+    at = f"{table['velocity_m_s'][k]:.4g} m/s at {table['altitude_m'][k]:.4g} m"
+    return [f"{where}: {at} need {needed:.3g} m/s2 of lift, which no wing has there; check speed, altitude and time"]
+
+
+def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
+    """Row, mass over lifting area [kg/m2], and lift needed [m/s2] of the window in which that area is largest.
+
+    Windows of 60 s or 5 samples, above 55 km, in which the speed does not rise as under thrust.
+    """
+    t, z, V, rho = (table[n] for n in ("time_s", "altitude_m", "velocity_m_s", "rho_kg_m3"))
+    if len(t) < WINDOW_SAMPLES or np.any(np.diff(t) <= 0.0):
+        return None
+    weight = G0_M_S2 * (EARTH_RADIUS_M / (EARTH_RADIUS_M + z)) ** 2 - V**2 / (EARTH_RADIUS_M + z)
+    q = 0.5 * rho * V**2
+    worst: tuple[int, float, float] | None = None
+    begin = 0
+    while begin + WINDOW_SAMPLES <= len(t):
+        end = max(begin + WINDOW_SAMPLES, int(np.searchsorted(t, t[begin] + WINDOW_S)))
+        end = min(end, len(t))
+        part = slice(begin, end)
+        begin = end
+        if np.min(z[part]) < CARRIED_ABOVE_M or t[end - 1] - t[part.start] <= 1.0:
+            continue
+        x = t[part] - t[part.start]
+        bend, rise = 2.0 * np.polyfit(x, z[part], 2)[0], np.polyfit(x, V[part], 1)[0]
+        needed = float(np.mean(weight[part]) + bend) - LIFT_SLACK_M_S2
+        if needed <= 0.0 or rise > THRUST_M_S2:
+            continue
+        carried = float(np.max(q[part])) / needed
+        if worst is None or carried < worst[1]:
+            worst = part.start, carried, needed
+    return worst
+
+
+def enthalpy_problems(table: CsvTable) -> list[str]:
+    """A recovery enthalpy, a film coefficient or a dynamic pressure that the flight cannot have."""
+    problems: list[str] = []
+    for column, _, ratio, used, limits, text in _flight_ratios(table):
+        found = None if limits is None else _mostly_outside(table, column, ratio, used, limits)
+        problems += [] if found is None else [f"{found[0]}: {text.format(found[1])}; check its unit and its place"]
+    return problems
+
+
+Ratio = tuple[str, tuple[float, float], FloatArray, BoolArray, tuple[float, float] | None, str]
+"""Column, usual range of a ratio, the ratio in each row, rows that have it, possible range or None, words for it."""
+
+
+def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
+    """Ratios of columns to what the others imply."""
+    V, rho = table["velocity_m_s"], table["rho_kg_m3"]
+    if _has(table, "H_r_J_kg"):
+        T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
+        total = 0.5 * V**2 + CP_AIR * T
+        for used, possible in ((V > 1000.0, ENTHALPIES), (V <= SLOWEST_M_S, None)):
+            yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
+    if _has(table, "h_ref_kg_m2_s"):
+        h = table["h_ref_kg_m2_s"]
+        used = (V > 1000.0) & (h > 0.0) & (rho > 0.0)
+        radius = np.where(used, rho * (2.0 * SUTTON_GRAVES * V / np.where(used, h, 1.0)) ** 2, 1.0)
+        yield "h_ref_kg_m2_s", (4e-3, 300.0), radius, used, RADII_M, "is that of a sphere of {:.3g} m radius"
+    if _has(table, "qbar_Pa"):
+        q = 0.5 * rho * V**2
+        used = q > 0.0
+        ratio = np.divide(table["qbar_Pa"], q, out=np.ones_like(q), where=used)
+        yield "qbar_Pa", (0.9, 1.1), ratio, used, QBARS, "is {:.3g} of rho V^2 / 2"
+    if _has(table, "p_surface_Pa", "p_inf_Pa"):
+        highest = table["p_inf_Pa"] + rho * V**2
+        used = (V > 300.0) & (table["p_surface_Pa"] > 0.0)
+        ratio = np.divide(table["p_surface_Pa"], highest, out=np.ones_like(V), where=used & (highest > 0.0))
+        yield "p_surface_Pa", (8e-4, 1.1), ratio, used, None, "is {:.3g} of p + rho V^2, that of a stagnation point"
+    if _has(table, "axial_accel_g"):
+        drag = np.abs(table["axial_accel_g"]) * G0_M_S2
+        q = 0.5 * rho * V**2
+        used = (q > 10.0) & (drag > 0.01)
+        ratio = np.divide(q, drag, out=np.ones_like(q), where=used)
+        yield "axial_accel_g", (20.0, 2e4), ratio, used, None, "implies {:.3g} kg/m2 of mass over axial drag area"
+
+
+def implied_radius_m(table: CsvTable) -> float | None:
+    """Median radius [m] of the sphere that the film coefficients are those of; None where nothing flies fast."""
+    for column, _, radius, used, _, _ in _flight_ratios(table):
+        if column == "h_ref_kg_m2_s" and np.any(used):
+            return float(np.median(radius[used]))
+    return None
 
 
 def swapped_problems(table: CsvTable) -> list[str]:
@@ -316,6 +471,213 @@ def swapped_problems(table: CsvTable) -> list[str]:
 
 RELATIONS: tuple[Callable[[CsvTable], list[str]], ...] = (
     feet_problems, speed_problems, gas_problems, mach_problems, reynolds_problems, profile_problems, clock_problems,
-    swapped_problems,
+    swapped_problems, lift_problems, enthalpy_problems,
 )  # fmt: skip
 """Relations between columns, each with the problems of a table whose columns are possible by themselves."""
+
+
+# What is unusual ------------------------------------------------------------------------------------------------------
+
+FACTORS: dict[str, float] = {
+    "velocity_m_s": 1.15, "mach": 1.2, "T_inf_K": 1.3, "H_r_J_kg": 1.3, "h_ref_kg_m2_s": 2.5, "rho_kg_m3": 2.5,
+    "p_inf_Pa": 2.5, "p_surface_Pa": 3.0, "q_Pa": 2.5, "qbar_Pa": 2.5, "T_surroundings_K": 1.5, "T_back_K": 1.3,
+    "T_upstream_K": 1.5,
+}  # fmt: skip
+"""Column -> factor by which a sample that stands out is off the samples before and after it, beyond their own change.
+
+Twice that of scatter, winds, rounding and firing jets, which disturb the density that is derived from acceleration."""
+STEPS: dict[str, float] = {
+    "altitude_m": 1500.0, "alpha_deg": 15.0, "beta_deg": 12.0, "elevon_deg": 20.0, "bodyflap_deg": 20.0,
+    "log10_re": 0.4, "q_add_W_m2": 3e4,
+}  # fmt: skip
+"""Column -> difference, in its unit, by which a sample that stands out is off those before and after it."""
+CHANGE = 2.0
+"""How many times the change from the sample before to that after, or the scatter of the column, is no standing out."""
+MACHS, MACHS_STANDARD = (0.9, 1.1), (0.7, 1.4)
+"""Mach number over V / sqrt(gamma R T): with the temperature of the file, and with that of the standard atmosphere."""
+GASES, DENSITIES, TEMPERATURES = (0.8, 1.25), (0.3, 3.0), (0.75, 1.35)
+"""p / (rho R T) of air, density and temperature over those of the standard atmosphere."""
+TEMPERATURES_BELOW_M = 85e3
+LENGTHS_OF_VEHICLES_M, LENGTH_SCATTER = (0.05, 150.0), 3.0
+"""Reference lengths [m] of vehicles, and the factor by which that of one flight may seem to change."""
+BALLISTIC_USUAL_KG_M2 = (60.0, 1300.0)
+"""Mass over drag area [kg/m2] of light capsules to heavy winged vehicles; inflated decelerators are below."""
+LOST_A_LITTLE = 0.1
+CARRIED_USUAL_KG_M2 = 15.0
+"""Mass over lifting area [kg/m2] of the lightest hypersonic vehicles."""
+GAINED = 0.05
+"""Part of the energy that a flight does not gain without thrust; winds and gusts give a few thousandths."""
+RADIANS = {"alpha_deg": 1.2, "elevon_deg": 0.35, "bodyflap_deg": 0.45}
+"""Column -> largest value [deg] of a fast flight below which it looks like radians: 20 deg are 0.35."""
+TRACK = (0.8, 1.25)
+"""Distance over ground between positions over that which the speed covers; winds and the turn of the Earth add 7 %."""
+HEADING_DEG = 15.0
+"""Median difference [deg] of a column of headings and of the path over ground."""
+GAMMA_DEG = 2.0
+"""Median difference [deg] of a column of path angles and of the path."""
+
+
+def unusual_values(table: CsvTable) -> list[str]:
+    """One line for each column that is possible and unlike that of flights: its values, neighbours, and other columns.
+
+    table : columns that `implausible_values` finds no problem in
+    """
+    remarks: list[str] = []
+    for name in table.columns:
+        remarks += _beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
+    for column, usual, ratio, used, text in _usual_ratios(table):
+        found = _mostly_outside(table, column, ratio, used, usual)
+        if found is not None:
+            ratio_text = text.format(found[1])
+            remarks.append(f"{found[0]}: {ratio_text} ({usual[0]:g} to {usual[1]:g} is usual); check its unit")
+    return remarks + _path_remarks(table)
+
+
+def _beyond_usual(table: CsvTable, name: str) -> list[str]:
+    """The first value of a column beyond its usual range."""
+    known = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
+    if known is None:
+        return []
+    if isinstance(known, Quantity):
+        return table.problems_where_not(
+            name, (table[name] >= known.lowest) & (table[name] <= known.highest), known.rule
+        )
+    rule = f"is unusual ({known.lowest:g} to {known.highest:g}: {known.source}); check its unit"
+    values = table[name]
+    # NaN is a lost sample; a column of zeros says nothing.
+    return table.problems_where_not(name, ~(values < known.lowest) & ~(values > known.highest) | (values == 0.0), rule)
+
+
+def _radians(table: CsvTable, name: str) -> list[str]:
+    """Angles of attack or of control surfaces that are as small throughout a fast flight as in radians."""
+    largest = RADIANS.get(name)
+    if largest is None or np.max(table["velocity_m_s"]) < 1000.0 or not 0.0 < np.max(np.abs(table[name])) < largest:
+        return []
+    found = f"is {np.max(np.abs(table[name])):.3g} deg at most; is it in radians?"
+    return [f"{display_path(table.path)}, column {name}: {found}"]
+
+
+def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor: bool = False) -> BoolArray:
+    """Samples that are off the line through those before and after them, beyond what the column changes and scatters.
+
+    time_s, values : (sample,) s, and any unit
+    step           : least difference that stands out, or factor
+    is_factor      : the values are positive, and differ by factors
+
+    At the ends the two nearest samples are continued. Scatter is the median deviation from those lines.
+    """
+    bad = np.zeros(len(values), dtype=bool)
+    if len(values) < 5:
+        return bad
+    x = np.log(values) if is_factor else values
+    before, after = np.arange(len(x)) - 1, np.arange(len(x)) + 1
+    before[0], after[0], before[-1], after[-1] = 1, 2, len(x) - 3, len(x) - 2
+    span = time_s[after] - time_s[before]
+    off = np.abs(x - x[before] - (x[after] - x[before]) * (time_s - time_s[before]) / span)
+    allowed = np.log(step) if is_factor else step
+    change = np.abs(x[after] - x[before])
+    return off > allowed + CHANGE * (change + 4.0 * float(np.median(off)))
+
+
+def _standing_out(table: CsvTable, name: str) -> list[str]:
+    """The first sample of a column that stands out of the samples before and after it."""
+    if name not in FACTORS and name not in STEPS:
+        return []
+    values, is_factor = table[name], name in FACTORS
+    rows = np.flatnonzero(values > 0.0) if is_factor else np.arange(len(values))
+    bad = np.zeros(len(values), dtype=bool)
+    step = FACTORS[name] if is_factor else STEPS[name]
+    bad[rows] = standing_out(table["time_s"][rows], values[rows], step, is_factor)
+    return table.problems_where_not(name, ~bad, "stands out of the rows before and after it; check it")
+
+
+def _usual_ratios(table: CsvTable) -> Iterator[tuple[str, tuple[float, float], FloatArray, BoolArray, str]]:
+    """Column, usual range, ratio to what the others imply, rows that have it, and words for it."""
+    V, z, rho = table["velocity_m_s"], table["altitude_m"], table["rho_kg_m3"]
+    flying = (V > 50.0) & (z >= LOWEST_M) & (z <= STANDARD_BELOW_M)
+    T_0, _, rho_0 = us76(np.clip(z, LOWEST_M, HIGHEST_M))
+    if not _has(table, "q_Pa"):
+        yield "rho_kg_m3", DENSITIES, rho / rho_0, flying, "is {:.3g} of the standard atmosphere's"
+    if _has(table, "T_inf_K"):
+        low = flying & (z <= TEMPERATURES_BELOW_M)
+        yield "T_inf_K", TEMPERATURES, table["T_inf_K"] / T_0, low, "is {:.3g} of the standard atmosphere's"
+    if _has(table, "p_inf_Pa", "T_inf_K"):
+        yield "p_inf_Pa", GASES, *_gas_ratio(table), "is {:.3g} of rho R T of air"
+    if _has(table, "mach"):
+        own = _has(table, "T_inf_K")
+        sound = np.sqrt(GAMMA * R_AIR * np.maximum(table["T_inf_K"] if own else T_0, 1.0))
+        used = (V > 50.0) & (table["mach"] > 0.0)
+        ratio = np.where(used, table["mach"] * sound / np.where(used, V, 1.0), 1.0)
+        yield "mach", MACHS if own else MACHS_STANDARD, ratio, used, "is {:.3g} of velocity_m_s over the speed of sound"
+    if _has(table, "log10_re", "T_inf_K"):
+        unit, used = _unit_reynolds(table)
+        length = np.where(used, 10.0 ** table["log10_re"] / np.where(used, unit, 1.0), 1.0)
+        yield "log10_re", LENGTHS_OF_VEHICLES_M, length, used, "implies a reference length of {:.3g} m"
+        if np.any(used):
+            low, high = np.percentile(length[used], [10.0, 90.0])
+            change = np.full_like(length, high / low)
+            yield "log10_re", (1.0, LENGTH_SCATTER), change, used, "implies lengths that differ by a factor {:.3g}"
+    for column, usual, ratio, used, _, text in _flight_ratios(table):
+        yield column, usual, ratio, used, text
+
+
+def _path_remarks(table: CsvTable) -> list[str]:
+    """A path that is unlike that of an entry: drag, lift, energy, path angle."""
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    where, remarks = display_path(table.path), []
+    if len(t) < WINDOW_SAMPLES or np.any(np.diff(t) <= 0.0):
+        return []
+    ballistic = _ballistic_kg_m2(table, LOST_A_LITTLE)
+    low, high = BALLISTIC_USUAL_KG_M2
+    if ballistic is not None and not low <= ballistic <= high:
+        found = f"the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area ({low:g} to {high:g} is usual)"
+        remarks.append(f"{where}, column time_s: {found}; check time, density and speed")
+    carried = _least_carried(table)
+    if carried is not None and carried[1] < CARRIED_USUAL_KG_M2:
+        found = (
+            f"{carried[1]:.3g} kg/m2 of mass over lifting area would fly so ({CARRIED_USUAL_KG_M2:g} or more is usual)"
+        )
+        rows = f"row {table.lines[carried[0]]}, column velocity_m_s"
+        remarks.append(f"{where}, {rows}: {found}; check speed, altitude, time and density")
+    energy = 0.5 * V**2 + G0_M_S2 * z
+    gained = energy / np.maximum(np.minimum.accumulate(energy), 1.0) - 1.0
+    k = int(np.argmax(gained))
+    if np.max(energy) >= 0.5 * HIGH_SPEED_M_S**2 and gained[k] > GAINED:
+        found = f"the energy V^2 / 2 + g h has risen by {100.0 * gained[k]:.3g} % here, and drag lets it fall"
+        remarks.append(f"{where}, row {table.lines[k]}, column velocity_m_s: {found}; was there thrust?")
+    remarks += _track_remarks(table)
+    if _has(table, "gamma_deg"):
+        climb = np.gradient(z, t)
+        moving = V > 300.0
+        if np.any(moving):
+            path = np.degrees(np.arcsin(np.clip(climb[moving] / V[moving], -1.0, 1.0)))
+            off = float(np.median(np.abs(path - table["gamma_deg"][moving])))
+            if off > GAMMA_DEG:
+                found = f"differs by {off:.3g} deg from the path that altitude, time and speed describe"
+                remarks.append(f"{where}, column gamma_deg: {found}; check its unit")
+    return remarks
+
+
+def _track_remarks(table: CsvTable) -> list[str]:
+    """Positions over ground that the speed does not lead to, in the time that they take."""
+    if not _has(table, "latitude_deg", "longitude_deg"):
+        return []
+    t, z, V = table["time_s"], table["altitude_m"], table["velocity_m_s"]
+    latitude, longitude = np.radians(table["latitude_deg"]), np.radians(table["longitude_deg"])
+    north, east = np.diff(latitude), np.cos(0.5 * (latitude[1:] + latitude[:-1])) * np.sin(np.diff(longitude))
+    flat = np.sqrt(np.maximum((0.5 * (V[1:] + V[:-1]) * np.diff(t)) ** 2 - np.diff(z) ** 2, 0.0))
+    flown = flat * EARTH_RADIUS_M / (EARTH_RADIUS_M + z[1:])
+    used = flown > 100.0
+    if np.count_nonzero(used) < WINDOW_SAMPLES:
+        return []
+    if _has(table, "heading_deg"):
+        turned = np.degrees(np.arctan2(east, north)) - table["heading_deg"][1:]
+        off = float(np.median(np.abs((turned[used] + 180.0) % 360.0 - 180.0)))
+        if off > HEADING_DEG:
+            found = f"differs by {off:.3g} deg from the path over ground; check its unit"
+            return [f"{display_path(table.path)}, column heading_deg: {found}"]
+    ratio = float(np.median(EARTH_RADIUS_M * np.hypot(north, east)[used] / flown[used]))
+    if TRACK[0] <= ratio <= TRACK[1]:
+        return []
+    found = f"move over ground by {ratio:.3g} of what speed and time give; check their unit, and that of time and speed"
+    return [f"{display_path(table.path)}, columns latitude_deg and longitude_deg: {found}"]

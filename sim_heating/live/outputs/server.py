@@ -83,6 +83,8 @@ ASSETS = {
     "/uPlot.js": (REPORT / "vendor" / "uPlot.iife.min.js", "text/javascript"),
 }
 """Files of the page, by address."""
+HOST = re.compile(r"(?:\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]{1,5})?")
+"""A name or an address with a port (RFC 3986, 3.2.2), as a request states whom it is for."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; "
     "connect-src 'self' ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -226,7 +228,8 @@ class PageServer:
             headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
             refusal = self._refusal(scope, headers)
             if refusal is not None:
-                turned_away = WebSocketClose(1008) if scope["type"] == "websocket" else PlainTextResponse(*refusal)
+                can_answer = scope["type"] == "http" or "websocket.http.response" in scope.get("extensions", {})
+                turned_away = PlainTextResponse(*refusal) if can_answer else WebSocketClose(1008)
                 await turned_away(scope, receive, send)
                 return
             if self.token and scope["type"] == "http" and _query(scope, "token") and scope["path"] == "/":
@@ -244,7 +247,13 @@ class PageServer:
 
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[str, int] | None:
         """Text and status for who may not read; None for who may."""
-        host = headers.get("host", "")
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if host and HOST.fullmatch(host) is None:  # it stands in the policy of the page, which `;` and blanks would end
+            return "the host of this request is no name or address\n", 400
+        try:
+            site = None if origin is None else urlsplit(origin).netloc
+        except ValueError:
+            return "the origin of this request is no address\n", 400
         if self.token is None:
             if host.rsplit(":", 1)[0] not in LOOPBACK and not is_loopback(host.rsplit(":", 1)[0]):
                 return f"this page is at {self.url}\n", 421
@@ -256,8 +265,7 @@ class PageServer:
             ]  # fmt: skip
             if not any(hmac.compare_digest(g.encode(), self.token.encode()) for g in given):
                 return "this page needs its token: open the address that the program printed\n", 401
-        origin = headers.get("origin")
-        if scope["type"] == "websocket" and origin is not None and urlsplit(origin).netloc != host:
+        if scope["type"] == "websocket" and site is not None and site != host:
             return "not from another site\n", 403
         return None
 

@@ -6,6 +6,6 @@ the decoder each time they are read.
 
 from __future__ import annotations
 
-from sim_heating.live.sources.source import Remark, SourceStream, decoder_of, open_source
+from sim_heating.live.sources.source import Remark, SourceStream, check_sources, decoder_of, open_source
 
-__all__ = ["Remark", "SourceStream", "decoder_of", "open_source"]
+__all__ = ["Remark", "SourceStream", "check_sources", "decoder_of", "open_source"]

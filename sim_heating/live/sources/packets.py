@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate, takewhile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path, read_text
+from sim_heating.base.files import display_path, raise_problems, read_text, repeated_name
+from sim_heating.base.files.xml import check_xml
 from sim_heating.live.sources.extra import need_extra
 
 HEADER = 6
@@ -38,6 +41,10 @@ class PacketDecoder:
         if container not in known:
             names = ", ".join(known[:6]) or "none"
             raise InputError(f"{display_path(document)}: there is no container `{container}`; it has {names}")
+        entries = list(_entries(self._definition, container))
+        raise_problems([f"{display_path(document)}, {line}" for line in _size_problems(entries, container)])
+        self.fields = tuple(dict.fromkeys(str(entry.name) for _, entry in entries))
+        """Parameters that packets of the container, and of those that inherit from it, may have."""
 
     def decode(self, body: bytes) -> Mapping[str, float | str] | None:
         """Values of one packet by parameter; None for one of another identifier; InputError where it is damaged."""
@@ -63,10 +70,78 @@ def _definition(document: Path) -> Any:
 
     read_text(document)  # a file that is absent, a directory or not text has the message of all files
     try:
-        return load_xtce(document)
+        content = document.read_bytes()
+        check_xml(content)
+        definition = load_xtce(document)
+        twice = next(_repeated(content), None)
     except Exception as error:  # lxml and the library raise errors of many kinds
         rule = f"is no XTCE document that can be read ({_first_line(error)})"
         raise InputError(f"{display_path(document)}: {rule}") from None
+    if twice is not None:
+        raise InputError(f"{display_path(document)}: {twice}")
+    return definition
+
+
+def _repeated(content: bytes) -> Iterator[str]:
+    """What an XTCE document may define once and defines again, of which the library takes the last, or both."""
+    for element in ElementTree.fromstring(content).iter():
+        kind = _local(element.tag)
+        names = [(_local(child.tag), child.get("name")) for child in element]
+        if kind.endswith("Set"):
+            twice = repeated_name([name for _, name in names if name is not None])
+            if twice is not None:
+                yield f"{kind} defines `{twice}` twice; remove one"
+        elif kind == "EntryList":
+            twice = repeated_name([child.get("parameterRef", "") for child in element if child.get("parameterRef")])
+            if twice is not None:
+                yield f"an EntryList has `{twice}` twice; remove one"
+        else:
+            counts = [tag for tag, _ in names if tag.endswith(("DataEncoding", "Set", "List", "MetaData"))]
+            if (twice := repeated_name(counts)) is not None:
+                yield f"{kind} `{element.get('name', '')}` has {twice} twice; remove one"
+
+
+def _local(tag: object) -> str:
+    return str(tag).rpartition("}")[2]
+
+
+def _entries(definition: Any, name: str, above: tuple[str, ...] = ()) -> Iterator[tuple[bool, Any]]:
+    """Parameters of a container, of those in it, and of those that inherit from it, and whether each is in all packets.
+
+    above : containers that this one is in
+    """
+    container = definition.containers[name]
+    for entry in container.entry_list:
+        if not hasattr(entry, "entry_list"):
+            yield not above, entry
+        elif entry.name not in above:
+            yield from ((is_common and not above, e) for is_common, e in _entries(definition, entry.name, ()))
+    for heir in container.inheritors:
+        if heir not in above:
+            yield from ((False, e) for _, e in _entries(definition, heir, (*above, name)))
+
+
+def _bits(entry: Any) -> int | None:
+    """Bits of a number; None for texts and for what has a length that other parameters state."""
+    size = getattr(entry.parameter_type.encoding, "size_in_bits", None)
+    return size if isinstance(size, int) else None
+
+
+def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[str]:
+    """Numbers of sizes that no number has; a container that begins with no primary header, or has no whole bytes."""
+    for _, entry in entries:
+        bits = _bits(entry)
+        if bits is not None and not 1 <= bits <= 64:
+            return [f"parameter `{entry.name}`: a number of {bits} bits cannot be; correct `sizeInBits`"]
+    sizes = [_bits(entry) for is_common, entry in entries if is_common]
+    ends = list(accumulate(takewhile(lambda size: size is not None, sizes)))
+    whole = len(ends) == len(sizes)
+    if (whole or (ends and ends[-1] > 8 * HEADER)) and 8 * HEADER not in ends:
+        rule = f"its parameters do not end at the {8 * HEADER} bits of a primary header; correct their sizes"
+        return [f"container `{container}`: {rule}"]
+    if whole and all(is_common for is_common, _ in entries) and ends[-1] % 8:
+        return [f"container `{container}`: has {ends[-1]} bits, and packets are of whole bytes; correct their sizes"]
+    return []
 
 
 def _first_line(error: Exception) -> str:
