@@ -17,7 +17,7 @@ from sim_heating.cli.output import report_results
 @ROOT
 def validate(paths: tuple[Path, ...], root: Path | None) -> None:
     """Check records, scenarios, campaigns, studies, tables or vehicles, and report what is wrong."""
-    from sim_heating.cli.path_check import check_path
+    from sim_heating.cli.path_check import check_path, descriptions
 
     problems: list[str] = []
     checked: list[dict[str, Any]] = []
@@ -29,7 +29,8 @@ def validate(paths: tuple[Path, ...], root: Path | None) -> None:
             checked.append({"path": path, "is_good": False, "problems": error.problems})
         else:
             CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
-            checked.append({"path": path, "is_good": True, "kind": found.kind, "summary": found.summary})
+            told = {"kind": found.kind, "summary": found.summary, "descriptions": descriptions(path)}
+            checked.append({"path": path, "is_good": True, **told})
     report_results({"paths": checked})
     if problems:
         raise InputError(*problems)
