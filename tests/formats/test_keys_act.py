@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from sim_heating.base.files import toml_text
 from sim_heating.cli.path_check import DESCRIBING, descriptions
@@ -81,6 +81,19 @@ def test_keys_that_describe_are_told_by_validate(tmp_path: Path) -> None:
                 shown.add(key)
     described = {key for key in KEYS if describes(key, KINDS) and not key.endswith(".format")}
     assert sorted(described - shown - set(ELSEWHERE)) == []
+
+
+def test_another_format_is_refused(tmp_path: Path) -> None:
+    refused = set()
+    for i, deed in enumerate(DEEDS):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        document = deed.document(folder)
+        if "format" in document and deed.model not in refused:
+            with pytest.raises(ValidationError):
+                deed.model.model_validate(document | {"format": "another/9"})
+            refused.add(deed.model)
+    assert len(refused) >= 9
 
 
 def test_table_of_the_walk_names_keys_that_exist() -> None:

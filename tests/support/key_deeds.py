@@ -103,8 +103,10 @@ def tile(changes: Mapping[str, Any]) -> Callable[[Path], None]:
 def layers() -> list[Document]:
     rcg, li900, skin = read(TILE / "record.toml")["stack"]["layer"]
     return [
-        rcg | {"name": "coating", "thickness_sigma_m": 2e-5, "contact_m2K_W": 1e-4}, li900 | {"thickness_sigma_m": 1e-3, "contact_m2K_W": 0.0},
-        {"material": "gap", "name": "gap", "thickness_m": 0.005, "emissivity_outer": 0.7, "emissivity_inner": 0.6}, skin,
+        rcg | {"name": "coating", "thickness_sigma_m": 2e-5, "contact_m2K_W": 1e-4},
+        li900 | {"thickness_sigma_m": 1e-3, "contact_m2K_W": 0.0},
+        {"material": "gap", "name": "gap", "thickness_m": 0.005, "emissivity_outer": 0.7, "emissivity_inner": 0.6},
+        skin,
     ]  # fmt: skip
 
 
@@ -128,7 +130,8 @@ EVERY_KEY: Document = {
         "back": {"natural_h_W_m2K": 2.0, "natural_exponent": 0.3},
     },
     "materials": {
-        "rcg": DESCRIBED | {"kind": "solid", "conductivity_sigma": 0.1, "heat_capacity_sigma": 0.1, "max_use_K": 1500.0},
+        "rcg": DESCRIBED
+        | {"kind": "solid", "conductivity_sigma": 0.1, "heat_capacity_sigma": 0.1, "max_use_K": 1500.0},
         "gap": {
             "kind": "gas", "density_kg_m3": 1.0, "specific_heat_J_kgK": [[300.0, 1005.0]],
             "conductivity_W_mK": [[300.0, 0.026], [1000.0, 0.07]],
@@ -391,7 +394,7 @@ def measured(**keys: Any) -> Callable[[Path], None]:
         (folder / "measured.csv").write_text(
             "time_s,temperature_K,sigma_K\n20,700,5\n60,900,5\n90,1000,5\n120,1100,5\n"
         )
-        short = gliding(stop={"time_s": 130.0}, manoeuvre=MANOEUVRES[:1] + [MANOEUVRES[-1] | {"at_time_s": 50.0}])
+        short = gliding(stop={"time_s": 130.0}, manoeuvre=[MANOEUVRES[0], MANOEUVRES[-1] | {"at_time_s": 50.0}])
         write(folder / "entry.toml", entry_of(("V09T9527", "NOSECAP")) | {"trajectory": short} | keys)
 
     return write_scenario
@@ -457,7 +460,8 @@ SCENARIO_DEEDS = (
             "latitude_deg": 12.0, "longitude_deg": 40.0, "deadband_deg": 5.0}})), "flight.toml", ScenarioFile,
         of_flight),
     Deed("scenario, approach", flight(gliding(
-        initial={"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0}, stop={"time_s": 600.0, "altitude_m": 0.0},
+        initial={"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0},
+        stop={"time_s": 600.0, "altitude_m": 0.0},
         guidance={"approach": APPROACH})), "flight.toml", ScenarioFile, of_flight),
     Deed("scenario, JSBSim", flight(gliding(source="jsbsim", rate_hz=60.0, stop={"time_s": 20.0})), "flight.toml",
          ScenarioFile, of_flight),
@@ -710,7 +714,8 @@ def link(**keys: Any) -> Callable[[Path], None]:
     def write_link(folder: Path) -> None:
         orbiter()(folder)
         rows = [
-            {"t_ms": 1000.0 * t + 5000.0, "h": 246000.0 - 30.0 * t, "v": 22300.0 - 10.0 * t, "alpha_deg": 40.0 + 0.1 * t,
+            {"t_ms": 1000.0 * t + 5000.0, "h": 246000.0 - 30.0 * t, "v": 22300.0 - 10.0 * t,
+             "alpha_deg": 40.0 + 0.1 * t,
              "beta_deg": 0.0, "elevon_deg": 1.0, "bodyflap_deg": 15.0, "rho": 9e-8, "word": 20.0 + 9.0 * t,
              "w": 18.0 + 4.0 * t, "word_ms": 1000.0 * t + 5100.0}
             for t in range(30)
