@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-VALUES: dict[str, list[Any]] = {}
+VALUES: dict[str, list[Any]] = {
+    "Heating.ratio_table": ["other.csv"],
+    "ControlPointFile.ratio_table": ["ratio_tables/LEE_UPPER.csv", "ratio_tables/STS96_597.csv"],
+    "DerivedMaterial.based_on": ["li900"],
+    "InterfaceDeclaration.upstream": ["V09T9527"],
+    "Layer.material": ["al2024"],
+    "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+}
 """Values to try first, by key, where a little more or less does nothing."""
 
 _SHOWN = {

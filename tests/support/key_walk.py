@@ -111,6 +111,7 @@ def others(value: Any, choices: Sequence[str] = ()) -> Iterator[Any]:
         yield from (1.1 * value, 0.9 * value, value + 0.01, value + 1.0, value - 1.0)
     elif isinstance(value, str):
         yield from (c for c in choices if c != value)
+        yield value.replace("_K", "_2_K") if value.endswith("_K") else f"{value}2"
     elif isinstance(value, list) and value and all(isinstance(v, (int, float)) for v in value):
         yield [v + 0.05 * max(abs(v), 0.02) if i else v for i, v in enumerate(value)]
         yield [1.05 * v for v in value]
@@ -118,6 +119,9 @@ def others(value: Any, choices: Sequence[str] = ()) -> Iterator[Any]:
     elif isinstance(value, list) and value and all(isinstance(v, list) for v in value):
         yield [[row[0], *(0.93 * v for v in row[1:])] for row in value]
         yield [[0.97 * v for v in row] for row in value]
+    elif isinstance(value, (list, tuple)) and len(value) > 1:
+        yield value[:-1]
+        yield value[1:]
     elif isinstance(value, dict):
         for name, inner in value.items():
             for other in others(inner):
@@ -153,8 +157,12 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other) or (one != one and other != other)
 
 
+_BEFORE: dict[str, Outcome] = {}
+"""What comes out of the files of a deed as they are, by its name."""
+
+
 def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path) -> str:
-    """Why nothing comes of a key in a deed; empty where something does.
+    """Why nothing comes of a key in a deed; empty where something does, or where every other value is refused by name.
 
     values : other values of the key to try, before those of `others`
     folder : an empty one
@@ -164,13 +172,19 @@ def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path) -> str:
     places = [place for name, place in present(model) if name == key]
     if not places:
         return "not in the document"
-    before, refused = deed.do(folder), []
+    if deed.name not in _BEFORE:
+        _BEFORE[deed.name] = deed.do(folder)
+    before, idle = _BEFORE[deed.name], False
+    refused: list[str] = []
     for place in places:
         for value in [*values, *others(at(document, place), choices_of(model, place))]:
             (folder / deed.file).write_text(toml_text(changed(document, place, value)))
             try:
                 if not same(before, deed.do(folder)):
                     return ""
+                idle = True
             except (InputError, ValueError) as error:
                 refused.append(f"{value!r}: {str(error).splitlines()[0][:160]}")
+    if not idle and any(f"`{key.partition('.')[2]}`" in text for text in refused):
+        return ""
     return f"nothing comes of it; refused: {refused}"
