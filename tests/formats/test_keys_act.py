@@ -12,7 +12,7 @@ from sim_heating.base.files import toml_text
 from sim_heating.cli.path_check import DESCRIBING, descriptions
 from sim_heating.formats.catalogue import formats_with_schema
 from tests.support.key_deeds import DEEDS
-from tests.support.key_table import ELSEWHERE, VALUES
+from tests.support.key_table import ELSEWHERE, REFUSES, VALUES
 from tests.support.key_walk import acts, at, changed, keys_of, owner, present
 from tests.support.paths import ROOT
 
@@ -59,7 +59,7 @@ def test_key_acts(key: str, stated: dict[str, list[int]], tmp_path: Path) -> Non
     for i in stated.get(key, []):
         folder = tmp_path / str(i)
         folder.mkdir()
-        reason = acts(DEEDS[i], key, VALUES.get(key, ()), folder)
+        reason = acts(DEEDS[i], key, VALUES.get(key, ()), folder, REFUSES.get(key, ""))
         if not reason:
             return
         reasons.append(f"{DEEDS[i].name}: {reason}")

@@ -312,6 +312,10 @@ START = {
     "altitude_m": 75000.0, "velocity_m_s": 6800.0, "gamma_deg": -0.1, "heading_deg": 60.0, "latitude_deg": 10.0,
     "longitude_deg": 20.0, "bank_deg": 50.0,
 }  # fmt: skip
+ENTRY = {
+    "altitude_m": 121920.0, "velocity_m_s": 7450.0, "gamma_deg": -1.2, "heading_deg": 60.0, "latitude_deg": -10.0,
+    "longitude_deg": 170.0, "bank_deg": 0.0,
+}  # fmt: skip
 GUIDANCE = {
     "alpha_deg": [[5000.0, 38.0], [6800.0, 40.0]], "alpha_against": "velocity_m_s", "alpha_limits_deg": [0.0, 40.2],
     "alpha_rate_deg_s": 0.05, "drag_m_s2": [[6000.0, 6.0], [6800.0, 4.0]], "start_drag_m_s2": 2.0,
@@ -468,15 +472,17 @@ SCENARIO_DEEDS = (
            ScenarioFile, of_flight)
       for kind in ("popu",) for key, value in {"at_velocity_m_s": 6780.0, "at_mach": 23.5}.items()),
     Deed("scenario, to a target", flight(gliding(
-        stop={"time_s": 500.0}, guidance={"reversals_m_s": None, "target": {
-            "latitude_deg": 12.0, "longitude_deg": 40.0, "deadband_deg": 5.0}})), "flight.toml", ScenarioFile,
+        initial=ENTRY, stop={"velocity_m_s": 4000.0, "time_s": 2000.0}, guidance={"reversals_m_s": None, "target": {
+            "latitude_deg": 5.0, "longitude_deg": 215.0, "deadband_deg": 5.0}})), "flight.toml", ScenarioFile,
         of_flight),
     Deed("scenario, approach", flight(gliding(
         initial={"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0},
         stop={"time_s": 600.0, "altitude_m": 0.0},
         guidance={"approach": APPROACH})), "flight.toml", ScenarioFile, of_flight),
-    Deed("scenario, JSBSim", flight(gliding(source="jsbsim", rate_hz=60.0, stop={"time_s": 20.0})), "flight.toml",
-         ScenarioFile, of_flight),
+    Deed("scenario, JSBSim", flight(gliding(
+        source="jsbsim", rate_hz=60.0, stop={"time_s": 25.0},
+        manoeuvre=[MANOEUVRES[2] | {"at_time_s": 3.0}, MANOEUVRES[3] | {"at_time_s": 14.0}])), "flight.toml",
+        ScenarioFile, of_flight),
     Deed("scenario, recorded", flight({"source": "recorded", "file": "flown.csv"}), "flight.toml", ScenarioFile,
          of_flight),
     Deed("scenario, every key", measured(**SCENARIO), "entry.toml", ScenarioFile, of_scenario),
@@ -572,8 +578,8 @@ def guided_to(target: bool) -> Callable[[Path], None]:
     def write_guided(folder: Path) -> None:
         low = {"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0}
         if target:
-            flight(gliding(stop={"time_s": 500.0}))(folder)
-            own: Document = {"target": {"latitude_deg": 12.0, "longitude_deg": 40.0, "deadband_deg": 5.0}}
+            flight(gliding(initial=ENTRY, stop={"velocity_m_s": 4000.0, "time_s": 2000.0}))(folder)
+            own: Document = {"target": {"latitude_deg": 5.0, "longitude_deg": 215.0, "deadband_deg": 5.0}}
         else:
             flight(gliding(initial=low, stop={"time_s": 600.0, "altitude_m": 0.0}))(folder)
             own = {"approach": APPROACH}

@@ -6,13 +6,18 @@ from typing import Any
 
 VALUES: dict[str, list[Any]] = {
     "Heating.ratio_table": ["other.csv"],
+    "CmShift.mach": [[20.0, 30.0]],
     "ControlPointFile.ratio_table": ["ratio_tables/LEE_UPPER.csv", "ratio_tables/STS96_597.csv"],
     "DerivedMaterial.based_on": ["li900"],
     "InterfaceDeclaration.upstream": ["V09T9527"],
     "Layer.material": ["al2024"],
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+    "Target.deadband_deg": [30.0],
+    "Target.latitude_deg": [40.0],
 }
 """Values to try first, by key, where a little more or less does nothing."""
+REFUSES: dict[str, str] = {"Mass.cg_range": "cg_fraction"}
+"""Keys that do nothing but refuse another key's value, which the message names."""
 
 _SHOWN = {
     "tests/trajectory/test_fmu_import.py": (

@@ -161,11 +161,11 @@ _BEFORE: dict[str, Outcome] = {}
 """What comes out of the files of a deed as they are, by its name."""
 
 
-def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path) -> str:
+def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path, refuses: str = "") -> str:
     """Why nothing comes of a key in a deed; empty where something does, or where every other value is refused by name.
 
     values : other values of the key to try, before those of `others`
-    folder : an empty one
+    folder : an empty one;  refuses : another key, whose value this one may refuse
     """
     document = deed.document(folder)
     model = deed.model.model_validate(document)
@@ -185,6 +185,8 @@ def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path) -> str:
                 idle = True
             except (InputError, ValueError) as error:
                 refused.append(f"{value!r}: {str(error).splitlines()[0][:160]}")
+    if refuses and any(refuses in text for text in refused):
+        return ""
     if not idle and any(f"`{key.partition('.')[2]}`" in text for text in refused):
         return ""
     return f"nothing comes of it; refused: {refused}"
