@@ -473,7 +473,7 @@ SCENARIO_DEEDS = (
       for kind in ("popu",) for key, value in {"at_velocity_m_s": 6780.0, "at_mach": 23.5}.items()),
     Deed("scenario, to a target", flight(gliding(
         initial=ENTRY, stop={"velocity_m_s": 4000.0, "time_s": 2000.0}, guidance={"reversals_m_s": None, "target": {
-            "latitude_deg": 5.0, "longitude_deg": 215.0, "deadband_deg": 5.0}})), "flight.toml", ScenarioFile,
+            "latitude_deg": 20.0, "longitude_deg": 230.0, "deadband_deg": 5.0}})), "flight.toml", ScenarioFile,
         of_flight),
     Deed("scenario, approach", flight(gliding(
         initial={"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0},
@@ -579,7 +579,7 @@ def guided_to(target: bool) -> Callable[[Path], None]:
         low = {"altitude_m": 25e3, "velocity_m_s": 760.0, "gamma_deg": -8.0}
         if target:
             flight(gliding(initial=ENTRY, stop={"velocity_m_s": 4000.0, "time_s": 2000.0}))(folder)
-            own: Document = {"target": {"latitude_deg": 5.0, "longitude_deg": 215.0, "deadband_deg": 5.0}}
+            own: Document = {"target": {"latitude_deg": 20.0, "longitude_deg": 230.0, "deadband_deg": 5.0}}
         else:
             flight(gliding(initial=low, stop={"time_s": 600.0, "altitude_m": 0.0}))(folder)
             own = {"approach": APPROACH}
