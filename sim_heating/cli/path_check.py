@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
@@ -14,10 +15,12 @@ from sim_heating.heating.ratio.table import RatioTable, read_ratio_table
 from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.record import DECLARATION, Record, load_record
 from sim_heating.inputs.scenario import load_scenario
-from sim_heating.inputs.vehicle import load_vehicle, vehicle_names
+from sim_heating.inputs.vehicle import load_vehicle, vehicle_directory, vehicle_names
 from sim_heating.thermal.stack import Material
 
 VEHICLE = "vehicle.toml"
+DESCRIBING = ("title", "source", "confidence", "note")
+"""Keys of all formats whose texts describe: no number depends on them, but for the confidence of flight conditions."""
 FORMATS = ("flight-record/1", "vehicle/1", "scenario/1", "campaign/1", "link/1", "study/1", "optimal-entry/1")
 
 
@@ -52,6 +55,41 @@ def check_path(path: str | os.PathLike[str], root: Path | None = None) -> Checke
     if place.suffix == ".toml":
         return _toml(place, root)
     return _csv(place, root)
+
+
+def descriptions(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
+    """The texts of a path that describe, by file and key, as `control_points/NOSE.toml`: `limits.source`.
+
+    path   : a TOML file, or a directory whose files of its own and of its folders are read; empty for another file
+    raises : InputError where one of them is no TOML
+    """
+    place = Path(path)
+    if place.name == str(path) and not os.path.lexists(place) and place.name in vehicle_names():
+        place = vehicle_directory(place)
+    if place.suffix == ".toml":
+        place = place.parent if place.name in (DECLARATION, VEHICLE) else place
+    files = sorted((*place.glob("*.toml"), *place.glob("*/*.toml"))) if place.is_dir() else [place]
+    texts = {
+        file.relative_to(place).as_posix() if file != place else file.name: dict(_described(read_toml_dict(file), ""))
+        for file in files
+        if file.suffix == ".toml"
+    }
+    return {file: found for file, found in texts.items() if found}
+
+
+def _described(value: Any, place: str) -> Iterator[tuple[str, str]]:
+    """(key, text) of what describes in plain data."""
+    if isinstance(value, list):
+        for i, inner in enumerate(value, start=1):
+            yield from _described(inner, f"{place}[{i}]")
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            key = f"{place}.{name}".lstrip(".")
+            # the `source` of a trajectory is one of several kinds
+            if name in DESCRIBING and isinstance(inner, str) and place != "trajectory":
+                yield key, inner.strip()
+            else:
+                yield from _described(inner, key)
 
 
 def _directory(place: Path, root: Path | None) -> CheckedPath:

@@ -17,7 +17,7 @@ from sim_heating.cli.output import report_results
 @ROOT
 def validate(paths: tuple[Path, ...], root: Path | None) -> None:
     """Check records, scenarios, campaigns, studies, tables or vehicles, and report what is wrong."""
-    from sim_heating.cli.path_check import check_path
+    from sim_heating.cli.path_check import check_path, descriptions
 
     problems: list[str] = []
     checked: list[dict[str, Any]] = []
@@ -32,7 +32,8 @@ def validate(paths: tuple[Path, ...], root: Path | None) -> None:
             for line in found.notes:
                 print_warning(line)
             good = {"path": path, "is_good": True, "kind": found.kind, "summary": found.summary}
-            checked.append(good | ({"notes": list(found.notes)} if found.notes else {}))
+            good |= {"descriptions": descriptions(path)} | ({"notes": list(found.notes)} if found.notes else {})
+            checked.append(good)
     report_results({"paths": checked})
     if problems:
         raise InputError(*problems)

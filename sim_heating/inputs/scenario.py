@@ -59,6 +59,10 @@ from sim_heating.trajectory.spec import TrajectorySpec
 class HeatingOptions(Declared):
     """Options of the heating computed along the flight."""
 
+    quantities: ClassVar = {
+        "T_surroundings_K": ("time_s", "T_surroundings_K"), "T_back_K": ("time_s", "T_back_K"),
+    }  # fmt: skip
+
     longest_step_s: float = Field(default=1.0, gt=0.0, le=60.0, description="longest thermal step in s")
     alongside: bool = Field(default=False, description="step the plug-in alongside the host and compare")
     T_surroundings_K: list[list[float]] | None = Field(default=None, min_length=1, description="[[time_s, K], ...]")
@@ -430,6 +434,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         *_collect_problems(_checked_use, uses),
         *_left_out_problems(declared),
         *_inert_problems(declared, vehicle),
+        *_idle_back(declared, vehicle),
         *(
             f"[measurements], fault: unknown sensor `{f.sensor}`{suggestion(f.sensor, sensors, cutoff=0.0)}"
             for f in declared.measurements.fault
@@ -475,6 +480,16 @@ def _inert_problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
         if point is not None
         for lacking in _lacking(e, point.flow)
     ]
+
+
+def _idle_back(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
+    """A temperature behind walls whose back faces are all adiabatic."""
+    names = declared.control_points or vehicle.control_points
+    points = [vehicle.control_points[name] for name in names if name in vehicle.control_points]
+    if declared.heating.T_back_K is None or any(p.construction.stack.back != "adiabatic" for p in points):
+        return []
+    rule = "declare `back = { h_W_m2K, T_K, emissivity }` in the [stack] of one of them, or remove it"
+    return [f"[heating]: `T_back_K` does nothing behind the adiabatic walls of the control points; {rule}"]
 
 
 def _lacking(effect: ScenarioEffect, flow: EdgeFlow) -> Iterator[str]:

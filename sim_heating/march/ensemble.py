@@ -6,10 +6,9 @@ it is a copy of one array.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -130,6 +129,8 @@ class Ensemble:
     kinds  : (point,) numbers; points of different kinds share no group, those of the lowest come first
     tolerance_K : largest error of a time step at any node [K], for which a point divides its steps; from
              NOT_CONTROLLED_K on no step is divided
+    behind : point -> the point of the wall upstream of its interface, by their numbers; that wall is in an earlier
+             group, so that its step is taken first
     raises : InputError where there is no point
 
     Attributes: `meshes`, `table` with all property and ratio tables, and `state`, which holds everything that changes.
@@ -143,6 +144,7 @@ class Ensemble:
         share_tables_with: Ensemble | None = None,
         kinds: Sequence[int] | None = None,
         tolerance_K: float = STEP_TOLERANCE_K,
+        behind: Mapping[int, int] | None = None,
     ) -> None:
         if not models:
             raise InputError("no control point was given; give at least one")
@@ -156,7 +158,7 @@ class Ensemble:
         # An address and not the function: kernels that call it need no recompiling when effects change.
         self.advance_address = address_of(compiled())
         self._tables: TableStore = TableStore() if share_tables_with is None else share_tables_with._tables
-        self._arrange([0] * len(self.models) if kinds is None else kinds)
+        self._arrange([0] * len(self.models) if kinds is None else kinds, behind or {})
         self.table = self._tables.values
         self.reset()
 
@@ -172,13 +174,31 @@ class Ensemble:
     def _add_ratio_table(self, table: RatioTable | None) -> int:
         return block.NO_TABLE if table is None else self._tables.place(("ratio", id(table)), lambda: pack_table(table))
 
-    def _arrange(self, kinds: Sequence[int]) -> None:
+    def _grouped(self, kinds: Sequence[int], behind: Mapping[int, int]) -> list[list[int]]:
+        """Numbers of the models of each group, at most LANES of one kind, walls upstream in groups before."""
+
+        def interfaces_ahead(i: int) -> int:
+            return 1 + interfaces_ahead(behind[i]) if i in behind else 0
+
+        # Padding behind the back costs as much as nodes do: neighbours in node count share a group. Walls upstream come
+        # first, so that the last of their groups may be shared by what lies behind them.
+        walls = set(behind.values())
+        order = sorted(
+            range(len(self.models)),
+            key=lambda i: (kinds[i], interfaces_ahead(i), i not in walls, -self.meshes[i].nodes, i),
+        )
+        members: list[list[int]] = []
+        for i in order:
+            own = members[-1] if members else []
+            if not own or len(own) == LANES or kinds[i] != kinds[own[0]] or behind.get(i) in own:
+                members.append(own := [])
+            own.append(i)
+        return members
+
+    def _arrange(self, kinds: Sequence[int], behind: Mapping[int, int]) -> None:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
-        order = sorted(range(len(self.models)), key=lambda i: (kinds[i], -self.meshes[i].nodes, i))
-        alike = [list(group) for _, group in groupby(order, key=lambda i: kinds[i])]
-        # Padding behind the back costs as much as nodes do: neighbours in node count share a group.
-        members = [group[k : k + LANES] for group in alike for k in range(0, len(group), LANES)]
-        nodes = [self.meshes[group[0]].nodes for group in members]
+        members = self._grouped(kinds, behind)
+        nodes = [max(self.meshes[i].nodes for i in group) for group in members]
         blocks = np.concatenate(([0], np.cumsum([block.block_size(n) for n in nodes])))
         integers = np.concatenate(([0], np.cumsum([block.integers_size(n) for n in nodes])))
         self.groups = np.column_stack([blocks[:-1], blocks[1:], integers[:-1], integers[1:]]).astype(np.int64)
@@ -225,7 +245,7 @@ class Ensemble:
     def _pack_group(self, g: int) -> None:
         J = self.integers(g)
         members = list(dict.fromkeys(self.lanes[g * LANES : (g + 1) * LANES]))
-        J[block.N_NODES] = self.meshes[members[0]].nodes
+        J[block.N_NODES] = max(self.meshes[i].nodes for i in members)
         self.block(g)[block.scalar_row(block.TOLERANCE)] = self.tolerance_K
         for i in members:
             self._pack_stack(i)

@@ -55,16 +55,23 @@ KEPT = 1000
 """Number of meshes chosen on flights that are kept."""
 
 
-def pack(models: Sequence[PointModel], step_s: float = 1.0, tolerance_K: float = STEP_TOLERANCE_K) -> Ensemble:
+def pack(
+    models: Sequence[PointModel],
+    step_s: float = 1.0,
+    tolerance_K: float = STEP_TOLERANCE_K,
+    behind: Mapping[int, int] | None = None,
+) -> Ensemble:
     """Ensemble of control points on meshes chosen for them.
 
     models : control points;  step_s : longest time step [s] of the marches to come
     tolerance_K : largest error of a time step [K]
+    behind : point -> the wall upstream of its interface, by their numbers (Ensemble)
     raises : RunError where a trial march on a mesh did not converge
 
     Error estimates of docs/theory/equations_march.md, equation 16, are below 0.3 K.
     """
-    return Ensemble(models, [mesh for mesh, _ in choose_meshes(models, step_s)], step_s, tolerance_K=tolerance_K)
+    meshes = [mesh for mesh, _ in choose_meshes(models, step_s)]
+    return Ensemble(models, meshes, step_s, tolerance_K=tolerance_K, behind=behind)
 
 
 def choose_meshes(models: Sequence[PointModel], step_s: float = 1.0) -> list[tuple[Mesh, float | None]]:

@@ -136,7 +136,11 @@ class HeatingPlugin:
         models = [point_of_vehicle(vehicle, p, parameters, (effects or {}).get(p.name, ())) for p in stepped]
         if nodes is not None:
             models = [replace(model, nodes=nodes) for model in models]
-        self.ensemble = e = pack(models, longest_step_s)
+        number = {p.name: i for i, p in enumerate(stepped)}
+        behind = {
+            i: number[p.declared.interface.upstream] for i, p in enumerate(stepped) if p.declared.interface is not None
+        }
+        self.ensemble = e = pack(models, longest_step_s, behind=behind)
         self.constants = point_constants(vehicle, stepped)
         place_upstream_walls(self.constants.numbers, stepped, e)
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)

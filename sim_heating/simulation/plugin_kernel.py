@@ -301,20 +301,19 @@ def derive_conditions(
 
 @njit
 def follow_upstream_walls(
-    state: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray, dt: float
+    state: FloatArray, points: PointConstants, lanes: IntArray, vectors: FloatArray, first: int, last: int
 ) -> None:
-    """Write the enthalpy of air at the walls upstream of interfaces into the conditions of the lanes behind them.
+    """Write the enthalpy of air at the walls upstream of interfaces into the conditions of lanes behind them.
 
-    state   : of the ensemble, before the step
-    vectors : (lane, condition) at the end of the step
-    dt      : length of the step [s]; the wall upstream, which takes the same step, is extrapolated along its parabola
+    state       : of the ensemble, with the walls upstream at the time of the vectors
+    vectors     : (lane, condition)
+    first, last : the lanes, from `first` to before `last`
     """
-    for i in range(len(lanes)):
+    for i in range(first, last):
         place = int(points.numbers[lanes[i], UPSTREAM_PLACE])
         if place >= 0:
-            wall = state[place] + dt * (state[place + (RATE - T) * LANES] + dt * state[place + (CURVE - T) * LANES])
             vectors[i, UPSTREAM] = upstream_enthalpy(
-                max(wall, 1.0), vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
+                state[place], vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
             )
 
 
@@ -326,24 +325,29 @@ def advance_behind_walls(
     """Advance all lane groups by dt [s], those behind interfaces with the walls upstream; as `advance_groups`.
 
     vectors : (lane, condition) at the end, overwritten;  then : a copy of them, of the same shape
+
+    A wall upstream is in an earlier group (march/ensemble.py): its temperature at the end of a step is known when the
+    step of the walls behind it is taken, and its enthalpy is linear over the step, as in a march.
     """
     behind = False
     for i in range(len(lanes)):
         behind = behind or points.numbers[lanes[i], UPSTREAM_PLACE] >= 0.0
-    if steps == 1 or not behind:
-        follow_upstream_walls(state, points, lanes, vectors, dt)
+    if not behind:
         advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
         return
-    # Step by step: a wall upstream is extrapolated over one step, not over the frame.
     for k in range(steps):
         share = 1.0 / (steps - k)
-        for i in range(len(lanes)):
-            now = groups[i // LANES, BLOCK_START] + END_STAGE + i % LANES * N_CONDITIONS
-            for c in range(N_CONDITIONS):
-                # c + 1 (then - c) need not be `then` in floating point.
-                vectors[i, c] = state[now + c] + share * (then[i, c] - state[now + c]) if share < 1.0 else then[i, c]
-        follow_upstream_walls(state, points, lanes, vectors, dt / steps)
-        advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt / steps, 1)
+        for g in range(len(groups)):
+            first = g * LANES
+            for i in range(first, first + LANES):
+                now = groups[g, BLOCK_START] + END_STAGE + (i - first) * N_CONDITIONS
+                for c in range(N_CONDITIONS):
+                    # c + 1 (then - c) need not be `then` in floating point.
+                    part = share * (then[i, c] - state[now + c])
+                    vectors[i, c] = state[now + c] + part if share < 1.0 else then[i, c]
+            follow_upstream_walls(state, points, lanes, vectors, first, first + LANES)
+            own, of_lanes = groups[g : g + 1], vectors[first : first + LANES]
+            advance_groups(state, ints, table, dispatcher, advance, own, of_lanes, dt / steps, 1)
 
 
 @njit
@@ -466,7 +470,7 @@ def heat_points(
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
         e = all_lanes
-        follow_upstream_walls(e.state, points, lanes, vectors, 0.0)
+        follow_upstream_walls(e.state, points, lanes, vectors, 0, len(lanes))
         begin_groups(e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, vectors)
         host[STARTED] = 1.0
         _count_beyond(host, frame)

@@ -27,6 +27,7 @@ from sim_heating.heating.reference.models import beyond_range
 from sim_heating.inputs.points import conditions_behind_walls, mean_condition, point_of_vehicle
 from sim_heating.inputs.record import pooled_rmse_K
 from sim_heating.inputs.scenario import MeasuredHistory, Scenario, load_scenario
+from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
@@ -259,7 +260,15 @@ def models_of(
     flown = flown.with_columns(**scheduled)
     marched = {model.name: model for model in models}
     step_s = scenario.declared.heating.longest_step_s
-    return models, conditions_behind_walls(scenario.vehicle, points, flown, marched, step_s)
+    flights = conditions_behind_walls(scenario.vehicle, points, flown, marched, step_s)
+    return models, [_without_idle_back(p, c) for p, c in zip(points, flights, strict=True)]
+
+
+def _without_idle_back(point: ControlPoint, conditions: Conditions) -> Conditions:
+    """Conditions of a point, without the temperature behind a back face that is adiabatic."""
+    if point.construction.stack.back != "adiabatic" or "T_back_K" not in conditions:
+        return conditions
+    return Conditions({name: values for name, values in conditions.columns.items() if name != "T_back_K"})
 
 
 def run(

@@ -1,7 +1,7 @@
 """Built-in 3-DOF entry: a scenario flown with the point mass of `point_mass` and the tables of `trimmed_aero`.
 
-Attitude has no dynamics: angle of attack, bank and sideslip are as commanded; a manoeuvre with `alpha = "free"`
-keeps its scripted deflection while the angle holds. Continuum lift and drag throughout; above 95 km (Knudsen number on
+Attitude has no dynamics: angle of attack, bank and sideslip are as commanded, so that a manoeuvre with `alpha = "free"`
+is refused. Continuum lift and drag throughout; above 95 km (Knudsen number on
 the length above 0.003) drag is low. Against the 6-DOF flight of the same guidance altitude agrees within 100 m.
 """
 

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
@@ -110,7 +111,7 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
 class GuidanceFile(Guidance):
     """Contents of a vehicle's guidance.toml."""
 
-    format: str
+    format: str = Field(pattern="^guidance/1$", description='"guidance/1"')
     source: str
     confidence: str
 

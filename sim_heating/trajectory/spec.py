@@ -589,6 +589,11 @@ class TrajectorySpec(Convertible):
             raise ValueError(f'source = "{self.source}" needs [trajectory.initial]')
         elif self.file is not None:
             raise ValueError(f'source = "{self.source}" does not read a file: remove `file`')
+        if self.source == "entry-3dof" and any(getattr(m, "alpha", "held") == "free" for m in self.manoeuvre):
+            raise ValueError(
+                'a manoeuvre with `alpha = "free"` needs attitude, which source = "entry-3dof" has not: fly "jsbsim", '
+                'or set alpha = "held"'
+            )
         if self.source != "recorded" and self.sample_s < 1.0 / self.rate_hz - 1e-9:
             raise ValueError(f"sample_s = {self.sample_s} is shorter than one frame, {1.0 / self.rate_hz:.4g} s")
         return self

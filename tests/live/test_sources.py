@@ -193,6 +193,13 @@ def test_packets_come_by_udp_and_by_tcp_in_pieces():
     assert [m.body for m in found] == sent
 
 
+def test_packets_of_other_applications_are_not_read():
+    links = ccsds(apid=[42]), ccsds(apid=[7])
+    found = [decoder_of(own, own.declared.source[0]).decode(packets(1)[0]) for own in links]
+    assert found[0]["TIME_MS"] == 0.0
+    assert found[1] is None
+
+
 def test_a_packet_that_was_cut_off_or_has_other_contents_is_damaged():
     made = ccsds()
     decoder = decoder_of(made, made.declared.source[0])
@@ -258,6 +265,26 @@ def test_topics_of_a_broker_are_a_source():
 
 
 # Replay --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_broker_is_told_the_user_of_a_link(monkeypatch):
+    monkeypatch.setenv("SIM_HEATING_MQTT_PASSWORD", "secret of a test")
+    with socket.create_server(("127.0.0.1", 0)) as broker:
+        source = {"kind": "mqtt", "port": broker.getsockname()[1], "topics": ["t"], "user": "flight-test"}
+
+        async def first_packet() -> bytes:
+            stream = open_source(link(source), 0, print).__aiter__()
+            waiting = asyncio.ensure_future(stream.__anext__())
+            own, _ = await asyncio.to_thread(broker.accept)
+            try:
+                return await asyncio.to_thread(own.recv, 1000)
+            finally:
+                own.close()
+                waiting.cancel()
+
+        connect = asyncio.run(first_packet())
+    assert b"flight-test" in connect
+    assert b"secret of a test" in connect
 
 
 def test_a_replay_keeps_the_pace_it_is_told_to():

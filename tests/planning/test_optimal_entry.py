@@ -65,6 +65,13 @@ def limited_flight():
     return fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3))
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("change", [{"tolerance_K": 25.0}, {"soak_s": 0.0}, {"probability": 0.9}])
+def test_another_tolerance_soak_or_probability_is_another_entry(limited_flight, change):
+    other = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, **change))
+    assert [p.bondline_K for p in other.peaks] != [p.bondline_K for p in limited_flight.peaks]
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("case", ["free", "limited"])
 def test_betts_published_cross_range_is_found_within_a_thousandth(betts_flights, case):

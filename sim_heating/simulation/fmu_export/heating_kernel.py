@@ -230,7 +230,7 @@ def _begin(R, N, A, T, inputs, time: float) -> None:  # type: ignore[no-untyped-
     vectors = carray(at(R, N[VECTORS]), (n, N_CONDITIONS))
     numbers = carray(at(R, N[CONSTANTS]), (N[N_POINTS], POINT_CONSTANTS))
     points = PointConstants(numbers, carray(T, N[N_TABLES]))
-    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0.0)
+    follow_upstream_walls(state, points, carray(at(N, N[LANE_POINTS]), n), vectors, 0, n)
     table = carray(at(T, N[TABLE]), N[N_TABLE])
     begin_groups(state, ints, table, A[0], A[1], groups, vectors)
 

@@ -1,0 +1,50 @@
+"""The table of the walk over all keys: values to try, and keys whose action another test shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+VALUES: dict[str, list[Any]] = {
+    "Heating.ratio_table": ["other.csv"],
+    "CmShift.mach": [[20.0, 30.0]],
+    "ControlPointFile.ratio_table": ["ratio_tables/LEE_UPPER.csv", "ratio_tables/STS96_597.csv"],
+    "DerivedMaterial.based_on": ["li900"],
+    "InterfaceDeclaration.upstream": ["V09T9527"],
+    "Layer.material": ["al2024"],
+    "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+    "Target.deadband_deg": [30.0],
+    "Target.latitude_deg": [40.0],
+}
+"""Values to try first, by key, where a little more or less does nothing."""
+REFUSES: dict[str, str] = {"Mass.cg_range": "cg_fraction"}
+"""Keys that do nothing but refuse another key's value, which the message names."""
+
+_SHOWN = {
+    "tests/trajectory/test_fmu_import.py": (
+        "FmuInput.command FmuInput.schedule FmuInput.unit FmuSource.columns FmuSource.inputs FmuSource.interface "
+        "FmuSource.start FmuSource.timeout_s FmuSource.tolerance FmuValue.unit FmuValue.value FmuVariable.unit "
+        "FmuVariable.variable TrajectorySpec.fmu"
+    ),
+    "tests/live/test_sources.py": (
+        "Mqtt.host Mqtt.kind Mqtt.port Mqtt.topics Mqtt.user Network.host Network.port Packets.apid Packets.container "
+        "Packets.kind Packets.xtce JSBSimOutput.fields JSBSimOutput.kind Replay.speed"
+    ),
+    "tests/live/test_jsbsim_link.py": "JSBSimInput.port JSBSimInput.prefix OutputSettings.jsbsim LinkFile.output",
+    "tests/live/test_outputs.py": "JSBSimInput.host OutputSettings.host OutputSettings.metrics OutputSettings.page "
+    "OutputSettings.port OutputSettings.lines",
+    "tests/live/test_engine.py": "OutputSettings.rate_Hz",
+    "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
+    "tests/planning/test_optimal_entry.py": (
+        "OptimalStudyFile.alpha_limits_deg OptimalStudyFile.bank_limits_deg OptimalStudyFile.duration_s "
+        "OptimalStudyFile.end OptimalStudyFile.initial OptimalStudyFile.intervals OptimalStudyFile.limit "
+        "OptimalStudyFile.mesh_tolerance OptimalStudyFile.probability OptimalStudyFile.soak_s OptimalStudyFile.state "
+        "OptimalStudyFile.tolerance_K OptimalStudyFile.vehicle FinalState.altitude_m FinalState.gamma_deg "
+        "FinalState.velocity_m_s StudyFile.optimal"
+    ),
+    "tests/credibility/test_statement.py": (
+        "Review.date Review.factor Review.level Review.person Review.reviewed Review.statement ReviewFile.review"
+    ),
+    "tests/campaign/test_campaign.py": "FlightSource.records",
+}
+ELSEWHERE: dict[str, str] = {key: test for test, keys in _SHOWN.items() for key in keys.split()}
+"""Keys that act only with a network, a solver, a compiler or another process: the test that shows it."""
