@@ -18,7 +18,6 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import check, output_directory, text_bytes, toml_text, write_text_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.heating.effects import use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
@@ -116,7 +115,7 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     """
     vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
     share = [
-        intermittency_along(use(e.name, e.parameters), conditions)
+        intermittency_along(e.use(), conditions)
         for name, conditions in zip(scenario.names, flights, strict=True)
         for e in truth
         if e.name == TRANSITION and (e.control_points is None or name in e.control_points)

@@ -12,6 +12,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
 from sim_heating.base.parameters import MODEL, RECORD_PARAMETERS, Parameter, is_number
+from sim_heating.heating import flight_variables
 
 NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
 """Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
@@ -61,6 +62,38 @@ def model_parameter(name: str, stands_for: str, text: str = "", **changes: float
 
 
 @dataclass(frozen=True)
+class Window:
+    """A range of one flight condition within which an effect acts.
+
+    name      : what the effect is called there, after its own name
+    variable  : flight condition by the name of its column, one that kernels read (heating/flight_variables.py)
+    low, high : ends of the range, in the unit of the column
+    ramp      : width of the rise from nothing at either end to all of the effect, within the range, in that unit; 0 for
+                a jump
+    raises    : InputError where the range or the ramp is none, or kernels do not read the variable
+    """
+
+    name: str
+    variable: str
+    low: float
+    high: float
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        known = [name for name, place in vars(flight_variables).items() if isinstance(place, int)]
+        if self.variable not in known:
+            raise InputError(
+                f"window `{self.name}`: effects do not read a flight condition `{self.variable}`"
+                f"{suggestion(self.variable, known)}"
+            )
+        if not self.low < self.high:
+            raise InputError(f"window `{self.name}`: low is {self.low:g} and high {self.high:g}; low is below high")
+        widest = 0.5 * (self.high - self.low)
+        if not 0.0 <= self.ramp <= widest:
+            raise InputError(f"window `{self.name}`: ramp is {self.ramp:g}; give 0 to {widest:g}, half the range")
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect on the heating, on the emittance, or on parameters of the model.
 
@@ -84,6 +117,7 @@ class Effect:
     of_flight     : parameters of one flight, such as the time of an event: no two records have them in common
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
+    window        : range of a flight condition within which it acts (window.py); None: always
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
                     `neutral` names a parameter, or `needs` a column, that does not exist
 
@@ -110,6 +144,7 @@ class Effect:
     of_flight: tuple[str, ...] = ()
     physics: str = ""
     source: str = ""
+    window: Window | None = None
 
     def __post_init__(self) -> None:
         self._check_kinds()
