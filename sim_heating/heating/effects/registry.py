@@ -17,7 +17,7 @@ from typing import Any
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
-from sim_heating.heating.effects.definition import Effect, EffectUse, Window
+from sim_heating.heating.effects.definition import Effect, EffectUse, Window, effect_within
 
 FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 PUBLIC = (
@@ -142,7 +142,8 @@ def use(name: str, values: Mapping[str, float] | None = None, window: Window | N
     returns : the effect and all its values, in the order in which its kernel reads them
     raises  : InputError naming a parameter that the effect does not have, or a value outside its bounds
     """
-    found, given = effect(name) if window is None else _within(name, window), dict(values or {})
+    found, given = effect(name), dict(values or {})
+    found = found if window is None else effect_within(found, window)
     known = [p.name for p in found.parameters]
     for key in given:
         if key not in known:
@@ -154,17 +155,11 @@ def use(name: str, values: Mapping[str, float] | None = None, window: Window | N
     return EffectUse(found, chosen)
 
 
-def _within(name: str, window: Window) -> Effect:
-    """The effect of a name within a window."""
-    from sim_heating.heating.effects.window import effect_within  # imports this module
-
-    return effect_within(name, window)
-
-
 def _reduced(found: Effect) -> Any:
     """An effect as another process gets it: by its name, as the module of a user's file has none to be imported by."""
     if found.window is not None:
-        return _within, (found.name.removesuffix(f"-{found.window.name}"), found.window)
+        always = effect(found.name.removesuffix(f"-{found.window.name}"))
+        return effect_within, (always, found.window)
     known = effects().get(found.name) is found
     return (effect, (found.name,)) if known else found.__reduce_ex__(pickle.DEFAULT_PROTOCOL)
 
