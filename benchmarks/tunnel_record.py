@@ -35,8 +35,10 @@ LAG_S = 3.0
 """Lag that the founding paper reports of the tunnel's thermocouple [s]."""
 VELOCITY_M_S, T_INF_K, RHO_KG_M3, WALL_K = 1230.0, 105.0, 0.02, 310.0
 """Stream of Mach 6 with a total temperature of 860 K, and the wall before the run."""
-PITCH_DEG, RATE_DEG_S, AT_S, HOLD_S, END_S = (5.0, 15.0), 2.0, 20.0, 5.0, 60.0
+PITCH_DEG, RATE_DEG_S, AT_S, HOLD_S, END_S = (5.0, 15.0), 2.0, 120.0, 5.0, 170.0
 SAMPLES_HZ = 10.0
+FIT_S = (100.0, END_S)
+"""The manoeuvre and the time about it, when the wall has long been in the stream [s]."""
 COMMENT = """A transient run in a wind tunnel, synthetic: `python -m benchmarks.tunnel_record`.
 Felt behind a leading edge of stainless steel on a flat plate that is pitched from 5 to 15 deg and back in a constant stream of Mach 6.
 The truth lags by 3 s, which the record does not state; dimensions and heating of the plate are choices."""
@@ -64,6 +66,7 @@ def declaration() -> RecordFile:
                  "range_K": [250.0, 800.0]},
             ]
         },
+        "segments": {"fit": [list(FIT_S)]},
         "stack": steel | {"layer": felt, "surroundings_K": 295.0},
         "materials": {name: read_toml_dict(file) for name, file in files.items()},
         "heating": {
@@ -82,11 +85,12 @@ def declaration() -> RecordFile:
 
 
 def stream() -> Conditions:
-    """The run, a row each time the pitch rate changes and ten a second."""
+    """The run, a row each time the pitch rate changes and ten a second in the manoeuvre, one a second before."""
     low, high = PITCH_DEG
     up_s = (high - low) / RATE_DEG_S
     corners = np.array([0.0, AT_S, AT_S + up_s, AT_S + up_s + HOLD_S, AT_S + 2.0 * up_s + HOLD_S, END_S])
-    t = np.union1d(np.arange(0.0, END_S + 0.05, 1.0 / SAMPLES_HZ).round(3), corners)
+    t = np.union1d(np.arange(0.0, FIT_S[0]), np.arange(FIT_S[0], END_S + 0.05, 1.0 / SAMPLES_HZ).round(3))
+    t = np.union1d(t, corners)
     one = np.ones_like(t)
     sound = np.sqrt(1.4 * 287.05 * T_INF_K)
     H_r = 1004.5 * T_INF_K + np.sqrt(0.71) * 0.5 * VELOCITY_M_S**2
@@ -109,7 +113,7 @@ def table() -> RatioTable:
 
 def make() -> Record:
     """March the truth and measure it."""
-    declared, flown, t = declaration(), stream(), np.arange(0.0, END_S, 1.0 / SAMPLES_HZ).round(3)
+    declared, flown, t = declaration(), stream(), np.arange(FIT_S[0] - 10.0, END_S, 1.0 / SAMPLES_HZ).round(3)
     empty = make_record(declared, flown, {"time_s": t, "T1_K": np.full_like(t, WALL_K)}, table(), OUT)
     lag = use("nonisothermal-wall", {"lag_s": LAG_S, "lag_fraction": 1.0, "overshoot": 0.0})
     (history,) = march_points([point_of_record(empty, effects=(lag,))], [conditions_of_record(empty)], extra_times_s=t)

@@ -24,6 +24,7 @@ from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.fit import FitResult, estimate
 from sim_heating.estimation.starts import READINGS, start_at
 from sim_heating.estimation.trend import Trend, trend
+from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.inputs.points import conditions_of_record, intermittency_along, point_of_record
 from sim_heating.inputs.record import Record
@@ -33,8 +34,9 @@ from sim_heating.thermal.stack import Sensor
 
 T = TypeVar("T")
 
-POINTS = {"lower": "V09T9527", "elevon": "V07T9730", "pod": "V07T9975"}
-"""Part of a control point in the paper -> the control point: lower surface, outboard elevon, side of the OMS pod."""
+POINTS = {"lower": "V09T9527", "elevon": "V07T9730", "pod": "V07T9975", "tunnel": "TUNNEL_FRSI"}
+"""Part of a control point in the paper -> the control point: lower surface, outboard elevon, side of the OMS pod, felt
+on the plate of the wind tunnel."""
 POPU = ("popu",)
 FLAP = ("bodyflap-sweep", "elevon-sweep", "bodyflap-pulse", "elevon-pulse")
 """Kinds of manoeuvres that move the elevon, itself or because it trims the body flap."""
@@ -46,6 +48,12 @@ FIT_SPAN_S = 10.0
 STAGNATION, ECKERT = "stagnation", "eckert-turbulent"
 REFERENCES = {"both": (STAGNATION, ECKERT), STAGNATION: (STAGNATION,), ECKERT: (ECKERT,)}
 """Choice of the reference heating of figure 9 -> those that are shown; stagnation is that of the records."""
+ONSET, SLOPE = "effect.impingement-onset.alpha_onset_deg", "effect.impingement-onset.slope"
+SKEW, COATING = "clock.skew", "stack.coating.thickness_factor"
+LAG = use("nonisothermal-wall", {"lag_s": 1.0, "lag_fraction": 1.0, "overshoot": 0.0})
+"""All of the ratio lags, by a time that a fit finds."""
+LAG_TIME = "effect.nonisothermal-wall.lag_s"
+JET_GAIN = "effect.jet-interaction.jet_gain"
 LENGTH_S = 5.0
 """Length of the paper's sequential segments [s]."""
 TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
@@ -186,23 +194,50 @@ class FlownData:
         inside = (time_s >= flown.segment_s[0]) & (time_s <= flown.segment_s[1])
         return float(np.max(self._once(("intermittency", id(flown.record)), along)[inside]))
 
-    def linear_fit(self, flown: PointManoeuvre, *terms: str) -> FitResult:
+    def linear_fit(self, flown: PointManoeuvre, *terms: str, jets: bool = True) -> FitResult:
         """Equation 2 of the paper fitted about a manoeuvre: magnitude, these terms, and Reynolds number.
 
         terms  : `alpha`, `elevon`, `elevon2` and the like, as in `ratio.d_elevon2`
+        jets   : whether reaction jets that fire then are an input of the model as well
         raises : LeftOut where it cannot be fitted
         """
         names = ("ratio.d0", *(f"ratio.d_{term}" for term in terms), "ratio.d_logre")
-        return self._fit(("linear", *terms), flown, without_table(flown.record), names, flown.segment_s[0])
+        names += self.jet_names(flown) if jets else ()
+        return self._fit(("linear", *terms, jets), flown, without_table(flown.record), names)
 
-    def impingement_fit(self, flown: PointManoeuvre, also: str) -> FitResult:
-        """The declared table and impingement from an onset on, with the clock skew or the coating estimated too.
+    def jet_names(self, flown: PointManoeuvre) -> tuple[str, ...]:
+        """Name of the gain of the reaction jets, where they fire during the fit of a manoeuvre."""
+        flight = flown.record.conditions
+        inside = (flight.time_s >= flown.segment_s[0]) & (flight.time_s <= flown.segment_s[1])
+        return (JET_GAIN,) if "jets" in flight and np.ptp(flight["jets"][inside]) > 0.0 else ()
 
-        also   : name of that other parameter
+    def impingement_fit(self, flown: PointManoeuvre, *also: str) -> FitResult:
+        """A constant ratio and impingement from an onset on, with clock skew, lag or coating estimated too.
+
+        also   : names of these other parameters
         raises : LeftOut where it cannot be fitted
         """
-        onset = tuple(f"effect.impingement-onset.{name}" for name in ("alpha_onset_deg", "slope"))
-        return self._fit(("onset", also), flown, flown.record, ("ratio.scale", *onset, also), flown.segment_s[0])
+        names = ("ratio.d0", ONSET, SLOPE, *also, *self.jet_names(flown))
+        lag = (LAG,) if LAG_TIME in also else ()
+        return self._fit(("onset", *also), flown, without_table(flown.record), names, effects=lag)
+
+    def magnitude_fit(self, flown: PointManoeuvre, like: FitResult) -> FitResult:
+        """Magnitude of the ratio about a manoeuvre, everything else as another fit of the point has it.
+
+        raises : LeftOut where it cannot be fitted
+        """
+        fixed = {name.partition("@")[0]: v for name, (v, _) in like.parameters.items()}
+        fixed = {name: v for name, v in fixed.items() if name in (ONSET, SLOPE, SKEW, COATING)}
+        names = ("ratio.d0", *self.jet_names(flown))
+        effects = (use("impingement-onset"),)
+        return self._fit(("magnitude",), flown, without_table(flown.record), names, effects=effects, fixed=fixed)
+
+    def tunnel_fit(self, record: Record, *names: str) -> FitResult:
+        """Parameters of a tunnel run fitted over all of it, from the declared temperatures before the run.
+
+        raises : LeftOut where it cannot be fitted
+        """
+        return self._once(("tunnel", id(record), *names), lambda: estimate(record, names))
 
     def segments(self, flown: PointManoeuvre) -> Trend:
         """Magnitude of the ratio over short segments about a manoeuvre, the alpha derivative that of `linear_fit`.
@@ -228,8 +263,10 @@ class FlownData:
 
         raises : LeftOut where it cannot be fitted
         """
-        names, record = ("ratio.d0", "ratio.d_alpha", "ratio.d_logre"), without_table(flown.record)
-        return self._fit(("filtered",), flown, record, names, start_s, "circuit", noise)
+        names = ("ratio.d0", "ratio.d_alpha", "ratio.d_logre", *self.jet_names(flown))
+        return self._fit(
+            ("filtered",), flown, without_table(flown.record), names, start_s=start_s, kind="circuit", noise=noise
+        )
 
     def _fit(
         self,
@@ -237,14 +274,19 @@ class FlownData:
         flown: PointManoeuvre,
         record: Record,
         names: Sequence[str],
-        start_s: float,
+        *,
+        start_s: float | None = None,
         kind: str = "profile",
         noise: ProcessNoise | None = None,
+        effects: Sequence[EffectUse] = (),
+        fixed: Mapping[str, float] | None = None,
     ) -> FitResult:
-        segment = record.with_fit([[start_s, flown.segment_s[1]]])
+        begin = flown.segment_s[0] if start_s is None else start_s
+        segment = record.with_fit([[begin, flown.segment_s[1]]])
 
         def fit() -> FitResult:
-            return estimate(segment, names, starts=[start_at(kind, start_s)], process_noise=noise)
+            starts = [start_at(kind, begin)]
+            return estimate(segment, names, starts=starts, process_noise=noise, effects=effects, fixed=fixed)
 
         return self._once((*key, id(flown.record), flown.manoeuvre.start_s), fit)
 
@@ -293,6 +335,11 @@ def ratio_part(fit: FitResult) -> tuple[tuple[str, ...], FloatArray, FloatArray]
     names = fit.problem.record_fits[0].names
     index = [k for k, name in enumerate(names) if name.startswith("ratio.")]
     return tuple(names[k] for k in index), fit.fit.values[index], fit.bounds.covariance[np.ix_(index, index)]
+
+
+def estimated(fit: FitResult, name: str) -> tuple[float, float]:
+    """Value and standard deviation of an estimated parameter, in its unit; its owner apart."""
+    return next(v for own, v in fit.parameters.items() if own.partition("@")[0] == name)
 
 
 def fit_quality(fit: FitResult) -> str:

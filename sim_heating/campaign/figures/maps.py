@@ -17,13 +17,18 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
-from sim_heating.campaign.figures.figure_file import PaperFigure, finished
-from sim_heating.campaign.figures.flown import FlownData, LeftOut
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
+from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
+from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import march_points
 
 COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:cyan", "tab:olive")
+FELT, CAP = "FRSI", "RCC"
+"""Heat shields of the paper's interfaces: of the pod downstream, of the nose upstream."""
+CAP_PEAK_MACH, LARGEST_MACH, NEAR_MACH = 13.0, 18.0, 1.5
+"""Speeds over 1000 ft/s at which the paper has the cap hottest and the interface's effect largest; how near agrees."""
 AT_NOSE = 0.02
 """x over L up to which a point is on neither side: the flow goes from it to both."""
 SAME_PLACE_M = 0.3
@@ -107,7 +112,12 @@ def control_points(data: FlownData) -> PaperFigure:
     above = [f"{p.name} {peaks[p.name]:.0f} of {p.limits.surface_K:.0f} K" for p in hot]
     notes = (note, f"predicted above the surface limit, {data.flights[0].name}: {', '.join(above) or 'none'}")
     title = f"control points of the vehicle {vehicle.name}; filled: with a record; dotted: interfaces"
-    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes)
+    on_pods = [p.name for p in hot if p.declared.heat_shield == FELT and p.declared.interface is not None]
+    statement = Statement(
+        89, "felt of the OMS pods behind the tile is discoloured", f"above its limit: {', '.join(on_pods) or 'none'}",
+        bool(on_pods),
+    )  # fmt: skip
+    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes, (statement,))
 
 
 def _table(points: Sequence[ControlPoint], flown: set[str], peaks: dict[str, float]) -> dict[str, Any]:
@@ -146,7 +156,7 @@ def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
 
 def wall_temperatures(data: FlownData) -> PaperFigure:
     """Figure 16: predicted wall temperatures on both sides of each interface against speed, and their difference."""
-    vehicle, flight = data.vehicle, data.flights[0]
+    vehicle, flight = data.vehicle, _flight_of_cap(data)
     found = interfaces(list(vehicle.control_points.values()))
     if not found:
         raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
@@ -157,7 +167,7 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
     walls = _walls(vehicle, [vehicle.control_points[n] for n in names], flown)
     drawn = new_figure(4.0 * len(found) + 0.6, 5.8, 2, len(found), squeeze=False, sharex=True, height_ratios=[2, 1])
     columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
-    notes = []
+    notes, said = [], []
     for (upper, lower), face in zip(drawn[1].T, found, strict=True):
         for point, color in ((face.upstream, "tab:red"), (face.downstream, "tab:blue")):
             columns[f"{point.name}_K"] = walls[point.name][shown]
@@ -184,12 +194,44 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
                 f"{face.downstream.name}: heating behind the interface {excess[most]:+.1%} at most, at Mach "
                 f"{mach[shown][most]:.1f}"
             )
+            if face.upstream.declared.heat_shield == CAP:
+                said += _nose_statements(mach[peak], mach[shown][most], excess[most])
+        if face.downstream.declared.heat_shield == FELT and face.downstream.declared.interface is not None:
+            said.append(
+                Statement(
+                    91, "from the pod's tile to its felt the wall temperature falls by a step",
+                    f"{face.downstream.name}: {step[largest]:.0f} K at most", step[largest] > 0.0,
+                )
+            )  # fmt: skip
         lower.set_xlabel("speed, 1000 ft/s")
     drawn[1][0, 0].set_ylabel("wall temperature, K")
     drawn[1][1, 0].set_ylabel("upstream -\ndownstream, K")
     drawn[1][0, 0].invert_xaxis()
     title = f"wall temperatures across interfaces of the heat shield, {flight.name}, declared tables"
-    return finished(16, title, drawn, {"": columns}, tuple(notes))
+    return finished(16, title, drawn, {"": columns}, tuple(notes), tuple(said))
+
+
+def _flight_of_cap(data: FlownData) -> CampaignFlight:
+    """The flight with a POPU near the speed at which the paper has the cap hottest; the first one without."""
+    for flight in data.flights:
+        if any(m.kind in POPU and abs(m.shuttle_mach - CAP_PEAK_MACH) < 0.5 for m in flight.manoeuvres):
+            return flight
+    return data.flights[0]
+
+
+def _nose_statements(peak_mach: float, most_mach: float, excess: float) -> list[Statement]:
+    """What the paper says of the nose cap and the tile behind it, at speeds over 1000 ft/s."""
+    return [
+        Statement(
+            92, "the nose cap is hottest near Mach 13", f"hottest at Mach {peak_mach:.1f}",
+            abs(peak_mach - CAP_PEAK_MACH) < NEAR_MACH,
+        ),
+        Statement(
+            92, "the effect of the interface behind the nose cap is largest at Mach 18",
+            f"heating of the tile {excess:+.1%} at most, at Mach {most_mach:.1f}",
+            abs(most_mach - LARGEST_MACH) < NEAR_MACH,
+        ),
+    ]  # fmt: skip
 
 
 def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:
