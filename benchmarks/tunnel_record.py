@@ -40,7 +40,7 @@ SAMPLES_HZ = 10.0
 FIT_S = (100.0, END_S)
 """The manoeuvre and the time about it, when the wall has long been in the stream [s]."""
 COMMENT = """A transient run in a wind tunnel, synthetic: `python -m benchmarks.tunnel_record`.
-Felt behind a leading edge of stainless steel on a flat plate that is pitched from 5 to 15 deg and back in a constant stream of Mach 6.
+Felt behind a leading edge of stainless steel on a flat plate, pitched from 5 to 15 deg and back in a stream of Mach 6.
 The truth lags by 3 s, which the record does not state; dimensions and heating of the plate are choices."""
 
 
