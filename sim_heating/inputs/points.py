@@ -29,6 +29,8 @@ from sim_heating.thermal.tables import WallEnthalpy
 
 HEATING_TOLERANCE = 0.01
 """Mean relative difference from which two reference heatings count as different."""
+HEATED = 0.1
+"""Heating of a wall over the largest of the flight from which its relative changes are told [-]."""
 RECORDS_KEPT = 8
 """Records whose declared model and heated conditions are kept: a search makes hundreds of problems over one record."""
 
@@ -142,12 +144,16 @@ def interface_excess(
 
     conditions : with `H_upstream_J_kg`;  surface_K : (time,) temperature of the wall behind it [K]
     cp         : of air at the wall [J/(kg K)], 0 for equilibrium air;  turbulent : intermittency of the flow [-]
+    returns    : 0 where the wall is heated by less than HEATED of the largest: where it is as hot as its flow, a
+                 relative change of its heating has no meaning
     Source: docs/theory/interfaces.md, equation 1.
     """
     laminar, full = interface.factors
     at_wall = [upstream_enthalpy(T, p, cp) for T, p in zip(surface_K, conditions["p_surface_Pa"], strict=True)]
     step, driving = conditions["H_upstream_J_kg"] - at_wall, conditions["H_r_J_kg"] - at_wall
-    return np.asarray((laminar + turbulent * (full - laminar) - 1.0) * step / driving)
+    heating, factor = conditions["h_ref_kg_m2_s"] * driving, laminar + turbulent * (full - laminar)
+    heated = heating > HEATED * np.max(heating, initial=0.0)
+    return np.asarray(np.where(heated, (factor - 1.0) * step / np.where(heated, driving, 1.0), 0.0))
 
 
 def excess_behind_interface(

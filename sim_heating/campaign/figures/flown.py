@@ -22,6 +22,7 @@ from sim_heating.base.report.figure import MANOEUVRE_NAMES
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.starts import READINGS, start_at
 from sim_heating.estimation.trend import Trend, trend
 from sim_heating.heating.effects import EffectUse, use
@@ -40,6 +41,8 @@ on the plate of the wind tunnel."""
 POPU = ("popu",)
 FLAP = ("bodyflap-sweep", "elevon-sweep", "bodyflap-pulse", "elevon-pulse")
 """Kinds of manoeuvres that move the elevon, itself or because it trims the body flap."""
+SIGMAS = 2.0
+"""Half width of a band, and largest difference that agrees, in standard deviations [-]."""
 MACH_SPAN = 1.5
 """Largest distance of a manoeuvre from the paper's, in speed over 1000 ft/s."""
 FIT_SPAN_S = 10.0
@@ -56,6 +59,9 @@ LAG_TIME = "effect.nonisothermal-wall.lag_s"
 JET_GAIN = "effect.jet-interaction.jet_gain"
 LENGTH_S = 5.0
 """Length of the paper's sequential segments [s]."""
+LONG_FIT_SPAN_S = {"pod": 40.0}
+"""The same of a part of the paper whose wall remembers longer [s]: felt under a thick coating, whose fit with a skew
+does not converge over a shorter time. The paper made its segments longer, too."""
 TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
 """Time before and after the manoeuvre over which they follow each other [s]."""
 
@@ -69,7 +75,7 @@ class PointManoeuvre:
     """One manoeuvre at one control point.
 
     flight    : name of the flight;  record : of the control point;  manoeuvre : when, and how fast
-    segment_s : start and end of the fit [s]: the manoeuvre and FIT_SPAN_S about it, as far as there are readings
+    segment_s : start and end of the fit [s]: the manoeuvre and some time about it, as far as there are readings
     """
 
     flight: str
@@ -168,7 +174,7 @@ class FlownData:
             others = ", ".join(f"{f[3].shuttle_mach:.1f}" for f in near) or "none at all"
             raise LeftOut(f"no {what} (speed over 1000 ft/s) with a record of {self.points[part]}; flown: {others}")
         for _, flight, record, m in within:
-            segment = fit_segment(record, m)
+            segment = fit_segment(record, m, LONG_FIT_SPAN_S.get(part, FIT_SPAN_S))
             if segment is not None:
                 return PointManoeuvre(flight.name, record, m, segment)
         raise LeftOut(f"{self.points[part]}: no readings during the {what}")
@@ -221,16 +227,30 @@ class FlownData:
         lag = (LAG,) if LAG_TIME in also else ()
         return self._fit(("onset", *also), flown, without_table(flown.record), names, effects=lag)
 
-    def magnitude_fit(self, flown: PointManoeuvre, like: FitResult) -> FitResult:
-        """Magnitude of the ratio about a manoeuvre, everything else as another fit of the point has it.
+    def joint_impingement_fit(self, flown: Sequence[PointManoeuvre]) -> FitResult:
+        """`impingement_fit` with a lag and the coating over manoeuvres of several flights, all parameters in common;
+        the ratio may change with Reynolds number.
 
-        raises : LeftOut where it cannot be fitted
+        flown  : manoeuvres at one control point, that of the first begins the search
+        raises : LeftOut where they cannot be fitted
         """
-        fixed = {name.partition("@")[0]: v for name, (v, _) in like.parameters.items()}
-        fixed = {name: v for name, v in fixed.items() if name in (ONSET, SLOPE, SKEW, COATING)}
-        names = ("ratio.d0", *self.jet_names(flown))
-        effects = (use("impingement-onset"),)
-        return self._fit(("magnitude",), flown, without_table(flown.record), names, effects=effects, fixed=fixed)
+        first = self.impingement_fit(flown[0], LAG_TIME, COATING)
+        names = ("ratio.d0", "ratio.d_logre", ONSET, SLOPE, LAG_TIME, COATING)
+        names += tuple(dict.fromkeys(name for one in flown for name in self.jet_names(one)))
+        values = {name: value for name, (value, _) in first.parameters.items() if name in names}
+        reference = dict(zip(RATIO_VARIABLES, first.problem.reference, strict=True))
+        records = list({id(one.record): one.record for one in flown}.values())
+        segments = [sorted(list(one.segment_s) for one in flown if one.record is record) for record in records]
+
+        def fit() -> FitResult:
+            fitted = [without_table(r).with_fit(s) for r, s in zip(records, segments, strict=True)]
+            starts = [start_at("profile", s[0][0]) for s in segments]
+            settings = NewtonSettings(first_values=values)
+            return estimate(
+                fitted, names, starts=starts, effects=(LAG,), reference=reference, settings=settings
+            )  # fmt: skip
+
+        return self._once(("joint", *map(id, records)), fit)
 
     def tunnel_fit(self, record: Record, *names: str) -> FitResult:
         """Parameters of a tunnel run fitted over all of it, from the declared temperatures before the run.
@@ -279,14 +299,13 @@ class FlownData:
         kind: str = "profile",
         noise: ProcessNoise | None = None,
         effects: Sequence[EffectUse] = (),
-        fixed: Mapping[str, float] | None = None,
     ) -> FitResult:
         begin = flown.segment_s[0] if start_s is None else start_s
         segment = record.with_fit([[begin, flown.segment_s[1]]])
 
         def fit() -> FitResult:
             starts = [start_at(kind, begin)]
-            return estimate(segment, names, starts=starts, process_noise=noise, effects=effects, fixed=fixed)
+            return estimate(segment, names, starts=starts, process_noise=noise, effects=effects)
 
         return self._once((*key, id(flown.record), flown.manoeuvre.start_s), fit)
 
@@ -306,14 +325,15 @@ class FlownData:
             raise LeftOut(f"the vehicle of {flight.name} is not known: {one_line(str(error))}") from None
 
 
-def fit_segment(record: Record, manoeuvre: Manoeuvre) -> tuple[float, float] | None:
+def fit_segment(record: Record, manoeuvre: Manoeuvre, span_s: float = FIT_SPAN_S) -> tuple[float, float] | None:
     """Start and end of the fit about a manoeuvre [s]; None where nothing was read in it.
 
-    A start needs some readings before it: where data were lost it is later than FIT_SPAN_S before the manoeuvre.
+    span_s : time before and after the manoeuvre [s]
+    A start needs some readings before it: where data were lost it is later.
     """
-    begin = max(manoeuvre.start_s - FIT_SPAN_S, readable_from_s(record))
+    begin = max(manoeuvre.start_s - span_s, readable_from_s(record))
     inside = (record.time_s >= max(begin, manoeuvre.start_s)) & (record.time_s <= manoeuvre.end_s)
-    return (begin, manoeuvre.end_s + FIT_SPAN_S) if np.any(inside & record.read_mask) else None
+    return (begin, manoeuvre.end_s + span_s) if np.any(inside & record.read_mask) else None
 
 
 def readable_from_s(record: Record) -> float:
@@ -340,6 +360,11 @@ def ratio_part(fit: FitResult) -> tuple[tuple[str, ...], FloatArray, FloatArray]
 def estimated(fit: FitResult, name: str) -> tuple[float, float]:
     """Value and standard deviation of an estimated parameter, in its unit; its owner apart."""
     return next(v for own, v in fit.parameters.items() if own.partition("@")[0] == name)
+
+
+def agrees(value: float, sigma: float, paper: float, otherwise: float) -> bool:
+    """Whether an estimate agrees with the paper's number and not with another one, by SIGMAS of its bound."""
+    return abs(value - paper) < SIGMAS * sigma < abs(value - otherwise)
 
 
 def fit_quality(fit: FitResult) -> str:

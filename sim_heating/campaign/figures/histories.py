@@ -17,6 +17,7 @@ from sim_heating.campaign.figures.flown import (
     COATING,
     FLAP,
     POPU,
+    SIGMAS,
     SKEW,
     FlownData,
     PointManoeuvre,
@@ -24,12 +25,13 @@ from sim_heating.campaign.figures.flown import (
     ratio_part,
 )
 from sim_heating.campaign.figures.ratios import NEAR_NOISE, TURBULENT_TIMES, excursion
-from sim_heating.closure.clues.axial_force import AxialStep, axial_steps
+from sim_heating.closure.clues.axial_force import COLUMN as AXIAL
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.plots import AFTER, BEFORE, DRAWN_ABOVE_DEG
 from sim_heating.estimation.report.ratio_plot import along_variable
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.uncertainty import declared_ratio, estimated_ratio
+from sim_heating.inputs.record import Record
 from sim_heating.simulation.report.plots import AFTER_S, BEFORE_S
 
 LAMINAR = "0.55"
@@ -38,6 +40,9 @@ DIFFERENT_K = 5.0
 ALPHA = "alpha_deg"
 LARGE = 5.0
 """Difference over the noise floor that counts as a response [-]."""
+DEFLECTIONS = ("elevon_deg", "bodyflap_deg")
+AXIAL_BEFORE_S, AXIAL_STEP_DEG = 20.0, 0.1
+"""Time before a manoeuvre from which the axial force is looked at [s]; angles tried for a step, how far apart [deg]."""
 TURNING_DEG, NEAR_TURNING_DEG = 44.0, 1.5
 """Angle of attack of the paper above which the lower surface is turbulent at Mach 12, and how near to it agrees."""
 LEAST_SPAN_K = 4.0
@@ -120,9 +125,7 @@ def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
     angle, rate = np.interp([first, first + 1.0], flight.time_s, flight[ALPHA])
     above = read & (np.interp(t, flight.time_s, flight[ALPHA]) > TURNING_DEG)
     hotter, floor = float(np.max(residual[above], initial=0.0)), flown.record.noise_floor_K()
-    steps = _axial_steps(flown)
-    at = [float(np.interp(s.time_s, flight.time_s, flight[ALPHA])) for s in steps]
-    text = "; ".join(f"{s.relative:+.1%} at {a:.1f} deg" for s, a in zip(steps, at, strict=True))
+    step = axial_step(flown.record, (flown.manoeuvre.start_s - AXIAL_BEFORE_S, flown.manoeuvre.end_s))
     return (
         Statement(
             63, "telemetry of the Mach 12 manoeuvre begins in its pushover",
@@ -135,19 +138,53 @@ def _at_mach_12(data: FlownData, panel: Panel) -> tuple[Statement, ...]:
         ),
         Statement(
             76, "the axial force rises in a step above 44 deg and falls back below it",
-            text or "no step", len(steps) >= 2 and all(abs(a - TURNING_DEG) < NEAR_TURNING_DEG for a in at),
+            "no accelerometer" if step is None else f"{step.relative:+.1%} (sigma {step.sigma:.1%}) above "
+            f"{step.alpha_deg:.1f} deg",
+            step is not None
+            and step.relative > SIGMAS * step.sigma
+            and abs(step.alpha_deg - TURNING_DEG) < NEAR_TURNING_DEG,
         ),
     )  # fmt: skip
 
 
-def _axial_steps(flown: PointManoeuvre) -> list[AxialStep]:
-    """Steps of the axial force in a manoeuvre as large as those of a transition, in order of time.
+@dataclass(frozen=True)
+class AxialStep:
+    """A step of the axial force with angle of attack: its place [deg], its size and sigma over the force [-]."""
 
-    The accelerometer's data are not the thermocouples': they are looked at from before the manoeuvre on.
+    alpha_deg: float
+    relative: float
+    sigma: float
+
+
+def axial_step(record: Record, span_s: tuple[float, float]) -> AxialStep | None:
+    """The step of the axial force coefficient at an angle of attack that explains most of a manoeuvre.
+
+        a g / (rho V^2) = polynomial of second order in alpha, lines in time and deflections + step (alpha > alpha_s)
+
+    span_s  : of the manoeuvre [s]
+    returns : None without an accelerometer
+
+    The flow turns and turns back at one angle, so that both passages have one step. The accelerometer's data are not
+    those of the thermocouples: where these were lost, it was read. Source: Hertzler in the founding paper.
     """
-    begin, end = flown.manoeuvre.start_s, flown.manoeuvre.end_s
-    found = axial_steps(flown.record, (begin - BEFORE_S, end + AFTER_S)) or ()
-    return sorted((s for s in found if s.as_of_transition and begin <= s.time_s <= end), key=lambda s: s.time_s)
+    flight = record.conditions
+    if AXIAL not in flight:
+        return None
+    inside = (flight.time_s >= span_s[0]) & (flight.time_s <= span_s[1])
+    t, alpha = flight.time_s[inside], flight[ALPHA][inside]
+    C = flight[AXIAL][inside] / (flight["rho_kg_m3"] * flight["velocity_m_s"] ** 2)[inside]
+    C = C / np.mean(C)
+    smooth = [t**0, t - t.mean(), alpha - alpha.mean(), (alpha - alpha.mean()) ** 2]
+    smooth += [v - v.mean() for v in (flight[n][inside] for n in DEFLECTIONS) if np.ptp(v) > DRAWN_ABOVE_DEG]
+    best, least = None, np.inf
+    for at in np.arange(np.quantile(alpha, 0.1), np.quantile(alpha, 0.9), AXIAL_STEP_DEG):
+        A = np.stack([*smooth, np.asarray(alpha > at, dtype=float)], axis=1)
+        found = np.linalg.lstsq(A, C, rcond=None)[0]
+        misfit = float(np.sum((C - A @ found) ** 2))
+        if misfit < least:
+            variance = misfit / (len(C) - A.shape[1]) * np.linalg.inv(A.T @ A)[-1, -1]
+            best, least = AxialStep(float(at), float(found[-1]), float(np.sqrt(variance))), misfit
+    return best
 
 
 def _at_mach_8(data: FlownData, panel: Panel) -> tuple[Statement, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.report.figure import legend_above, new_figure
 from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
 from sim_heating.campaign.figures.flown import (
@@ -15,15 +16,17 @@ from sim_heating.campaign.figures.flown import (
     LAG_TIME,
     ONSET,
     POPU,
+    SIGMAS,
     SKEW,
     FlownData,
     LeftOut,
     PointManoeuvre,
+    agrees,
     estimated,
     fit_quality,
     plus_minus,
 )
-from sim_heating.campaign.figures.ratios import COLORS, SAMPLES, SIGMAS, excursion, legend_below, ratio_label
+from sim_heating.campaign.figures.ratios import COLORS, SAMPLES, excursion, legend_below, ratio_label
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.ratio_plot import LABELS, along_variable
 from sim_heating.heating.effects import EffectUse
@@ -46,10 +49,9 @@ STEP = 0.01
 """Step of a difference quotient, in standard deviations of the parameter."""
 RISING = 0.5
 """A table rises from its first node on whose slope is this part of the steepest."""
-PAPER_ONSET_DEG, TUNNEL_ONSET_DEG, PAPER_SKEW_S, PAPER_MIL = 37.0, 30.0, 3.0, 20.0
-NEAR_DEG, NEAR_S, NEAR_MIL = 1.0, 0.5, 2.0
-"""How near to the paper's numbers an estimate agrees with them."""
+PAPER_ONSET_DEG, TUNNEL_ONSET_DEG, PAPER_SKEW_S, PAPER_MIL, USUAL_MIL = 37.0, 30.0, 3.0, 20.0, 7.0
 MIL_M = 2.54e-5
+RE = RATIO_VARIABLES.index("log10_re")
 COMPARED_DEG = 35.0
 """Angle of attack at which the table's dependence on Reynolds number is compared [deg]."""
 
@@ -107,17 +109,17 @@ def _statements(fits: dict[str, FitResult], record: Record, onset: float) -> tup
         Statement(
             87, "impingement on the pod begins at 37 deg in flight, at 30 deg in the tunnel",
             f"onset {plus_minus(value, sigma)} deg; the table rises from {onset:g} deg",
-            abs(value - PAPER_ONSET_DEG) < NEAR_DEG and abs(onset - TUNNEL_ONSET_DEG) < NEAR_DEG,
+            agrees(value, sigma, PAPER_ONSET_DEG, onset) and onset == TUNNEL_ONSET_DEG,
         ),
         Statement(
             37, "the readings of the pod correlate only with a time skew of 3 s",
             f"skew {plus_minus(skew, skew_sigma)} s; RMSE {both:.2f} K with it, {alone:.2f} K without",
-            abs(skew - PAPER_SKEW_S) < NEAR_S and both < alone,
+            agrees(skew, skew_sigma, PAPER_SKEW_S, 0.0) and both < alone,
         ),
         Statement(
             35, "a coating of 20 mil is estimated on the recoated felt, where 7 mil is usual",
             f"{plus_minus(mil, mil_sigma)} mil, estimated with the skew",
-            abs(mil - PAPER_MIL) < NEAR_MIL,
+            agrees(mil, mil_sigma, PAPER_MIL, USUAL_MIL),
         ),
     )  # fmt: skip
 
@@ -189,71 +191,61 @@ def _added(used: EffectUse, values: dict[str, float], record: Record, x: FloatAr
 
 
 def reynolds(data: FlownData) -> PaperFigure:
-    """Figure 17: the pod's ratio below the onset against Reynolds number, of every POPU, on the tunnel's dependence.
+    """Figure 17: the pod's ratio below the onset against Reynolds number, by a joint fit of all POPUs of all flights.
 
-    Onset, slope, skew and coating are those of the Mach 20 POPU; the magnitude alone is estimated in each.
+    The dependence of the wind tunnel is that of the declared table.
     """
-    flown = data.manoeuvre("pod", POPU, 20.0)
-    table, like = flown.record.ratio_table, data.impingement_fit(flown, *FITS["skew and coating"])
+    popus = _popus(data)
+    if len(popus) < 2:
+        raise LeftOut("the pod was flown through fewer than two pushover-pullups, and one has one Reynolds number")
+    table, fit = popus[0].record.ratio_table, data.joint_impingement_fit(popus)
     if table is None:
-        raise LeftOut(f"{flown.record.name}: its record declares no ratio table to compare with")
-    labels, x, ratio, sigma, notes = [], [], [], [], []
-    for one in _popus(data):
-        try:
-            fit = data.magnitude_fit(one, like)
-        except LeftOut as reason:
-            notes.append(f"{one.label}: {reason}")
-            continue
-        value, bound = fit.parameters["ratio.d0"]
-        labels.append(one.label)
-        x.append(np.mean(_inside(one, "log10_re")))
-        ratio.append(value)
-        sigma.append(bound)
-        notes.append(f"{one.label}: {plus_minus(value, bound)} at log10 Re {x[-1]:.2f}; {fit_quality(fit)}")
-    if len(x) < 2:
-        raise LeftOut("; ".join(["the pod was flown through one pushover-pullup alone, two are needed", *notes]))
-    at, r, s = np.array(x), np.array(ratio), np.array(sigma)
-    first = int(np.argmin(at))
-    wide = np.linspace(at.min() - 0.05, at.max() + 0.05, SAMPLES)
-    reference = np.array(like.problem.reference)
+        raise LeftOut(f"{popus[0].record.name}: its record declares no ratio table to compare with")
+    flown = np.array([float(np.mean(_inside(one, "log10_re"))) for one in popus])
+    x = np.linspace(flown.min() - 0.05, flown.max() + 0.05, SAMPLES)
+    reference = np.array(fit.problem.reference)
     reference[0] = COMPARED_DEG
-    tunnel = declared_ratio(table, along_variable(reference, 2, wide))
-    tunnel = tunnel / np.interp(at[first], wide, tunnel)
-    slope, slope_sigma = _per_decade(at, r, s)
-    of_tunnel = float(np.polyfit(wide, np.log(tunnel), 1)[0])
+    tunnel = declared_ratio(table, along_variable(reference, RE, x))
+    tunnel = tunnel / np.interp(flown[0], x, tunnel)
+    of_tunnel = float(np.polyfit(x, np.log(tunnel), 1)[0])
+    slope, sigma = _per_decade(fit, float(flown[0] - reference[RE]))
+    away = x - flown[0]
     drawn = new_figure(7.5, 5.2, 1)
     a = drawn[1][0]
-    a.plot(wide, tunnel, "--", color="0.35", label=f"declared table, the tunnel's: {of_tunnel:+.2f} a decade")
-    level = np.exp(np.average(np.log(r / r[first]) - slope * (at - at.mean()), weights=(r / s) ** 2))
-    line = level * np.exp(slope * (wide - at.mean()))
-    a.plot(wide, line, color=COLORS[0], linewidth=1.2, label=f"flight: {plus_minus(slope, slope_sigma)} a decade")
-    bars = SIGMAS * s / r[first]
-    a.errorbar(at, r / r[first], bars, fmt="o", color=COLORS[0], capsize=2.0, label="manoeuvres, 2 sigma")
-    for name, u, v in zip(labels, at, r / r[first], strict=True):
-        a.annotate(name.removesuffix(" pushover-pullup"), (u, v), xytext=(6, 8), textcoords="offset points", fontsize=8)
+    a.plot(x, tunnel, "--", color="0.35", label=f"declared table, the tunnel's: {of_tunnel:+.2f} a decade")
+    label = f"flight: {plus_minus(slope, sigma)} a decade"
+    a.plot(x, 1.0 + slope * away, color=COLORS[0], linewidth=1.8, label=label)
+    band = SIGMAS * sigma * np.abs(away)
+    a.fill_between(x, 1.0 + slope * away - band, 1.0 + slope * away + band, color=COLORS[0], alpha=0.22, linewidth=0)
+    for one, at in zip(popus, flown, strict=True):
+        a.axvline(at, color="0.5", linewidth=0.8, linestyle=":")
+        text = f"{one.flight}, {one.mach}"
+        a.annotate(text, (at, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, ha="right")
     a.set_xlabel("log10 of Reynolds number")
-    a.set_ylabel(f"heating ratio below the onset, over that of\n{labels[first]}")
-    a.set_xlim(wide[0] - 0.02, wide[-1] + 0.12)
+    a.set_ylabel(f"heating ratio below the onset,\nover that of {popus[0].mach}")
+    a.set_xlim(x[0], x[-1])
     legend_above(a)
     tables = {
-        "": {"log10_re": at, "ratio": r, "sigma": s, "relative": r / r[first]},
-        "lines": {"log10_re": wide, "tunnel": tunnel, "flight": line},
+        "": {"log10_re": x, "tunnel": tunnel, "flight": 1.0 + slope * away, "band": band},
+        "manoeuvres": {"manoeuvre": [one.label for one in popus], "log10_re": flown},
     }
-    statement = Statement(
-        88, "the pod's heating depends less on Reynolds number in flight than in the tunnel",
-        f"{plus_minus(slope, slope_sigma)} a decade in flight, {of_tunnel:+.2f} in the table",
-        slope + SIGMAS * slope_sigma < of_tunnel,
-    )  # fmt: skip
-    notes.append(f"relative change of the ratio a decade of Re: {statement.here}")
+    here = f"{plus_minus(slope, sigma)} a decade in flight, {of_tunnel:+.2f} in the table"
+    paper = "the pod's heating depends less on Reynolds number in flight than in the tunnel"
+    statement = Statement(88, paper, here, slope + SIGMAS * sigma < of_tunnel)
+    parts = [f"onset {plus_minus(*estimated(fit, ONSET))} deg", f"lag {plus_minus(*estimated(fit, LAG_TIME))} s"]
+    mil = popus[0].record.declared.stack.layer[0].thickness_m / MIL_M
+    parts.append(f"coating {plus_minus(*(v * mil for v in estimated(fit, COATING)))} mil")
+    joint = f"{len(popus)} manoeuvres fitted together: {', '.join(parts)}; {fit.fit.status.value}"
+    notes = (f"relative change of the ratio: {here}", joint)
     title = f"OMS pod {data.points['pod']}, heating below the onset against Reynolds number"
-    return finished(17, title, drawn, tables, tuple(notes), (statement,))
+    return finished(17, title, drawn, tables, notes, (statement,))
 
 
 def _popus(data: FlownData) -> list[PointManoeuvre]:
-    """Every POPU of all flights with readings of the pod."""
-    speeds = sorted({m.shuttle_mach for f, _ in data.records_of("pod") for m in f.manoeuvres if m.kind in POPU})
-    found = []
-    for mach in reversed(speeds):
+    """Every POPU of all flights with readings of the pod, the fastest first."""
+    speeds = {m.shuttle_mach for f, _ in data.records_of("pod") for m in f.manoeuvres if m.kind in POPU}
+    found: list[PointManoeuvre] = []
+    for mach in sorted(speeds, reverse=True):
         try:
             found.append(data.manoeuvre("pod", POPU, mach))
         except LeftOut:
@@ -267,9 +259,14 @@ def _inside(flown: PointManoeuvre, column: str) -> FloatArray:
     return flight[column][(flight.time_s >= begin) & (flight.time_s <= end)]
 
 
-def _per_decade(x: FloatArray, ratio: FloatArray, sigma: FloatArray) -> tuple[float, float]:
-    """Relative change of a ratio per unit of x by a weighted straight line of its logarithm, and its sigma [-]."""
-    weight = (ratio / sigma) ** 2
-    mean = np.average(x, weights=weight)
-    spread = float(np.sum(weight * (x - mean) ** 2))
-    return float(np.sum(weight * (x - mean) * np.log(ratio)) / spread), float(1.0 / np.sqrt(spread))
+def _per_decade(fit: FitResult, from_reference: float) -> tuple[float, float]:
+    """Change of the ratio below the onset a decade of Reynolds number, over that ratio, and its sigma [-].
+
+    from_reference : log10 Re of the ratio that it is over, less that of the fit's reference
+    """
+    names = [name.partition("@")[0] for name in fit.problem.record_fits[0].names]
+    index = [names.index("ratio.d0"), names.index("ratio.d_logre")]
+    d0, d_logre = fit.fit.values[index]
+    ratio = d0 + d_logre * from_reference
+    gradient = np.array([-d_logre / ratio**2, 1.0 / ratio - d_logre * from_reference / ratio**2])
+    return float(d_logre / ratio), float(np.sqrt(gradient @ fit.bounds.covariance[np.ix_(index, index)] @ gradient))

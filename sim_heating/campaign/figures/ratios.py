@@ -18,6 +18,7 @@ from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, fin
 from sim_heating.campaign.figures.flown import (
     FLAP,
     POPU,
+    SIGMAS,
     FlownData,
     LeftOut,
     PointManoeuvre,
@@ -32,7 +33,6 @@ from sim_heating.inputs.record import Record
 
 COLORS = ("tab:blue", "tab:orange", "tab:red")
 SAMPLES = 121
-SIGMAS = 2.0
 WIDER = 0.35
 """How much farther than the excursions the table is drawn, over their range."""
 FAR_ABOVE = 2.0

@@ -21,6 +21,7 @@ from sim_heating.campaign.figures.flown import (
     ECKERT,
     LENGTH_S,
     POPU,
+    SIGMAS,
     STAGNATION,
     FlownData,
     LeftOut,
@@ -38,7 +39,6 @@ COLORS = {STAGNATION: "tab:blue", ECKERT: "tab:red"}
 NAMES = {STAGNATION: "stagnation point", ECKERT: "turbulent flat plate, Eckert"}
 DETERMINED = 0.5
 """Relative standard deviation up to which a segment sets the limits of the axes [-]."""
-SIGMAS = 2.0
 
 
 def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:

@@ -60,15 +60,12 @@ class AxialStep:
         )
 
 
-def axial_steps(record: Record, span_s: tuple[float, float] | None = None) -> tuple[AxialStep, ...] | None:
-    """The largest steps, more than half a window apart; None where the record has no axial acceleration.
-
-    span_s : first and last time that is looked at [s]; by default that of the readings in its segments
-    """
+def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
+    """The largest steps, more than half a window apart; None where the record has no axial acceleration."""
     flown = record.conditions
     if COLUMN not in flown:
         return None
-    span = record.time_s[record.fit_mask() | record.holdout_mask()] if span_s is None else np.array(span_s)
+    span = record.time_s[record.fit_mask() | record.holdout_mask()]
     t, a = flown.time_s, flown[COLUMN]
     known = (
         (np.abs(a) > MIN_ACCELERATION_G) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
