@@ -253,6 +253,14 @@ def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, part: str) -> d
     legend_above(top)
     _plot_residual(middle, t, columns["residual_K"])
     angles = _plot_angles(bottom, record.conditions, begin, end)
+    firing = record.conditions.at(t)["jets"] if "jets" in record.conditions else np.zeros(len(t))
+    if np.any(firing > 0.0):
+        columns["jets"] = firing
+        fires = middle.fill_between(
+            t, 0.0, 1.0, where=firing > 0.5, transform=middle.get_xaxis_transform(), color="tab:purple", alpha=0.18,
+            linewidth=0, label="pitch jets fire",
+        )  # fmt: skip
+        middle.legend(handles=[fires], fontsize=8, loc="upper right")
     for a in axes:
         a.axvspan(flown.manoeuvre.start_s, flown.manoeuvre.end_s, color="tab:orange", alpha=0.14, linewidth=0)
         a.set_xlim(begin, end)
