@@ -38,7 +38,7 @@ def run() -> list[Figure]:
         picture = picture_file(figure.figure, "png", dpi=REDUCED_DPI)
         write_bytes_atomic(IMAGES / f"paper_{figure.stem}.png", picture)
     figures = [
-        Figure("sim-heating figures, three flights and a tunnel run, whole command, warm", seconds, "s", target=LONGEST_S),
+        Figure("sim-heating figures, three flights and a tunnel run, warm", seconds, "s", target=LONGEST_S),
         Figure("its processor time", processor_s, "s"),
         Figure("figures drawn", len(found.drawn), "", target=len(DRAWINGS), at_least=True),
         Figure(

@@ -84,7 +84,7 @@ class PaperFigures:
                 str(f.number): {"title": f.title, "files": f.files, "found": list(f.notes)} for f in self.drawn
             },
             "statements": [
-                {"figure": n, "statement": s.number, "paper": s.paper, "here": s.here, "observed": s.observed}
+                {"figure": n, "statement": s.number, "paper": s.paper, "here": s.here, "verdict": s.verdict}
                 for n, s in statements
             ],
             "observed": sum(s.observed for _, s in statements),
