@@ -2,10 +2,10 @@
 
     python -m benchmarks.tunnel_record
 
-writes scenarios/records/tunnel_plate. The stream is constant; the plate is pitched up and back, as the founding paper's
-reference 10 did it. Stream and dimensions of the plate are this project's.
-The truth has the interface of the plate, marched, and beside it a lag of 3 s, as the paper reports it of the run; its
-felt has the declared coating.
+writes scenarios/records/tunnel_plate; `python -m benchmarks.format_pages` then names its schema in it. The stream is
+constant; the plate is pitched up and back, as the founding paper's reference 10 did it. Stream and dimensions of the
+plate are this project's. The truth has the interface of the plate, marched, and beside it a lag of 3 s, as the paper
+reports it of the run; its felt has the declared coating.
 """
 
 from __future__ import annotations
