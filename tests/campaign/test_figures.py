@@ -11,7 +11,8 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.report.figure import mark_beyond, new_figure
-from sim_heating.campaign.figures.flown import FlownData
+from sim_heating.campaign.figures.flown import POPU, FlownData
+from sim_heating.campaign.figures.histories import axial_step
 from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
 from sim_heating.campaign.figures.segments import reynolds_trend
 from sim_heating.campaign.flights import CampaignFlight, read_flights
@@ -124,6 +125,29 @@ def test_the_statements_are_counted_and_each_names_its_figure(figures: PaperFigu
     assert figures.count.startswith(f"{sum(s['verdict'] == 'observed' for s in said)} of {len(said)} statements")
     known = {s["statement"] for s in said}
     assert {60, 74, 80, 87, 91, 92} <= known
+
+
+def test_a_step_of_the_axial_force_is_seen_at_its_angle(flight: CampaignFlight) -> None:
+    record, popu = flight.records["V09T9527"], flight.manoeuvres[-1]
+    flown, span = record.conditions, (popu.start_s, popu.end_s)
+    smooth = axial_step(record, span)
+    assert smooth is not None
+    assert abs(smooth.relative) < 0.02
+    turned = flown["axial_accel_g"] * (1.0 + 0.08 * (flown["alpha_deg"] > 43.0))
+    step = axial_step(replace(record, conditions=flown.with_columns(axial_accel_g=turned)), span)
+    assert step is not None
+    assert step.relative == pytest.approx(0.08, abs=0.02)
+    assert step.alpha_deg == pytest.approx(43.0, abs=1.0)
+
+
+def test_jets_that_fire_are_an_input_of_a_fit(flight: CampaignFlight) -> None:
+    data = FlownData([flight])
+    flown = data.manoeuvre("lower", POPU, 20.0)
+    assert data.jet_names(flown) == ()
+    t = flown.record.conditions.time_s
+    fires = np.where((t > flown.manoeuvre.start_s) & (t < flown.manoeuvre.start_s + 4.0), 1.0, 0.0)
+    record = replace(flown.record, conditions=flown.record.conditions.with_columns(jets=fires))
+    assert data.jet_names(replace(flown, record=record)) == ("effect.jet-interaction.jet_gain",)
 
 
 def test_a_lag_in_the_tunnel_is_told_from_its_interface() -> None:

@@ -33,6 +33,9 @@ class Statement:
     here: str
     observed: bool
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "observed", bool(self.observed))  # a comparison of arrays gives numpy's own
+
     @property
     def verdict(self) -> str:
         """`observed` or `not observed`."""
