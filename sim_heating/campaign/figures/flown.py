@@ -235,8 +235,8 @@ class FlownData:
         raises : LeftOut where they cannot be fitted
         """
         first = self.impingement_fit(flown[0], LAG_TIME, COATING)
-        names = ("ratio.d0", "ratio.d_logre", ONSET, SLOPE, LAG_TIME, COATING)
-        names += tuple(dict.fromkeys(name for one in flown for name in self.jet_names(one)))
+        jets = dict.fromkeys(name for one in flown for name in self.jet_names(one))
+        names = ("ratio.d0", "ratio.d_logre", ONSET, SLOPE, LAG_TIME, COATING, *jets)
         values = {name: value for name, (value, _) in first.parameters.items() if name in names}
         reference = dict(zip(RATIO_VARIABLES, first.problem.reference, strict=True))
         records = list({id(one.record): one.record for one in flown}.values())
