@@ -1,6 +1,6 @@
 """The campaign of STS-2 and STS-4 against its truth: estimates, findings, and what the revised tables predict.
 
-Runs `scenarios/campaigns/sts2_sts4.toml` as a user does. The truth is that of the two scenarios: ratios as
+Runs `benchmarks/flights/sts2_sts4.toml` as a user does. The truth is that of the two scenarios: ratios as
 in the tables where no effect is stated, coatings thicker than declared, impingement on the OMS pods, a transition on
 the lower surface. Errors of estimates are counted in their own bounds, also where an effect was not found.
 """
@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.challenge.files import FLIGHTS
 from benchmarks.measure import Figure, save
 
-CAMPAIGN = Path(__file__).resolve().parent.parent / "scenarios" / "campaigns" / "sts2_sts4.toml"
+CAMPAIGN = FLIGHTS / "sts2_sts4.toml"
 KEPT = "SIM_HEATING_CAMPAIGN"
 """Environment variable that names a folder for the results; a temporary one by default."""
 WITHIN = 2.0

@@ -27,6 +27,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from benchmarks.challenge.files import scenario_file
 from benchmarks.measure import Figure, save
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
@@ -49,7 +50,6 @@ from sim_heating.simulation.run import fly_scenario
 from sim_heating.simulation.synthesize import synthesize, write_records
 from sim_heating.trajectory.flight import Flight, Window
 
-SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 POINTS = {
     "popu_mach20": ("V09T9527", "V07T9975"),
     "popu_mach12": ("V09T9527", "V07T9975"),
@@ -203,7 +203,7 @@ def _line(r: Result) -> Figure:
 
 
 def _flown(name: str) -> tuple[Scenario, Flight]:
-    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    scenario = load_scenario(scenario_file(name))
     every = set(POINTS[name]).union(*(POINTS[n] for n, other in CHECKED.items() if other == name))
     scenario = replace(scenario, names=tuple(sorted(every)))
     return scenario, fly_scenario(scenario)
@@ -307,7 +307,7 @@ def _after_over_before(update: TableUpdate, record: Record) -> float:
 
 def point_vehicle(name: str) -> Path:
     """Directory of the vehicle of a scenario."""
-    return load_scenario(SCENARIOS / f"{name}.toml").vehicle.directory
+    return load_scenario(scenario_file(name)).vehicle.directory
 
 
 def _cut(record: Record, window: Window, way: str) -> tuple[Record, StartMaker | None]:

@@ -84,11 +84,12 @@ COMMANDS = (
     *(
         _cli(f"run_{name}", "run", f"scenarios/{name}.toml")
         for name in (
-            "popu_mach20", "entry_3dof", "capsule", "sts96", "recorded_sts107", "nominal", "sts2", "all_manoeuvres",
+            "popu_mach20", "entry_3dof", "capsule", "sts96", "recorded_sts107", "nominal", "all_manoeuvres",
         )
     ),
+    _cli("run_sts2", "run", "benchmarks/flights/sts2.toml"),
     _cli("synthesize_popu_mach20", "synthesize", "scenarios/popu_mach20.toml"),
-    _cli("synthesize_sts4", "synthesize", "scenarios/sts4.toml"),
+    _cli("synthesize_sts4", "synthesize", "benchmarks/flights/sts4.toml"),
     _cli("synthesize_entry_3dof", "synthesize", "scenarios/entry_3dof.toml"),
     _cli("synthesize_shock_passage", "synthesize", "examples/shock_passage.toml", **EFFECTS),
     # predictions along records

@@ -17,7 +17,15 @@ FloatArray = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIOS = ROOT / "scenarios"
+FLIGHTS = ROOT / "benchmarks" / "flights"
+"""Flights that only benchmarks fly: their figures stay comparable when the shipped scenario changes."""
 AIRCRAFT = ROOT / "aircraft_data"
+
+
+def scenario_file(name: str) -> Path:
+    """File of a scenario: that of the benchmarks where they have a flight of the name, else the shipped one."""
+    own = FLIGHTS / f"{name}.toml"
+    return own if own.is_file() else SCENARIOS / f"{name}.toml"
 
 
 @cache

@@ -24,7 +24,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.challenge.air import EARTH_M, G0, R_AIR, standard_air
-from benchmarks.challenge.files import AIRCRAFT, SCENARIOS, nodes_of, read_csv, read_toml
+from benchmarks.challenge.files import AIRCRAFT, nodes_of, read_csv, read_toml, scenario_file
 
 FloatArray = NDArray[np.float64]
 Generator = np.random.Generator
@@ -88,7 +88,7 @@ def of_kind(name: str) -> str:
 def draw_flight(rng: Generator, needs: Sequence[str] = (), only: Sequence[str] = FLIGHTS) -> Flight:
     """A flight along one of the scenarios; manoeuvres that an effect needs are added where it has none of them."""
     name = str(rng.choice(list(only)))
-    flown = deepcopy(read_toml(SCENARIOS / f"{name}.toml")["trajectory"])
+    flown = deepcopy(read_toml(scenario_file(name))["trajectory"])
     manoeuvres = flown.get("manoeuvre", [])
     for kind in needs:
         if all(of_kind(m["kind"]) != kind for m in manoeuvres):

@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from benchmarks.challenge.files import SCENARIOS, toml_text
+from benchmarks.challenge.files import scenario_file, toml_text
 from sim_heating.inputs.record import Record, write_record
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.simulation.run import fly_scenario
@@ -35,7 +35,7 @@ def flown_records(flight: str, seeds: int) -> Iterator[tuple[str, Record, dict[s
 
     The flight is flown once.
     """
-    scenario = load_scenario(SCENARIOS / f"{flight}.toml")
+    scenario = load_scenario(scenario_file(flight))
     flown = fly_scenario(scenario)
     for seed in range(1, seeds + 1):
         measurements = scenario.declared.measurements.model_copy(update={"seed": seed})

@@ -15,7 +15,7 @@ from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import flight, heat, material, wall
 from sim_heating.base.conditions import Conditions
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow_columns
-from sim_heating.heating.effects import use
+from sim_heating.heating.effects import Window, use
 from sim_heating.heating.reference.recovery import Recovery
 from sim_heating.march.mesh_choice import pack
 from sim_heating.march.point import PointModel
@@ -26,11 +26,11 @@ LONG_S = np.linspace(0.0, 4000.0, 401)
 SETTLED = "settled after 4000 s; Newton's last update"
 
 
-def settled(effect: str, parameters: dict[str, float], **columns: float) -> float:
+def settled(effect: str, parameters: dict[str, float], window: Window | None = None, **columns: float) -> float:
     """Surface temperature [K] of a thin radiating wall with an effect, after more than an hour."""
     w = wall((material(emissivity=EPS), 0.001))
     held = {"h_ref_kg_m2_s": FILM, "H_r_J_kg": H_R, "p_surface_Pa": P_PA} | columns
-    used = (use(effect, parameters),)
+    used = (use(effect, parameters, window),)
     return float(heat(w, flight(LONG_S, **held), nodes=14, parameters=RATIO_ONE, effects=used)[1][-1, 0])
 
 
@@ -157,7 +157,22 @@ def transition() -> list[Row]:
     return rows
 
 
+def windowed() -> list[Row]:
+    """A factor of 1.3 within Mach 18 to 30, over a ramp of 2 at either end: all, half and nothing of it."""
+    rows, fast = [], Window("fast", "mach", 18.0, 30.0, ramp=2.0)
+    for mach, factor in ((25.0, 1.3), (19.0, 1.15), (16.0, 1.0)):
+
+        def excess(T: float, factor: float = factor) -> float:
+            return factor * FILM * (H_R - CP_J_KGK * T) - EPS * SIGMA * T**4
+
+        expected = float(brentq(excess, 500.0, 6000.0, xtol=1e-10))
+        got = settled("jet-interaction", {"jet_gain": 0.3}, fast, mach=mach, jets=1.0)
+        name = f"factor of 1.3 within Mach 18 to 30, ramp 2, at Mach {mach:g}"
+        rows.append(Row(name, expected, got, 1e-5, "K", "radiation balance", SETTLED))
+    return rows
+
+
 def rows() -> list[Row]:
     """All of this subject."""
     with_cantera = criterion() if cantera_air() is not None else []
-    return [*recombination(), *noncatalytic(), *transition(), *with_cantera]
+    return [*recombination(), *noncatalytic(), *transition(), *windowed(), *with_cantera]

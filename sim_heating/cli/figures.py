@@ -31,7 +31,7 @@ def _numbers(_: click.Context, __: click.Parameter, value: str | None) -> list[i
 @click.command()
 @click.argument("flights", type=PATH, nargs=-1, required=True)
 @OUT
-@click.option("--only", callback=_numbers, metavar="5-8,12", help="numbers of figures; all 16 by default")
+@click.option("--only", callback=_numbers, metavar="5-8,12", help="numbers of figures; all 18 by default")
 @click.option(
     "--reference",
     type=click.Choice(["both", "stagnation", "eckert-turbulent"]),
@@ -44,7 +44,7 @@ def _numbers(_: click.Context, __: click.Parameter, value: str | None) -> list[i
     multiple=True,
     callback=named_texts("lower=V09T9527"),
     metavar="PART=NAME",
-    help="control point in place of the paper's: lower, elevon or pod; may be repeated",
+    help="control point in place of the paper's: lower, elevon, pod or tunnel; may be repeated",
 )
 @ROOT
 def figures(
@@ -67,8 +67,12 @@ def figures(
         CONSOLE.print(f"Figure {figure.number}: {figure.title}")
         for line in figure.notes:
             CONSOLE.print(f"    {line}")
+        for said in figure.statements:
+            CONSOLE.print(f"    {said.verdict}: {said.paper} ({said.here})")
     for number, reason in found.left_out.items():
         CONSOLE.print(f"Figure {number} is left out: {reason}")
+    if found.statements:
+        CONSOLE.print(found.count)
     if not found.drawn:
         reasons = (f"figure {number}: {reason}" for number, reason in found.left_out.items())
         raise InputError("figures: these flights give none of them, and nothing was written", *reasons)

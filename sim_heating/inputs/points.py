@@ -14,7 +14,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.edge_flow import EdgeFlow, edge_flow, edge_flow_columns
 from sim_heating.heating.effects import EffectUse, combined_uses
 from sim_heating.heating.effects.transition import HYSTERESIS, TRANSITION, held_past, past_onset_now, turbulent_part
-from sim_heating.heating.interface import upstream_enthalpy
+from sim_heating.heating.interface import Interface, upstream_enthalpy
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.models import reference_heating
@@ -29,6 +29,8 @@ from sim_heating.thermal.tables import WallEnthalpy
 
 HEATING_TOLERANCE = 0.01
 """Mean relative difference from which two reference heatings count as different."""
+HEATED = 0.1
+"""Heating of a wall over the largest of the flight from which its relative changes are told [-]."""
 RECORDS_KEPT = 8
 """Records whose declared model and heated conditions are kept: a search makes hundreds of problems over one record."""
 
@@ -133,27 +135,41 @@ def _behind_wall(
     return with_upstream_wall(columns, wall_enthalpy_of(vehicle.heating.wall_enthalpy))
 
 
-def excess_behind_interface(
-    vehicle: Vehicle, point: ControlPoint, conditions: Conditions, surface_K: FloatArray
+def interface_excess(
+    interface: Interface, conditions: Conditions, surface_K: FloatArray, cp: float, turbulent: FloatArray | float = 0.0
 ) -> FloatArray:
-    """(time,) heating behind the interface of a control point over that of a wall of one temperature, less 1 [-].
+    """(time,) heating behind an interface over that of a wall of one temperature, less 1 [-].
 
         (F - 1) (H_w1 - H_w2) / (H_r - H_w2)
 
+    conditions : with `H_upstream_J_kg`;  surface_K : (time,) temperature of the wall behind it [K]
+    cp         : of air at the wall [J/(kg K)], 0 for equilibrium air;  turbulent : intermittency of the flow [-]
+    returns    : 0 where the wall is heated by less than HEATED of the largest: where it is as hot as its flow, a
+                 relative change of its heating has no meaning
+    Source: docs/theory/interfaces.md, equation 1.
+    """
+    laminar, full = interface.factors
+    at_wall = [upstream_enthalpy(T, p, cp) for T, p in zip(surface_K, conditions["p_surface_Pa"], strict=True)]
+    step, driving = conditions["H_upstream_J_kg"] - at_wall, conditions["H_r_J_kg"] - at_wall
+    heating, factor = conditions["h_ref_kg_m2_s"] * driving, laminar + turbulent * (full - laminar)
+    heated = heating > HEATED * np.max(heating, initial=0.0)
+    return np.asarray(np.where(heated, (factor - 1.0) * step / np.where(heated, driving, 1.0), 0.0))
+
+
+def excess_behind_interface(
+    vehicle: Vehicle, point: ControlPoint, conditions: Conditions, surface_K: FloatArray
+) -> FloatArray:
+    """(time,) `interface_excess` [-] of a control point, 0 without an interface.
+
     conditions : of `conditions_behind_walls`;  surface_K : (time,) temperature of its wall [K]
-    returns    : 0 without an interface. Source: docs/theory/interfaces.md, equation 1.
     """
     declared = point.declared.interface
     if declared is None:
         return np.zeros(len(conditions))
-    laminar, turbulent = declared.interface.factors
     turning = [used for used in point.effects if used.effect.name == TRANSITION]
     share = intermittency_along(turning[0], conditions) if turning else 0.0
     cp = wall_enthalpy_code(wall_enthalpy_of(vehicle.heating.wall_enthalpy))
-    at_wall = [upstream_enthalpy(T, p, cp) for T, p in zip(surface_K, conditions["p_surface_Pa"], strict=True)]
-    step, driving = conditions["H_upstream_J_kg"] - at_wall, conditions["H_r_J_kg"] - at_wall
-    factor = laminar + share * (turbulent - laminar)
-    return np.asarray((factor - 1.0) * step / driving)
+    return interface_excess(declared.interface, conditions, surface_K, cp, share)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:

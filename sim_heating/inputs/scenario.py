@@ -7,7 +7,7 @@ vehicle = "orbiter"                 # a vehicle's name, or its directory relativ
 control_points = ["V09T9527"]       # all where absent
 [trajectory]                        # trajectory/spec.py, with [[trajectory.manoeuvre]]
 [heating]                           # longest_step_s, alongside; transition, catalysis: whether those declared act
-[[effect]]                          # declared in addition to the vehicle's: name, control_points, parameters
+[[effect]]                          # declared in addition to the vehicle's: name, control_points, parameters, window
 [measurements]                      # seed, clock_skew_s, lost samples, gaps, errors of sensors
 [truth]                             # altered by `synthesize`, not declared: parameters, [[truth.effect]]
 [[compare]]                         # measured histories to compare the prediction with
@@ -46,7 +46,7 @@ from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K
 from sim_heating.base.parameters import MODEL, layer_parameter
 from sim_heating.heating.edge_flow import EdgeFlow
-from sim_heating.heating.effects import EffectUse, use
+from sim_heating.heating.effects import EffectUse, Window, use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.recorded.layout import read_fields, states_columns
@@ -104,11 +104,32 @@ class HeatingOptions(Declared):
         return {effect: key for key, effect in KEYS.items() if not getattr(self, key)}
 
 
+class EffectWindow(Declared):
+    """Range of a flight condition within which an effect acts: NAME-WINDOW is then the name of the effect.
+
+    low, high : ends of the range, in the unit of the column
+    """
+
+    quantities: ClassVar = {"low": "variable", "high": "variable", "ramp": None}
+
+    name: str = Field(pattern="^[a-z0-9-]+$", description="name of the window, of small letters, digits and hyphens")
+    variable: str = Field(description="flight condition by the name of its column, such as mach")
+    low: float
+    high: float
+    ramp: float = Field(default=0.0, description="width of the rise to all of the effect at either end; 0 for a jump")
+
+    @property
+    def window(self) -> Window:
+        """The window that it declares."""
+        return Window(self.name, self.variable, self.low, self.high, self.ramp)
+
+
 class ScenarioEffect(Declared):
     """An effect at the named control points, at all where none is named.
 
     name : name of an effect
     parameters : values by name; absent ones are nominal
+    window : range of a flight condition within which it acts; always where absent
     """
 
     quantities: ClassVar = {"parameters": None}
@@ -116,6 +137,11 @@ class ScenarioEffect(Declared):
     name: str
     control_points: list[str] | None = None
     parameters: dict[str, float] = Field(default={})
+    window: EffectWindow | None = None
+
+    def use(self) -> EffectUse:
+        """The effect with its parameters, within its window."""
+        return use(self.name, self.parameters, None if self.window is None else self.window.window)
 
 
 class SensorFault(Declared):
@@ -352,7 +378,7 @@ class Scenario:
     def effects(self, point: str, *, truth: bool = False) -> tuple[EffectUse, ...]:
         """Effects that the scenario adds to a control point of its vehicle, with `truth` the undeclared ones too."""
         chosen = [*self.declared.effect, *(self.declared.truth.effect if truth else [])]
-        return tuple(use(e.name, e.parameters) for e in chosen if e.control_points is None or point in e.control_points)
+        return tuple(e.use() for e in chosen if e.control_points is None or point in e.control_points)
 
 
 def load_scenario(path: str | os.PathLike[str] | Scenario, *, root: str | os.PathLike[str] | None = None) -> Scenario:
@@ -450,7 +476,7 @@ def _problems(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
 
 def _checked_use(declared: ScenarioEffect) -> EffectUse:
     """An effect as a scenario uses it; one of the readings has no part in a march, and stands in [measurements]."""
-    used = use(declared.name, declared.parameters)
+    used = declared.use()
     if used.effect.acts_on_readings:
         raise InputError(
             f"effect `{declared.name}` is one of the readings; give `clock_skew_s` of [measurements], or `tau_s` of "

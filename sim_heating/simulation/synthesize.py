@@ -19,7 +19,6 @@ from sim_heating.base.files import check, output_directory, text_bytes, toml_tex
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.credibility.facts.sources import conditions_of_scenario
 from sim_heating.heating.atmosphere import G0_M_S2
-from sim_heating.heating.effects import use
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.heating.ratio.table import RatioTable
@@ -112,15 +111,17 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
         da = Gamma d tau S / (m g0)
 
     Gamma is the mean intermittency of the points that have a transition in [truth], d tau the rise of the friction of a
-    plate of the reference length [Pa], S the reference area. The trajectory itself is not changed.
+    plate of the reference length [Pa], S the reference area. The trajectory itself is not changed. A point on a control
+    surface does not count: its flow turns by the deflection, and its area is small.
     Source: docs/reference/scenario_format.md, `[truth]`; docs/theory/equations_reference_heating.md, equation 17a.
     """
     vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
     share = [
-        intermittency_along(use(e.name, e.parameters), conditions)
+        intermittency_along(e.use(), conditions)
         for name, conditions in zip(scenario.names, flights, strict=True)
         for e in truth
         if e.name == TRANSITION and (e.control_points is None or name in e.control_points)
+        if not _on_control_surface(vehicle.control_point(name))
     ]
     spec = scenario.declared.trajectory
     # Only of a flight with the vehicle's own aerodynamics is the mass known.
@@ -129,6 +130,11 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     rise, mass = friction_rise(flights[0], vehicle.reference_length_m), flown_aero(spec, vehicle.directory).mass_kg
     added = np.mean(share, axis=0) * rise * vehicle.reference_area_m2 / (mass * G0_M_S2)
     return [conditions.with_columns(**{AXIAL: conditions[AXIAL] + added}) for conditions in flights]
+
+
+def _on_control_surface(point: ControlPoint) -> bool:
+    """Whether elevon or body flap turn the surface of a control point."""
+    return point.recovery.elevon_factor != 0.0 or point.recovery.bodyflap_factor != 0.0
 
 
 def _as_measured(scenario: Scenario, point: ControlPoint, conditions: Conditions) -> Conditions:

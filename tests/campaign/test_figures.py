@@ -11,7 +11,8 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.report.figure import mark_beyond, new_figure
-from sim_heating.campaign.figures.flown import FlownData
+from sim_heating.campaign.figures.flown import POPU, FlownData
+from sim_heating.campaign.figures.histories import axial_step
 from sim_heating.campaign.figures.paper import DRAWINGS, PaperFigures, draw_figures, write_figures
 from sim_heating.campaign.figures.segments import reynolds_trend
 from sim_heating.campaign.flights import CampaignFlight, read_flights
@@ -20,9 +21,10 @@ from sim_heating.estimation.report.plots import fit_figure
 from sim_heating.simulation.predict import predict
 from tests.support.figures import named_lines, named_lines_out_of_sight, unmarked_points
 from tests.support.gliding import gliding
-from tests.support.paths import PRACTICE, TILE
+from tests.support.paths import PRACTICE, SCENARIOS, TILE
 
 ONSET_DEG = 37.0
+TUNNEL = SCENARIOS / "records" / "tunnel_plate"
 GLIDE = f"""{gliding(130.0, "V09T9527", "V07T9730", "V07T9975", altitude_m=72000.0, velocity_m_s=6420.0)}
 [[trajectory.manoeuvre]]
 kind = "bodyflap-sweep"
@@ -39,6 +41,11 @@ up_deg = 5.0
 rate_deg_s = 1.5
 hold_s = 2.0
 [truth]
+[[truth.effect]]
+name = "impingement-onset"
+control_points = ["V07T9975"]
+parameters = {{ alpha_onset_deg = 30.0, slope = -0.0012 }}
+window = {{ name = "tunnel", variable = "alpha_deg", low = 20.0, high = 60.0 }}
 [[truth.effect]]
 name = "impingement-onset"
 control_points = ["V07T9975"]
@@ -101,11 +108,56 @@ def _holds(column: np.ndarray, y: np.ndarray) -> bool:
 
 
 def test_the_onset_of_impingement_is_that_of_the_flight(figures: PaperFigures) -> None:
-    """The wind tunnel's table rises from 30 deg; the flight's own rise was put in above 37 deg."""
-    note = figures.drawn[GIVEN.index(14)].notes
-    assert note[0] == "declared table: rises from 30 deg"
-    text = note[1].partition("onset ")[2].split()
+    """The wind tunnel's table rises from 30 deg; the flight's own rise was put in above 37 deg in its place."""
+    found = figures.drawn[GIVEN.index(14)]
+    assert found.notes[0] == "declared table: rises from 30 deg"
+    text = found.notes[1].partition("onset ")[2].split()
     assert abs(float(text[0]) - ONSET_DEG) < 3.0 * float(text[2]) < 3.0
+    onset, skew, coating = found.statements
+    assert onset.observed
+    assert not skew.observed  # this pod has no lag and the coating that it declares
+    assert not coating.observed
+
+
+def test_the_statements_are_counted_and_each_names_its_figure(figures: PaperFigures) -> None:
+    said = figures.summary()["statements"]
+    assert {s["figure"] for s in said} <= set(GIVEN)
+    assert figures.count.startswith(f"{sum(s['verdict'] == 'observed' for s in said)} of {len(said)} statements")
+    known = {s["statement"] for s in said}
+    assert {60, 74, 80, 87, 91, 92} <= known
+
+
+def test_a_step_of_the_axial_force_is_seen_at_its_angle(flight: CampaignFlight) -> None:
+    record, popu = flight.records["V09T9527"], flight.manoeuvres[-1]
+    flown, span = record.conditions, (popu.start_s, popu.end_s)
+    smooth = axial_step(record, span)
+    assert smooth is not None
+    assert abs(smooth.relative) < 0.02
+    turned = flown["axial_accel_g"] * (1.0 + 0.08 * (flown["alpha_deg"] > 43.0))
+    step = axial_step(replace(record, conditions=flown.with_columns(axial_accel_g=turned)), span)
+    assert step is not None
+    assert step.relative == pytest.approx(0.08, abs=0.02)
+    assert step.alpha_deg == pytest.approx(43.0, abs=1.0)
+
+
+def test_jets_that_fire_are_an_input_of_a_fit(flight: CampaignFlight) -> None:
+    data = FlownData([flight])
+    flown = data.manoeuvre("lower", POPU, 20.0)
+    assert data.jet_names(flown) == ()
+    t = flown.record.conditions.time_s
+    fires = np.where((t > flown.manoeuvre.start_s) & (t < flown.manoeuvre.start_s + 4.0), 1.0, 0.0)
+    record = replace(flown.record, conditions=flown.record.conditions.with_columns(jets=fires))
+    assert data.jet_names(replace(flown, record=record)) == ("effect.jet-interaction.jet_gain",)
+
+
+def test_a_lag_in_the_tunnel_is_told_from_its_interface() -> None:
+    """The truth lags by 3 s and has the coating that the record declares; the interface alone makes no such lag."""
+    (found,) = draw_figures([TUNNEL], [18]).drawn
+    coating, lag, interface = found.statements
+    assert coating.observed
+    assert lag.observed
+    assert not interface.observed
+    assert named_lines_out_of_sight(found.figure) == []
 
 
 @pytest.mark.thorough
@@ -138,7 +190,7 @@ def test_a_flight_without_manoeuvres_gives_reasons(flight: CampaignFlight) -> No
 def test_what_the_command_refuses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = ["--out", str(tmp_path / "out")]
     for arguments, expected in (
-        (["--only", "17"], "figure 17: the paper has figures 1 to 16"),
+        (["--only", "19"], "figure 19: there are figures 1 to 18"),
         (["--only", "5,x"], "--only: `x` is not the number of a figure"),
         (["--point", "lower"], "--point lower: write --point lower=V09T9527"),
         (["--point", "lower=NOSE"], "no flight has a record of it"),

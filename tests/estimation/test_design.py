@@ -162,6 +162,16 @@ def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warm
         assert np.all(inch_deep > 0.0)
 
 
+def test_interfaces_are_listed_with_their_predicted_excess(planner, planned):
+    """Behind the hotter nose cap the tile is heated more; a point without an interface is not listed."""
+    both = Planner(replace(planner.scenario, names=("V09T9527", "NOSE_HRSI")))
+    (row,) = both.interfaces(planned.flight)
+    assert (row["control_point"], row["upstream"]) == ("NOSE_HRSI", "NOSECAP")
+    assert 0.01 < float(row["largest_excess"]) < 0.5
+    assert 0.0 < float(row["largest_in_manoeuvres"]) <= float(row["largest_excess"])
+    assert planner.interfaces(planned.flight) == []
+
+
 def test_readings_of_a_record_are_not_used():
     record, _ = practice_record("p06")
     other = {

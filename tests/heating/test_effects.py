@@ -199,7 +199,7 @@ def test_every_effect_has_a_picture():
 def test_page_of_effects_has_the_parameters_of_the_code_and_keeps_its_equations():
     text = (ROOT / "docs" / "reference" / "effects.md").read_text()
     assert page(text) == text
-    assert text.count(r"\tag{") == 31
+    assert text.count(r"\tag{") == 32
 
 
 def test_neutral_effect_does_nothing_for_any_value_of_its_other_parameters():

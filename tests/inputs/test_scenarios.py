@@ -29,8 +29,10 @@ FLOWN = {
     "popu_mach20": [("popu", 20)], "popu_mach12": [("popu", 12)], "popu_mach8": [("popu", 8)],
     "flap_mach21": [("bodyflap-sweep", 21)], "flap_mach16": [("bodyflap-sweep", 16)],
     "flap_mach12": [("bodyflap-sweep", 12)],
-    "sts2": [("bodyflap-sweep", 21), ("popu", 20), ("bodyflap-sweep", 16), ("bodyflap-sweep", 12)],
-    "sts4": [("popu", 12), ("popu", 8)],
+    "sts2": [
+        ("bodyflap-sweep", 21), ("jet-firing", 20), ("popu", 20), ("bodyflap-sweep", 16), ("bodyflap-sweep", 12),
+    ],
+    "sts4": [("popu", 12), ("popu", 8)], "sts5": [("popu", 13)],
 }  # fmt: skip
 
 
@@ -88,8 +90,8 @@ def test_the_sts2_flight_answers_its_manoeuvres_as_the_flight_did(sts2: RunResul
         return float(np.ptp(detrend(history.surface_K[held])))
 
     assert moves("V07T9730", 0) > 15.0  # elevon at the Mach 21 flap manoeuvre (fig. 10)
-    assert moves("V07T9975", 1) > 30.0  # OMS pod at the POPU (fig. 13)
-    assert moves("V09T9527", 1) > 10.0  # lower surface at the POPU (fig. 5)
+    assert moves("V07T9975", 2) > 30.0  # OMS pod at the POPU (fig. 13)
+    assert moves("V09T9527", 2) > 10.0  # lower surface at the POPU (fig. 5)
     assert moves("V09T9527", 0) < 1.0  # where no angle of attack moves, the lower surface does not
 
 

@@ -18,6 +18,7 @@ from sim_heating.inputs.points import (
     conditions_at_point,
     conditions_behind_walls,
     conditions_of_record,
+    excess_behind_interface,
     point_of_vehicle,
 )
 from sim_heating.inputs.record import Record, make_record
@@ -72,6 +73,20 @@ def test_the_film_of_an_unheated_starting_length_has_its_limits():
     )
     with pytest.raises(InputError, match="lies behind the step"):
         film_factor("laminar", 1.0, 1.0)
+
+
+def test_excess_is_told_where_there_is_heating_alone(orbiter: Vehicle, flown: Conditions) -> None:
+    """A relative change of a heating near zero has no meaning; elsewhere it is that of equation 1."""
+    felt = orbiter.control_point(FELT)
+    (along,) = conditions_behind_walls(orbiter, [felt], flown)
+    (history,) = march_points([point_of_vehicle(orbiter, felt)], [along])
+    wall = np.interp(flown.time_s, history.time_s, history.surface_K)
+    excess = excess_behind_interface(orbiter, felt, along, wall)
+    assert np.all(excess[10:] != 0.0)
+    fading = along.with_columns(h_ref_kg_m2_s=along["h_ref_kg_m2_s"] * np.linspace(1.0, 0.0, len(flown)) ** 4)
+    faded = excess_behind_interface(orbiter, felt, fading, wall)
+    assert np.all(faded[-20:] == 0.0)
+    np.testing.assert_allclose(faded[10:40], excess[10:40])
 
 
 def test_a_wall_upstream_of_the_same_temperature_changes_nothing(orbiter: Vehicle, flown: Conditions) -> None:

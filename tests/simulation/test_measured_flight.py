@@ -78,6 +78,15 @@ def test_a_transition_in_the_truth_raises_the_axial_acceleration_in_a_step(tmp_p
     assert abs(step.time_s - crossed) < 5.0
 
 
+def test_a_transition_on_the_elevon_leaves_the_axial_force_as_it_is(tmp_path: Path) -> None:
+    """Its flow turns by the deflection, and its area is small."""
+    file, axial = tmp_path / "glide.toml", []
+    for more in ("", TRANSITION):
+        file.write_text(gliding(30.0, "V07T9730", altitude_m=74000.0) + more)
+        axial.append(synthesize(file)["V07T9730"].conditions["axial_accel_g"])
+    np.testing.assert_array_equal(*axial)
+
+
 # Dynamic pressure -----------------------------------------------------------------------------------------------------
 
 

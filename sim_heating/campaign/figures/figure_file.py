@@ -20,14 +20,36 @@ PAD_INCH = 0.1
 """Empty rim about the axes: at another resolution texts are a little wider."""
 
 
+@dataclass(frozen=True)
+class Statement:
+    """A statement of the paper that a figure shows, and whether these flights show it.
+
+    number   : in docs/evidence/founding_paper.md;  paper : what the paper says, in words of this project
+    here     : what these flights give;  observed : whether they agree
+    """
+
+    number: int
+    paper: str
+    here: str
+    observed: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "observed", bool(self.observed))  # a comparison of arrays gives numpy's own
+
+    @property
+    def verdict(self) -> str:
+        """`observed` or `not observed`."""
+        return "observed" if self.observed else "not observed"
+
+
 @dataclass(frozen=True, eq=False)
 class PaperFigure:
-    """One figure of the paper.
+    """One figure of the paper, or of what its text says without a figure.
 
-    number : of the paper;  title : what is shown, without the number
+    number : of the paper, above 16 of the text;  title : what is shown, without the number
     figure : drawn, not saved
     tables : part of a file's name -> columns of a CSV; the part is empty where one file holds all
-    notes  : what was found, one line each
+    notes  : what was found, one line each;  statements : of the paper that it shows
     """
 
     number: int
@@ -35,6 +57,7 @@ class PaperFigure:
     figure: Figure
     tables: Mapping[str, Mapping[str, ArrayLike]]
     notes: tuple[str, ...] = ()
+    statements: tuple[Statement, ...] = ()
 
     @property
     def stem(self) -> str:
@@ -63,6 +86,7 @@ def finished(
     drawn: tuple[Figure, np.ndarray],
     tables: Mapping[str, Mapping[str, Any]],
     notes: tuple[str, ...] = (),
+    statements: tuple[Statement, ...] = (),
 ) -> PaperFigure:
     """A figure with grid and title, laid out.
 
@@ -73,4 +97,4 @@ def finished(
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(w_pad=PAD_INCH, h_pad=PAD_INCH)
     save_figure(figure, None, f"Figure {number}: {title}", axes)
-    return PaperFigure(number, title, figure, tables, notes)
+    return PaperFigure(number, title, figure, tables, notes, statements)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.report.figure import legend_above, new_figure
-from sim_heating.campaign.figures.figure_file import PaperFigure, finished
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
 from sim_heating.campaign.figures.flown import POPU, FlownData
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.report.filtered import POSTERIOR, PRIOR, FilteredSensor, filtered_history
@@ -57,7 +57,11 @@ def steps(data: FlownData) -> PaperFigure:
         "before"
     )
     note = f"largest step of the filter: {largest:.1f} K in the first three samples, {last:.1f} K in the last ten"
-    return finished(4, title, drawn, tables, (note,))
+    statement = Statement(
+        60, "the filter takes the error of approximate initial conditions back at every node",
+        f"steps of up to {largest:.1f} K at first, {last:.1f} K at last", last < largest / 3.0,
+    )  # fmt: skip
+    return finished(4, title, drawn, tables, (note,), (statement,))
 
 
 def _plot_steps(a: Any, s: FilteredSensor, shown: np.ndarray) -> None:

@@ -22,8 +22,10 @@ from sim_heating.base.report.figure import MANOEUVRE_NAMES
 from sim_heating.campaign.flights import CampaignFlight, Manoeuvre
 from sim_heating.estimation.filter.process_noise import ProcessNoise
 from sim_heating.estimation.fit import FitResult, estimate
+from sim_heating.estimation.inference.newton import NewtonSettings
 from sim_heating.estimation.starts import READINGS, start_at
 from sim_heating.estimation.trend import Trend, trend
+from sim_heating.heating.effects import EffectUse, use
 from sim_heating.heating.effects.transition import TRANSITION
 from sim_heating.inputs.points import conditions_of_record, intermittency_along, point_of_record
 from sim_heating.inputs.record import Record
@@ -33,11 +35,14 @@ from sim_heating.thermal.stack import Sensor
 
 T = TypeVar("T")
 
-POINTS = {"lower": "V09T9527", "elevon": "V07T9730", "pod": "V07T9975"}
-"""Part of a control point in the paper -> the control point: lower surface, outboard elevon, side of the OMS pod."""
+POINTS = {"lower": "V09T9527", "elevon": "V07T9730", "pod": "V07T9975", "tunnel": "TUNNEL_FRSI"}
+"""Part of a control point in the paper -> the control point: lower surface, outboard elevon, side of the OMS pod, felt
+on the plate of the wind tunnel."""
 POPU = ("popu",)
 FLAP = ("bodyflap-sweep", "elevon-sweep", "bodyflap-pulse", "elevon-pulse")
 """Kinds of manoeuvres that move the elevon, itself or because it trims the body flap."""
+SIGMAS = 2.0
+"""Half width of a band, and largest difference that agrees, in standard deviations [-]."""
 MACH_SPAN = 1.5
 """Largest distance of a manoeuvre from the paper's, in speed over 1000 ft/s."""
 FIT_SPAN_S = 10.0
@@ -46,8 +51,17 @@ FIT_SPAN_S = 10.0
 STAGNATION, ECKERT = "stagnation", "eckert-turbulent"
 REFERENCES = {"both": (STAGNATION, ECKERT), STAGNATION: (STAGNATION,), ECKERT: (ECKERT,)}
 """Choice of the reference heating of figure 9 -> those that are shown; stagnation is that of the records."""
+ONSET, SLOPE = "effect.impingement-onset.alpha_onset_deg", "effect.impingement-onset.slope"
+SKEW, COATING = "clock.skew", "stack.coating.thickness_factor"
+LAG = use("nonisothermal-wall", {"lag_s": 1.0, "lag_fraction": 1.0, "overshoot": 0.0})
+"""All of the ratio lags, by a time that a fit finds."""
+LAG_TIME = "effect.nonisothermal-wall.lag_s"
+JET_GAIN = "effect.jet-interaction.jet_gain"
 LENGTH_S = 5.0
 """Length of the paper's sequential segments [s]."""
+LONG_FIT_SPAN_S = {"pod": 40.0}
+"""The same of a part of the paper whose wall remembers longer [s]: felt under a thick coating, whose fit with a skew
+does not converge over a shorter time. The paper made its segments longer, too."""
 TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
 """Time before and after the manoeuvre over which they follow each other [s]."""
 
@@ -61,7 +75,7 @@ class PointManoeuvre:
     """One manoeuvre at one control point.
 
     flight    : name of the flight;  record : of the control point;  manoeuvre : when, and how fast
-    segment_s : start and end of the fit [s]: the manoeuvre and FIT_SPAN_S about it, as far as there are readings
+    segment_s : start and end of the fit [s]: the manoeuvre and some time about it, as far as there are readings
     """
 
     flight: str
@@ -160,7 +174,7 @@ class FlownData:
             others = ", ".join(f"{f[3].shuttle_mach:.1f}" for f in near) or "none at all"
             raise LeftOut(f"no {what} (speed over 1000 ft/s) with a record of {self.points[part]}; flown: {others}")
         for _, flight, record, m in within:
-            segment = fit_segment(record, m)
+            segment = fit_segment(record, m, LONG_FIT_SPAN_S.get(part, FIT_SPAN_S))
             if segment is not None:
                 return PointManoeuvre(flight.name, record, m, segment)
         raise LeftOut(f"{self.points[part]}: no readings during the {what}")
@@ -186,23 +200,64 @@ class FlownData:
         inside = (time_s >= flown.segment_s[0]) & (time_s <= flown.segment_s[1])
         return float(np.max(self._once(("intermittency", id(flown.record)), along)[inside]))
 
-    def linear_fit(self, flown: PointManoeuvre, *terms: str) -> FitResult:
+    def linear_fit(self, flown: PointManoeuvre, *terms: str, jets: bool = True) -> FitResult:
         """Equation 2 of the paper fitted about a manoeuvre: magnitude, these terms, and Reynolds number.
 
         terms  : `alpha`, `elevon`, `elevon2` and the like, as in `ratio.d_elevon2`
+        jets   : whether reaction jets that fire then are an input of the model as well
         raises : LeftOut where it cannot be fitted
         """
         names = ("ratio.d0", *(f"ratio.d_{term}" for term in terms), "ratio.d_logre")
-        return self._fit(("linear", *terms), flown, without_table(flown.record), names, flown.segment_s[0])
+        names += self.jet_names(flown) if jets else ()
+        return self._fit(("linear", *terms, jets), flown, without_table(flown.record), names)
 
-    def impingement_fit(self, flown: PointManoeuvre, also: str) -> FitResult:
-        """The declared table and impingement from an onset on, with the clock skew or the coating estimated too.
+    def jet_names(self, flown: PointManoeuvre) -> tuple[str, ...]:
+        """Name of the gain of the reaction jets, where they fire during the fit of a manoeuvre."""
+        flight = flown.record.conditions
+        inside = (flight.time_s >= flown.segment_s[0]) & (flight.time_s <= flown.segment_s[1])
+        return (JET_GAIN,) if "jets" in flight and np.ptp(flight["jets"][inside]) > 0.0 else ()
 
-        also   : name of that other parameter
+    def impingement_fit(self, flown: PointManoeuvre, *also: str) -> FitResult:
+        """A constant ratio and impingement from an onset on, with clock skew, lag or coating estimated too.
+
+        also   : names of these other parameters
         raises : LeftOut where it cannot be fitted
         """
-        onset = tuple(f"effect.impingement-onset.{name}" for name in ("alpha_onset_deg", "slope"))
-        return self._fit(("onset", also), flown, flown.record, ("ratio.scale", *onset, also), flown.segment_s[0])
+        names = ("ratio.d0", ONSET, SLOPE, *also, *self.jet_names(flown))
+        lag = (LAG,) if LAG_TIME in also else ()
+        return self._fit(("onset", *also), flown, without_table(flown.record), names, effects=lag)
+
+    def joint_impingement_fit(self, flown: Sequence[PointManoeuvre]) -> FitResult:
+        """`impingement_fit` with a lag and the coating over manoeuvres of several flights, all parameters in common;
+        the ratio may change with Reynolds number.
+
+        flown  : manoeuvres at one control point, that of the first begins the search
+        raises : LeftOut where they cannot be fitted
+        """
+        first = self.impingement_fit(flown[0], LAG_TIME, COATING)
+        jets = dict.fromkeys(name for one in flown for name in self.jet_names(one))
+        names = ("ratio.d0", "ratio.d_logre", ONSET, SLOPE, LAG_TIME, COATING, *jets)
+        values = {name: value for name, (value, _) in first.parameters.items() if name in names}
+        reference = dict(zip(RATIO_VARIABLES, first.problem.reference, strict=True))
+        records = list({id(one.record): one.record for one in flown}.values())
+        segments = [sorted(list(one.segment_s) for one in flown if one.record is record) for record in records]
+
+        def fit() -> FitResult:
+            fitted = [without_table(r).with_fit(s) for r, s in zip(records, segments, strict=True)]
+            starts = [start_at("profile", s[0][0]) for s in segments]
+            settings = NewtonSettings(first_values=values)
+            return estimate(
+                fitted, names, starts=starts, effects=(LAG,), reference=reference, settings=settings
+            )  # fmt: skip
+
+        return self._once(("joint", *map(id, records)), fit)
+
+    def tunnel_fit(self, record: Record, *names: str) -> FitResult:
+        """Parameters of a tunnel run fitted over all of it, from the declared temperatures before the run.
+
+        raises : LeftOut where it cannot be fitted
+        """
+        return self._once(("tunnel", id(record), *names), lambda: estimate(record, names))
 
     def segments(self, flown: PointManoeuvre) -> Trend:
         """Magnitude of the ratio over short segments about a manoeuvre, the alpha derivative that of `linear_fit`.
@@ -228,8 +283,10 @@ class FlownData:
 
         raises : LeftOut where it cannot be fitted
         """
-        names, record = ("ratio.d0", "ratio.d_alpha", "ratio.d_logre"), without_table(flown.record)
-        return self._fit(("filtered",), flown, record, names, start_s, "circuit", noise)
+        names = ("ratio.d0", "ratio.d_alpha", "ratio.d_logre", *self.jet_names(flown))
+        return self._fit(
+            ("filtered",), flown, without_table(flown.record), names, start_s=start_s, kind="circuit", noise=noise
+        )
 
     def _fit(
         self,
@@ -237,14 +294,18 @@ class FlownData:
         flown: PointManoeuvre,
         record: Record,
         names: Sequence[str],
-        start_s: float,
+        *,
+        start_s: float | None = None,
         kind: str = "profile",
         noise: ProcessNoise | None = None,
+        effects: Sequence[EffectUse] = (),
     ) -> FitResult:
-        segment = record.with_fit([[start_s, flown.segment_s[1]]])
+        begin = flown.segment_s[0] if start_s is None else start_s
+        segment = record.with_fit([[begin, flown.segment_s[1]]])
 
         def fit() -> FitResult:
-            return estimate(segment, names, starts=[start_at(kind, start_s)], process_noise=noise)
+            starts = [start_at(kind, begin)]
+            return estimate(segment, names, starts=starts, process_noise=noise, effects=effects)
 
         return self._once((*key, id(flown.record), flown.manoeuvre.start_s), fit)
 
@@ -264,14 +325,15 @@ class FlownData:
             raise LeftOut(f"the vehicle of {flight.name} is not known: {one_line(str(error))}") from None
 
 
-def fit_segment(record: Record, manoeuvre: Manoeuvre) -> tuple[float, float] | None:
+def fit_segment(record: Record, manoeuvre: Manoeuvre, span_s: float = FIT_SPAN_S) -> tuple[float, float] | None:
     """Start and end of the fit about a manoeuvre [s]; None where nothing was read in it.
 
-    A start needs some readings before it: where data were lost it is later than FIT_SPAN_S before the manoeuvre.
+    span_s : time before and after the manoeuvre [s]
+    A start needs some readings before it: where data were lost it is later.
     """
-    begin = max(manoeuvre.start_s - FIT_SPAN_S, readable_from_s(record))
+    begin = max(manoeuvre.start_s - span_s, readable_from_s(record))
     inside = (record.time_s >= max(begin, manoeuvre.start_s)) & (record.time_s <= manoeuvre.end_s)
-    return (begin, manoeuvre.end_s + FIT_SPAN_S) if np.any(inside & record.read_mask) else None
+    return (begin, manoeuvre.end_s + span_s) if np.any(inside & record.read_mask) else None
 
 
 def readable_from_s(record: Record) -> float:
@@ -293,6 +355,16 @@ def ratio_part(fit: FitResult) -> tuple[tuple[str, ...], FloatArray, FloatArray]
     names = fit.problem.record_fits[0].names
     index = [k for k, name in enumerate(names) if name.startswith("ratio.")]
     return tuple(names[k] for k in index), fit.fit.values[index], fit.bounds.covariance[np.ix_(index, index)]
+
+
+def estimated(fit: FitResult, name: str) -> tuple[float, float]:
+    """Value and standard deviation of an estimated parameter, in its unit; its owner apart."""
+    return next(v for own, v in fit.parameters.items() if own.partition("@")[0] == name)
+
+
+def agrees(value: float, sigma: float, paper: float, otherwise: float) -> bool:
+    """Whether an estimate agrees with the paper's number and not with another one, by SIGMAS of its bound."""
+    return abs(value - paper) < SIGMAS * sigma < abs(value - otherwise)
 
 
 def fit_quality(fit: FitResult) -> str:

@@ -17,13 +17,18 @@ from matplotlib.axes import Axes
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SHUTTLE_MACH_M_S, Conditions
 from sim_heating.base.report.figure import new_figure
-from sim_heating.campaign.figures.figure_file import PaperFigure, finished
-from sim_heating.campaign.figures.flown import FlownData, LeftOut
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
+from sim_heating.campaign.figures.flown import POPU, FlownData, LeftOut
+from sim_heating.campaign.flights import CampaignFlight
 from sim_heating.inputs.points import conditions_behind_walls, excess_behind_interface, point_of_vehicle
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import march_points
 
 COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:cyan", "tab:olive")
+FELT, CAP = "FRSI", "RCC"
+"""Heat shields of the paper's interfaces: of the pod downstream, of the nose upstream."""
+CAP_PEAK_MACH, LARGEST_MACH, NEAR_MACH = 13.0, 18.0, 1.5
+"""Speeds over 1000 ft/s at which the paper has the cap hottest and the interface's effect largest; how near agrees."""
 AT_NOSE = 0.02
 """x over L up to which a point is on neither side: the flow goes from it to both."""
 SAME_PLACE_M = 0.3
@@ -40,6 +45,12 @@ class Interface:
 
     upstream: ControlPoint
     downstream: ControlPoint
+
+    @property
+    def declared(self) -> bool:
+        """Whether the point downstream declares it."""
+        own = self.downstream.declared.interface
+        return own is not None and own.upstream == self.upstream.name
 
     @property
     def materials(self) -> str:
@@ -78,12 +89,15 @@ def control_points(data: FlownData) -> PaperFigure:
     shields = list(dict.fromkeys(p.declared.heat_shield for p in sorted(points, key=lambda p: p.position_m[0])))
     drawn = new_figure(10.5, 9.0, 2, sharex=True)
     for a, axis, label in zip(drawn[1], (2, 1), ("z, m, up", "y, m, starboard"), strict=True):
+        named: list[tuple[str, float]] = []
         for face in interfaces(points):
             ends = np.array([face.upstream.position_m, face.downstream.position_m])
             a.plot(ends[:, 0], ends[:, axis], color="0.45", linewidth=1.0, linestyle=":", zorder=1)
-            if axis == 2:
+            middle = np.mean(ends[:, [0, 2]], axis=0)
+            if axis == 2 and not any(t == face.materials and abs(x - middle[0]) < LABEL_M for t, x in named):
+                named.append((face.materials, middle[0]))
                 a.annotate(
-                    face.materials, np.mean(ends[:, [0, 2]], axis=0), xytext=(14, -6), textcoords="offset points",
+                    face.materials, middle, xytext=(14, -6), textcoords="offset points",
                     fontsize=7.5, color="0.3",
                 )  # fmt: skip
         for shield, color in zip(shields, COLORS, strict=False):
@@ -107,7 +121,12 @@ def control_points(data: FlownData) -> PaperFigure:
     above = [f"{p.name} {peaks[p.name]:.0f} of {p.limits.surface_K:.0f} K" for p in hot]
     notes = (note, f"predicted above the surface limit, {data.flights[0].name}: {', '.join(above) or 'none'}")
     title = f"control points of the vehicle {vehicle.name}; filled: with a record; dotted: interfaces"
-    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes)
+    on_pods = [p.name for p in hot if p.declared.heat_shield == FELT and p.declared.interface is not None]
+    statement = Statement(
+        89, "felt of the OMS pods behind the tile is discoloured", f"above its limit: {', '.join(on_pods) or 'none'}",
+        bool(on_pods),
+    )  # fmt: skip
+    return finished(15, title, drawn, {"": _table(points, flown, peaks)}, notes, (statement,))
 
 
 def _table(points: Sequence[ControlPoint], flown: set[str], peaks: dict[str, float]) -> dict[str, Any]:
@@ -145,9 +164,14 @@ def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
 
 
 def wall_temperatures(data: FlownData) -> PaperFigure:
-    """Figure 16: predicted wall temperatures on both sides of each interface against speed, and their difference."""
-    vehicle, flight = data.vehicle, data.flights[0]
-    found = interfaces(list(vehicle.control_points.values()))
+    """Figure 16: predicted wall temperatures on both sides of each interface against speed, their difference, and the
+    heating that it adds.
+
+    Interfaces are those that control points declare; where none does, those between neighbours, without a heating.
+    """
+    vehicle, flight = data.vehicle, _flight_of_cap(data)
+    every = interfaces(list(vehicle.control_points.values()))
+    found = [face for face in every if face.declared] or every
     if not found:
         raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
     flown = next(iter(flight.records.values())).conditions
@@ -155,41 +179,79 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
     shown = mach >= FEWEST_KFT_S
     names = dict.fromkeys(p.name for i in found for p in (i.upstream, i.downstream))
     walls = _walls(vehicle, [vehicle.control_points[n] for n in names], flown)
-    drawn = new_figure(4.0 * len(found) + 0.6, 5.8, 2, len(found), squeeze=False, sharex=True, height_ratios=[2, 1])
+    rows = 3 if found[0].declared else 2
+    drawn = new_figure(
+        4.0 * len(found) + 0.6, 1.9 + 1.9 * rows, rows, len(found), squeeze=False, sharex=True,
+        height_ratios=(2, 1, 1)[:rows],
+    )  # fmt: skip
     columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
-    notes = []
-    for (upper, lower), face in zip(drawn[1].T, found, strict=True):
+    notes, said = [], []
+    for axes, face in zip(drawn[1].T, found, strict=True):
+        warm, behind = walls[face.upstream.name], walls[face.downstream.name]
         for point, color in ((face.upstream, "tab:red"), (face.downstream, "tab:blue")):
             columns[f"{point.name}_K"] = walls[point.name][shown]
             label = f"{point.name}, {point.declared.heat_shield}"
-            upper.plot(columns["speed_kft_s"], columns[f"{point.name}_K"], color=color, label=label)
-        step = walls[face.upstream.name] - walls[face.downstream.name]
+            axes[0].plot(columns["speed_kft_s"], columns[f"{point.name}_K"], color=color, label=label)
+        step = warm - behind
         columns[f"{face.upstream.name}_minus_{face.downstream.name}_K"] = step[shown]
-        lower.plot(mach[shown], step[shown], color="0.2")
-        lower.axhline(0.0, color="0.5", linewidth=0.8)
-        upper.set_title(f"{face.materials} interface", fontsize=10)
-        upper.legend(fontsize=8, loc="best")
-        peak, largest = int(np.argmax(walls[face.upstream.name])), int(np.argmax(step))
+        axes[1].plot(mach[shown], step[shown], color="0.2")
+        axes[0].set_title(f"{face.materials} interface", fontsize=10)
+        axes[0].legend(fontsize=8, loc="best")
+        peak, largest = int(np.argmax(warm)), int(np.argmax(step))
         notes.append(
             f"{face.materials}, {face.upstream.name} to {face.downstream.name}: upstream wall hottest at Mach "
-            f"{mach[peak]:.1f}, {walls[face.upstream.name][peak]:.0f} K; it is hotter by {step[largest]:.0f} K at "
-            f"most, at Mach {mach[largest]:.1f}"
+            f"{mach[peak]:.1f}, {warm[peak]:.0f} K; it is hotter by {step[largest]:.0f} K at most, at Mach "
+            f"{mach[largest]:.1f}"
         )
-        if face.downstream.declared.interface is not None:
-            (behind,) = conditions_behind_walls(vehicle, [face.downstream], flown)
-            excess = excess_behind_interface(vehicle, face.downstream, behind, walls[face.downstream.name])[shown]
-            columns[f"{face.downstream.name}_excess"] = excess
+        if face.declared:
+            (along,) = conditions_behind_walls(vehicle, [face.downstream], flown)
+            excess = excess_behind_interface(vehicle, face.downstream, along, behind)[shown]
+            told = np.where(excess == 0.0, np.nan, excess)  # 0 where there is hardly any heating to add to
+            columns[f"{face.downstream.name}_excess"] = told
+            axes[2].plot(mach[shown], told, color="0.2")
             most = int(np.argmax(excess))
             notes.append(
                 f"{face.downstream.name}: heating behind the interface {excess[most]:+.1%} at most, at Mach "
                 f"{mach[shown][most]:.1f}"
             )
-        lower.set_xlabel("speed, 1000 ft/s")
-    drawn[1][0, 0].set_ylabel("wall temperature, K")
-    drawn[1][1, 0].set_ylabel("upstream -\ndownstream, K")
+            if face.upstream.declared.heat_shield == CAP:
+                said += _nose_statements(mach[peak], mach[shown][most], excess[most])
+            elif face.downstream.declared.heat_shield == FELT:
+                here = f"{face.downstream.name}: {step[largest]:.0f} K at most"
+                paper = "from the pod's tile to its felt the wall temperature falls by a step"
+                said.append(Statement(91, paper, here, step[largest] > 0.0))
+        for a in axes[1:]:
+            a.axhline(0.0, color="0.5", linewidth=0.8)
+        axes[-1].set_xlabel("speed, 1000 ft/s")
+    labels = ("wall temperature, K", "upstream -\ndownstream, K", "heating added,\nrelative")
+    for a, label in zip(drawn[1][:, 0], labels, strict=False):
+        a.set_ylabel(label)
     drawn[1][0, 0].invert_xaxis()
     title = f"wall temperatures across interfaces of the heat shield, {flight.name}, declared tables"
-    return finished(16, title, drawn, {"": columns}, tuple(notes))
+    return finished(16, title, drawn, {"": columns}, tuple(notes), tuple(said))
+
+
+def _flight_of_cap(data: FlownData) -> CampaignFlight:
+    """The flight with a POPU near the speed at which the paper has the cap hottest; the first one without."""
+    for flight in data.flights:
+        if any(m.kind in POPU and abs(m.shuttle_mach - CAP_PEAK_MACH) < 0.5 for m in flight.manoeuvres):
+            return flight
+    return data.flights[0]
+
+
+def _nose_statements(peak_mach: float, most_mach: float, excess: float) -> list[Statement]:
+    """What the paper says of the nose cap and the tile behind it, at speeds over 1000 ft/s."""
+    return [
+        Statement(
+            92, "the nose cap is hottest near Mach 13", f"hottest at Mach {peak_mach:.1f}",
+            abs(peak_mach - CAP_PEAK_MACH) < NEAR_MACH,
+        ),
+        Statement(
+            92, "the effect of the interface behind the nose cap is largest at Mach 18",
+            f"heating of the tile {excess:+.1%} at most, at Mach {most_mach:.1f}",
+            abs(most_mach - LARGEST_MACH) < NEAR_MACH,
+        ),
+    ]  # fmt: skip
 
 
 def _peaks(data: FlownData, points: Sequence[ControlPoint]) -> dict[str, float]:

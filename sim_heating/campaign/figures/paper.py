@@ -12,14 +12,26 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import output_directory, read_toml_dict, write_json
 from sim_heating.base.files.package import package_version
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.campaign.figures import diagrams, filter_steps, histories, maps, ratios, sections, segments
-from sim_heating.campaign.figures.figure_file import PaperFigure
+from sim_heating.base.report.page import Page, Picture, Section, write_page
+from sim_heating.base.report.table import Column, Table
+from sim_heating.campaign.figures import (
+    diagrams,
+    filter_steps,
+    histories,
+    maps,
+    pod,
+    ratios,
+    sections,
+    segments,
+    tunnel,
+)
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement
 from sim_heating.campaign.figures.flown import FLAP, POPU, FlownData, LeftOut
 from sim_heating.campaign.flights import SCENARIO_SUFFIX, CampaignFlight, flight_of_scenario, read_flights
 from sim_heating.campaign.spec import load_campaign
 from sim_heating.simulation.run import fly_scenario
 
-SUMMARY, COMMAND = "figures.json", "figures"
+SUMMARY, PAGE, COMMAND = "figures.json", "report.html", "figures"
 DRAWINGS: Mapping[int, Callable[[FlownData], PaperFigure]] = {
     1: diagrams.systems_approach,
     2: sections.sections,
@@ -34,11 +46,14 @@ DRAWINGS: Mapping[int, Callable[[FlownData], PaperFigure]] = {
     11: histories.elevon(11, [(FLAP, 12.0)]),
     12: ratios.elevon,
     13: histories.pod,
-    14: ratios.pod,
+    14: pod.onset_of_impingement,
     15: maps.control_points,
     16: maps.wall_temperatures,
+    17: pod.reynolds,
+    18: tunnel.transient,
 }
-"""Number of a figure of the paper -> what draws it. Speeds are the paper's, in units of 1000 ft/s."""
+"""Number of a figure -> what draws it: 1 to 16 are the paper's, the others of what its text alone says. Speeds are the
+paper's, in units of 1000 ft/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +75,7 @@ class PaperFigures:
 
     def summary(self) -> dict[str, Any]:
         """Content of figures.json: files and findings of each figure, and reasons for those left out."""
+        statements = self.statements
         return {
             "format": "figures/1",
             "program": f"sim-heating {package_version()}",
@@ -67,8 +83,37 @@ class PaperFigures:
             "figures": {
                 str(f.number): {"title": f.title, "files": f.files, "found": list(f.notes)} for f in self.drawn
             },
+            "statements": [
+                {"figure": n, "statement": s.number, "paper": s.paper, "here": s.here, "verdict": s.verdict}
+                for n, s in statements
+            ],
+            "observed": sum(s.observed for _, s in statements),
             "left_out": {str(number): reason for number, reason in self.left_out.items()},
         }
+
+    @property
+    def statements(self) -> list[tuple[int, Statement]]:
+        """Number of the figure and statement of the paper, of all figures."""
+        return [(f.number, s) for f in self.drawn for s in f.statements]
+
+    @property
+    def count(self) -> str:
+        """How many statements these flights show, as text."""
+        observed = sum(s.observed for _, s in self.statements)
+        return f"{observed} of {len(self.statements)} statements of the paper observed"
+
+    def page(self) -> Page:
+        """Statements in a table, then every figure with what was found."""
+        columns = [
+            Column("figure"), Column("statement"), Column("the paper says", is_text=True),
+            Column("these flights", is_text=True), Column("verdict", is_text=True),
+        ]  # fmt: skip
+        rows = [[n, s.number, s.paper, s.here, s.verdict] for n, s in self.statements]
+        sections = [Section("Statements of the paper", tables=[Table("Statements", columns, rows)])]
+        sections += [
+            Section(f"Figure {f.number}", points=f.notes, pictures=[Picture(f.figure, f.title)]) for f in self.drawn
+        ]
+        return Page("The founding paper's figures", ", ".join(self.flights), sections, (self.count, ""))
 
 
 def draw_figures(
@@ -83,8 +128,8 @@ def draw_figures(
     """Draw the founding paper's figures over flights.
 
     flights   : flights, or their sources: campaign files, scenario files, directories of records
-    numbers   : of the figures, 1 to 16; all by default
-    points    : `lower`, `elevon` or `pod` -> control point, where not the paper's own V09T9527, V07T9730, V07T9975
+    numbers   : of the figures, 1 to 18, of which 17 and 18 are of its text alone; all by default
+    points    : `lower`, `elevon`, `pod` or `tunnel` -> control point, where not the one of POINTS (flown.py)
     reference : of figure 9, `both`, `stagnation` or `eckert-turbulent`
     root      : folder that files may name others in, as `load_scenario` takes it
     progress  : called with the fraction done and a line of text
@@ -97,7 +142,7 @@ def draw_figures(
     chosen = sorted(dict.fromkeys(numbers or DRAWINGS))
     for number in chosen:
         if number not in DRAWINGS:
-            raise InputError(f"figure {number}: the paper has figures 1 to {max(DRAWINGS)}")
+            raise InputError(f"figure {number}: there are figures 1 to {max(DRAWINGS)}")
     read, inputs = _flights(flights, root, lambda done, text: progress(0.3 * done, f"flights: {text}"))
     if not read:
         raise InputError("figures: no flight; name a campaign, scenarios or directories of records")
@@ -146,7 +191,7 @@ def _is_campaign(path: Path) -> bool:
 
 
 def write_figures(found: PaperFigures, out: str | os.PathLike[str]) -> list[str]:
-    """Write every figure with its data, and figures.json.
+    """Write every figure with its data, figures.json, and a page with the statements.
 
     returns : names of the files
     raises  : InputError where the directory contains files of these names that this program did not write
@@ -155,4 +200,5 @@ def write_figures(found: PaperFigures, out: str | os.PathLike[str]) -> list[str]
         for figure in found.drawn:
             figure.write(folder)
         write_json(folder / SUMMARY, found.summary())
+        write_page(folder / PAGE, found.page)
         return sorted(p.name for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))

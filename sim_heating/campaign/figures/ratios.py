@@ -1,4 +1,4 @@
-"""Heating ratios, figures 8, 12 and 14: estimates of manoeuvres with their bounds, on the declared table."""
+"""Heating ratios, figures 8 and 12: estimates of manoeuvres with their bounds, on the declared table."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.parameters import SHORT_NAMES
 from sim_heating.base.report.figure import new_figure
-from sim_heating.campaign.figures.figure_file import PaperFigure, finished
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
 from sim_heating.campaign.figures.flown import (
     FLAP,
     POPU,
+    SIGMAS,
     FlownData,
     LeftOut,
     PointManoeuvre,
@@ -27,40 +28,150 @@ from sim_heating.campaign.figures.flown import (
 )
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.report.ratio_plot import LABELS, along_variable
-from sim_heating.heating.effects import EffectUse
-from sim_heating.heating.effects.compiled import values_along
-from sim_heating.heating.ratio.lookup import table_ratios_at
-from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio, declared_sigma, estimated_ratio
 from sim_heating.inputs.record import Record
-from sim_heating.march.ensemble import condition_history
 
 COLORS = ("tab:blue", "tab:orange", "tab:red")
 SAMPLES = 121
-SIGMAS = 2.0
 WIDER = 0.35
 """How much farther than the excursions the table is drawn, over their range."""
 FAR_ABOVE = 2.0
 """Factor between the largest ratios of two estimates from which the lower one has a panel of its own."""
 PARTLY = 0.1
 """Declared intermittency from which the turbulent table is drawn for a manoeuvre [-]."""
-STEP = 0.01
-"""Step of a difference quotient, in standard deviations of the parameter."""
-RISING = 0.5
-"""A table rises from its first node on whose slope is this part of the steepest."""
-ONSET = "effect.impingement-onset.alpha_onset_deg"
+D_ALPHA, D_ELEVON2 = "ratio.d_alpha", "ratio.d_elevon2"
+ELEVON = RATIO_VARIABLES.index("elevon_deg")
+TURBULENT_TIMES = 2.0
+"""Ratio over that of laminar flow from which a flow counts as turbulent [-]."""
+NEAR_NOISE = 1.2
+"""RMSE over the noise floor up to which a straight line is valid [-]."""
 
 
 def angle_of_attack(data: FlownData) -> PaperFigure:
     """Figure 8: heating ratio of the lower surface against angle of attack, the POPUs at Mach 20, 12 and 8."""
-    flights = f"{data.points['lower']}, heating ratio against angle of attack"
-    return _overlaid(8, f"lower surface {flights}", data, "lower", POPU, (20.0, 12.0, 8.0), ("alpha",))
+    title = f"lower surface {data.points['lower']}, heating ratio against angle of attack"
+    drawn, found = _overlaid(8, title, data, "lower", POPU, (20.0, 12.0, 8.0), ("alpha",))
+    jets = [
+        f"{e.flown.label}: without the jets as an input "
+        f"{plus_minus(*data.linear_fit(e.flown, 'alpha', jets=False).parameters[D_ALPHA])} per deg"
+        for e in found
+        if data.jet_names(e.flown)
+    ]
+    return replace(drawn, notes=(*drawn.notes, *jets), statements=_lower_statements(data, found))
+
+
+def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[Statement, ...]:
+    """What the paper says of the derivatives in angle of attack at Mach 20, 12 and 8."""
+    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in found}
+    said = []
+    if (at_20 := by_mach.get(20)) is not None:
+        slope, sigma = at_20.fit.parameters[D_ALPHA]
+        tunnel, tunnel_sigma = _table_slope(at_20)
+        floor, quality = at_20.flown.record.noise_floor_K(), _rmse(at_20.fit)
+        said += [
+            Statement(
+                74, "at Mach 20 the trend in angle of attack is that of the wind tunnel",
+                f"{plus_minus(slope, sigma)} per deg, table {tunnel:.5f} +- {tunnel_sigma:.5f}",
+                abs(slope - tunnel) < SIGMAS * np.hypot(sigma, tunnel_sigma),
+            ),
+            Statement(
+                74, "a straight line in angle of attack is valid at Mach 20",
+                f"RMSE {quality:.2f} K, noise {floor:.2f} K", quality < NEAR_NOISE * floor,
+            ),
+        ]  # fmt: skip
+        if data.jet_names(at_20.flown):
+            false, false_sigma = data.linear_fit(at_20.flown, "alpha", jets=False).parameters[D_ALPHA]
+            said.append(
+                Statement(
+                    67, "pitch jets disturb the measured density, and so the derivative in angle of attack",
+                    f"{plus_minus(false, false_sigma)} per deg without the jets as an input, "
+                    f"{plus_minus(slope, sigma)} with them",
+                    abs(false - slope) > SIGMAS * sigma,
+                )
+            )  # fmt: skip
+        if (at_12 := by_mach.get(12)) is not None:
+            lower, lower_sigma = at_12.fit.parameters[D_ALPHA]
+            said.append(
+                Statement(
+                    75, "at Mach 12 the derivative in angle of attack is lower than at Mach 20",
+                    f"{plus_minus(lower, lower_sigma)} per deg against {plus_minus(slope, sigma)}",
+                    lower + np.hypot(lower_sigma, sigma) < slope,
+                )
+            )  # fmt: skip
+        if (at_8 := by_mach.get(8)) is not None:
+            middle = SAMPLES // 2
+            said.append(
+                Statement(
+                    77, "at Mach 8 the ratio is larger than at Mach 20, and so is its bound",
+                    f"{plus_minus(at_8.ratio[middle], at_8.sigma[middle])} against "
+                    f"{plus_minus(at_20.ratio[middle], at_20.sigma[middle])}",
+                    bool(at_8.ratio[middle] > at_20.ratio[middle] and at_8.sigma[middle] > at_20.sigma[middle]),
+                )
+            )  # fmt: skip
+    return tuple(said)
+
+
+def _rmse(fit: FitResult) -> float:
+    """RMSE of a fit [K]."""
+    return float(fit.after[0].segment_errors()["fit"]["rmse_K"])
+
+
+def _table_slope(e: Estimate) -> tuple[float, float]:
+    """Slope of the declared table over the excursion of an estimate, and its standard deviation [1/deg].
+
+    The error of a table is taken to be a factor, as its sigma is for the most part.
+    """
+    table = e.flown.record.ratio_table
+    if table is None:
+        return np.nan, np.nan
+    ratio, sigma = declared_ratio(table, e.x), declared_sigma(table, e.x)
+    slope = float(np.polyfit(e.x[:, 0], ratio, 1)[0])
+    return slope, 0.0 if sigma is None else slope * float(np.mean(sigma / ratio))
 
 
 def elevon(data: FlownData) -> PaperFigure:
     """Figure 12: heating ratio of the outboard elevon against its deflection, flap manoeuvres at Mach 21, 16, 12."""
     title = f"outboard elevon {data.points['elevon']}, heating ratio against deflection"
-    return _overlaid(12, title, data, "elevon", FLAP, (21.0, 16.0, 12.0), ("elevon", "elevon2"))
+    drawn, found = _overlaid(12, title, data, "elevon", FLAP, (21.0, 16.0, 12.0), ("elevon", "elevon2"))
+    return replace(drawn, statements=_elevon_statements(found))
+
+
+def _elevon_statements(found: Sequence[Estimate]) -> tuple[Statement, ...]:
+    """What the paper says of the elevon's heating at Mach 21, 16 and 12."""
+    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in found}
+    said = []
+    if (at_21 := by_mach.get(21)) is not None:
+        curved, sigma = at_21.fit.parameters[D_ELEVON2]
+        said.append(
+            Statement(
+                80, "at Mach 21 elevon heating is nonlinear in deflection, of second order",
+                f"second-order term {plus_minus(curved, sigma)} per deg2", curved > SIGMAS * sigma,
+            )
+        )  # fmt: skip
+    if (at_16 := by_mach.get(16)) is not None:
+        said.append(
+            Statement(
+                82, "at Mach 16 the elevon's thermocouple does not respond, the derivative is zero",
+                at_16.text, at_16.silent,
+            )
+        )  # fmt: skip
+    if (at_12 := by_mach.get(12)) is not None:
+        low, high = float(at_12.sigma[0]), float(at_12.sigma[at_12.x[:, ELEVON] >= 0.0].min())
+        said.append(
+            Statement(
+                83, "at Mach 12 the elevon's data correlate poorly at negative deflections",
+                f"bound {low:.2g} at {at_12.x[0, ELEVON]:.1f} deg, {high:.2g} at best above 0", low > high,
+            )
+        )  # fmt: skip
+        if at_21 is not None:
+            times = float(np.median(at_12.ratio) / np.median(at_21.ratio))
+            said.append(
+                Statement(
+                    83, "at Mach 12 the flow on the elevon is turbulent",
+                    f"ratio {times:.1f} times that of Mach 21", times > TURBULENT_TIMES,
+                )
+            )  # fmt: skip
+    return tuple(said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +180,7 @@ class Estimate:
 
     flown, fit : the manoeuvre and its fit;  color : of its curves
     x          : (sample, 5) conditions over the excursion flown, the others at the reference of the fit
-    ratio, sigma : (sample,) [-];  text : derivatives, with their bounds
+    ratio, sigma : (sample,) [-];  text : derivatives, with their bounds;  silent : none beyond its bound
     """
 
     flown: PointManoeuvre
@@ -79,25 +190,27 @@ class Estimate:
     ratio: FloatArray
     sigma: FloatArray
     text: str
+    silent: bool
 
 
 def _estimate(flown: PointManoeuvre, fit: FitResult, color: str, i: int) -> Estimate:
     """The estimate of a fit along variable i."""
     names, values, covariance = ratio_part(fit)
     reference = np.array(fit.problem.reference)
-    x = along_variable(reference, i, np.linspace(*_excursion(flown, RATIO_VARIABLES[i]), SAMPLES))
+    x = along_variable(reference, i, np.linspace(*excursion(flown, RATIO_VARIABLES[i]), SAMPLES))
     ratio, sigma = estimated_ratio(names, values, covariance, reference, None, x)
     own = [k for k, name in enumerate(names) if name.startswith(f"ratio.d_{SHORT_NAMES[i]}")]
     if not own:
-        return Estimate(flown, fit, color, x, ratio, sigma, f"no response to {LABELS[RATIO_VARIABLES[i]]}")
+        return Estimate(flown, fit, color, x, ratio, sigma, f"no response to {LABELS[RATIO_VARIABLES[i]]}", True)
     units = ["deg2" if names[k].endswith("2") else "deg" for k in own]
     parts = [
         f"{plus_minus(values[k], np.sqrt(covariance[k, k]))} per {unit}" for k, unit in zip(own, units, strict=True)
     ]
     B = basis([names[k] for k in own], x, reference, np.zeros(len(x)))
     change, bound = B @ values[own], np.sqrt(np.sum((B @ covariance[np.ix_(own, own)]) * B, axis=1))
-    silent = "" if np.any(np.abs(change) > SIGMAS * bound) else "no significant response, "
-    return Estimate(flown, fit, color, x, ratio, sigma, silent + ", ".join(parts))
+    silent = not np.any(np.abs(change) > SIGMAS * bound)
+    text = ("no significant response, " if silent else "") + ", ".join(parts)
+    return Estimate(flown, fit, color, x, ratio, sigma, text, silent)
 
 
 def _overlaid(
@@ -108,8 +221,8 @@ def _overlaid(
     kinds: Sequence[str],
     machs: Sequence[float],
     terms: Sequence[str],
-) -> PaperFigure:
-    """Estimates of several manoeuvres in one panel, each with the declared table at its own conditions.
+) -> tuple[PaperFigure, list[Estimate]]:
+    """Estimates of several manoeuvres in one panel, and these, each with the declared table at its own conditions.
 
     Where some are far above others, these have a second panel.
     """
@@ -136,7 +249,7 @@ def _overlaid(
             _plot_estimate(a, e, i, wide, tables, data.turbulent_part(e.flown), band=shown is found and e is found[0])
         a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
         a.set_xlim(wide[0], wide[-1])
-    drawn[1][0, 0].set_ylabel(_ratio_label(found[0].flown.record))
+    drawn[1][0, 0].set_ylabel(ratio_label(found[0].flown.record))
     if panels == 2:
         shown_low = min(float(np.min(e.ratio - SIGMAS * e.sigma)) for e in lower)
         shown_high = max(float(np.max(e.ratio + SIGMAS * e.sigma)) for e in lower)
@@ -145,9 +258,9 @@ def _overlaid(
         margin = 0.08 * (shown_high - shown_low)
         drawn[1][0, 1].set_ylim(shown_low - margin, shown_high + margin)
         drawn[1][0, 1].set_title("the same, enlarged", fontsize=10)
-    _legend_below(drawn)
+    legend_below(drawn)
     notes += [f"{e.flown.label}: {e.text}; {fit_quality(e.fit)}" for e in found]
-    return finished(number, title, drawn, tables, tuple(notes))
+    return finished(number, title, drawn, tables, tuple(notes)), found
 
 
 def _plot_estimate(
@@ -184,125 +297,20 @@ def _plot_estimate(
     tables[key] = {name: e.x[:, i], "ratio": e.ratio, "sigma": e.sigma}
 
 
-def _excursion(flown: PointManoeuvre, variable: str) -> tuple[float, float]:
+def excursion(flown: PointManoeuvre, variable: str) -> tuple[float, float]:
     """Lowest and highest value of a variable over the fit of a manoeuvre."""
     conditions, (begin, end) = flown.record.conditions, flown.segment_s
     values = conditions[variable][(conditions.time_s >= begin) & (conditions.time_s <= end)]
     return float(values.min()), float(values.max())
 
 
-def _ratio_label(record: Record) -> str:
+def ratio_label(record: Record) -> str:
     """Label of a heating ratio: declared recombination is not part of it."""
     catalytic = "" if record.declared.heating.catalysis is None else ", fully catalytic wall"
     return f"heating ratio{catalytic} (bands: 2 sigma)"
 
 
-def _legend_below(drawn: tuple[Figure, np.ndarray]) -> None:
+def legend_below(drawn: tuple[Figure, np.ndarray]) -> None:
     """A legend of the first axes below all of them."""
     figure, axes = drawn
     figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower left", fontsize=8, frameon=False)
-
-
-# Flow impingement on the pod -----------------------------------------------------------------------------------------
-
-
-def pod(data: FlownData) -> PaperFigure:
-    """Figure 14: onset of the impingement on the OMS pod, by flight with a time skew, on the wind tunnel's table."""
-    flown = data.manoeuvre("pod", POPU, 20.0)
-    record, table = flown.record, flown.record.ratio_table
-    if table is None:
-        raise LeftOut(f"{record.name}: its record declares no ratio table to find an onset on")
-    fits = {
-        "clock skew": data.impingement_fit(flown, "clock.skew"),
-        "coating": data.impingement_fit(flown, "stack.coating.thickness_factor"),
-    }
-    low, high = _excursion(flown, "alpha_deg")
-    reference = np.array(next(iter(fits.values())).problem.reference)
-    wide = along_variable(reference, 0, np.linspace(low - 8.0, high + 3.0, SAMPLES))
-    drawn = new_figure(8.0, 6.2, 1)
-    a = drawn[1][0]
-    ratio, sigma = declared_ratio(table, wide), declared_sigma(table, wide)
-    tables: dict[str, dict[str, Any]] = {"table": {"alpha_deg": wide[:, 0], "ratio": ratio}}
-    if sigma is not None:
-        tables["table"]["sigma"] = sigma
-        a.fill_between(wide[:, 0], ratio - SIGMAS * sigma, ratio + SIGMAS * sigma, color="0.6", alpha=0.18, linewidth=0)
-    onset = tunnel_onset(table, reference)
-    a.plot(wide[:, 0], ratio, "--", color="0.35", linewidth=1.4, label=f"declared table: rises from {onset:g} deg")
-    a.axvline(onset, color="0.35", linewidth=0.8, linestyle=":")
-    notes = [f"declared table: rises from {onset:g} deg"]
-    x = along_variable(reference, 0, np.linspace(low, high, SAMPLES))
-    for (other, fit), color, style in zip(fits.items(), (COLORS[0], COLORS[1]), ("-", "-."), strict=True):
-        value, bound = impinged_ratio(fit, record, x)
-        a.fill_between(x[:, 0], value - SIGMAS * bound, value + SIGMAS * bound, color=color, alpha=0.22, linewidth=0)
-        what = _onset_text(fit)
-        a.plot(x[:, 0], value, style, color=color, linewidth=2.0, label=f"flight, {other} estimated: {what}")
-        a.axvline(fit.parameters[ONSET][0], color=color, linewidth=0.8, linestyle=":")
-        tables[other.replace(" ", "_")] = {"alpha_deg": x[:, 0], "ratio": value, "sigma": bound}
-        notes.append(f"{flown.label}, {other} estimated: {what}; {fit_quality(fit)}")
-    a.set_xlabel(LABELS["alpha_deg"])
-    a.set_ylabel(_ratio_label(record))
-    a.set_xlim(wide[0, 0], wide[-1, 0])
-    top = max(float(np.max(t["ratio"])) for t in tables.values())
-    a.set_ylim(-0.05 * top, 1.25 * top)  # the band of the table is far wider
-    _legend_below(drawn)
-    return finished(14, f"OMS pod {record.declared.control_point}, {flown.label}", drawn, tables, tuple(notes))
-
-
-def _onset_text(fit: FitResult) -> str:
-    """Onset, and the skew or the coating estimated with it, as text."""
-    onset, sigma = fit.parameters[ONSET]
-    parts = [f"onset {plus_minus(onset, sigma)} deg"]
-    for name, (value, bound) in fit.parameters.items():
-        if name.startswith("clock.skew"):
-            parts.append(f"skew {plus_minus(value, bound)} s")
-        elif name.startswith("stack.coating"):
-            parts.append(f"{plus_minus(value, bound)} times as thick")
-    return ", ".join(parts)
-
-
-def tunnel_onset(table: RatioTable, reference: FloatArray) -> float:
-    """Angle of attack from which a table rises [deg]: the first node with half of its steepest slope after it."""
-    alpha = table.axes[0]
-    ratio = table_ratios_at(table, along_variable(reference, 0, alpha))
-    slopes = np.diff(ratio) / np.diff(alpha)
-    return float(alpha[int(np.argmax(slopes > RISING * np.max(slopes)))])
-
-
-def impinged_ratio(fit: FitResult, record: Record, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ratio of a fit of table and impingement along conditions, and its standard deviation by difference quotients.
-
-    x : (sample, 5) conditions
-    """
-    used = next(u for u in fit.problem.record_fits[0].model.effects if u.effect.name == "impingement-onset")
-    names = fit.problem.record_fits[0].names
-    index = [k for k, name in enumerate(names) if name.startswith(("ratio.", f"effect.{used.effect.name}."))]
-    chosen, values = [names[k] for k in index], fit.fit.values[index]
-    covariance, reference = fit.bounds.covariance[np.ix_(index, index)], np.array(fit.problem.reference)
-
-    def ratio(at: FloatArray) -> FloatArray:
-        of_ratio = [k for k, name in enumerate(chosen) if name.startswith("ratio.")]
-        zeros = np.zeros((len(of_ratio), len(of_ratio)))
-        own = [chosen[k] for k in of_ratio]
-        linear, _ = estimated_ratio(own, at[of_ratio], zeros, reference, record.ratio_table, x)
-        found = dict(zip(chosen, at, strict=True))
-        return linear + _added(used, found, record, x)
-
-    columns = []
-    for k, sigma in enumerate(np.sqrt(np.diag(covariance))):
-        step = STEP * max(float(sigma), 1e-9)
-        up, down = values.copy(), values.copy()
-        up[k] += step
-        down[k] -= step
-        columns.append((ratio(up) - ratio(down)) / (2.0 * step))
-    B = np.stack(columns, axis=1)
-    return ratio(values), np.sqrt(np.maximum(np.sum((B @ covariance) * B, axis=1), 0.0))
-
-
-def _added(used: EffectUse, values: dict[str, float], record: Record, x: FloatArray) -> FloatArray:
-    """(sample,) what an effect adds to the ratio, by its kernel, at the values of a fit."""
-    given = zip(used.effect.parameters, used.values, strict=True)
-    own = [values.get(f"effect.{used.effect.name}.{p.name}", v) for p, v in given]
-    state = condition_history(record.conditions.at(record.conditions.time_s[:1]))[0]
-    rows = np.tile(state, (len(x), 1))
-    rows[:, : x.shape[1]] = x
-    return values_along(replace(used, values=tuple(own)), rows, np.zeros(len(x)))

@@ -16,11 +16,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.block import ALPHA, LOG10_RE
 from sim_heating.base.report.figure import legend_above, mark_beyond, new_figure
-from sim_heating.campaign.figures.figure_file import PaperFigure, finished
+from sim_heating.campaign.figures.figure_file import PaperFigure, Statement, finished
 from sim_heating.campaign.figures.flown import (
     ECKERT,
     LENGTH_S,
     POPU,
+    SIGMAS,
     STAGNATION,
     FlownData,
     LeftOut,
@@ -28,6 +29,7 @@ from sim_heating.campaign.figures.flown import (
     fit_quality,
     plus_minus,
 )
+from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.trend import Trend
 from sim_heating.heating.ratio.uncertainty import declared_ratio
 from sim_heating.heating.reference.models import reference_heating
@@ -37,7 +39,6 @@ COLORS = {STAGNATION: "tab:blue", ECKERT: "tab:red"}
 NAMES = {STAGNATION: "stagnation point", ECKERT: "turbulent flat plate, Eckert"}
 DETERMINED = 0.5
 """Relative standard deviation up to which a segment sets the limits of the axes [-]."""
-SIGMAS = 2.0
 
 
 def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
@@ -83,7 +84,24 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
         f"heating ratio of {data.points['lower']} in segments of {LENGTH_S:g} s, {flown.label}, at "
         f"{reference[ALPHA]:.1f} deg"
     )
-    return finished(9, title, drawn, {"": table}, tuple(notes))
+    return finished(9, title, drawn, {"": table}, tuple(notes), _statements(fit, ratio, sigma, notes[0]))
+
+
+def _statements(fit: FitResult, ratio: FloatArray, sigma: FloatArray, trend_text: str) -> tuple[Statement, ...]:
+    """What the paper says of the Reynolds-number derivative, and of segments in its place."""
+    found, bound = fit.parameters.get("ratio.d_logre", (0.0, np.inf))
+    lacking = not np.isfinite(bound)
+    text = f"not estimated: {fit.not_estimated['ratio.d_logre']}" if lacking else f"{plus_minus(found, bound)} a decade"
+    return (
+        Statement(
+            78, "a Reynolds-number derivative cannot be estimated in the short manoeuvre", text,
+            lacking or abs(found) < SIGMAS * bound,
+        ),
+        Statement(
+            79, "segments of five seconds with the derivative in angle of attack fixed show a trend with Re",
+            trend_text, abs(ratio[-1] - ratio[0]) > SIGMAS * float(np.hypot(sigma[0], sigma[-1])),
+        ),
+    )  # fmt: skip
 
 
 def _scales(

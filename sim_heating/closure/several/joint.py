@@ -105,7 +105,7 @@ def close_loops(
                over different reference heatings; InputError, RunError where the declared model of one cannot be fitted
 
     >>> import sim_heating as sh
-    >>> flown = sh.synthesize("scenarios/sts2.toml")
+    >>> flown = sh.synthesize("benchmarks/flights/sts2.toml")
     >>> sh.close_loops([flown["V07T9975"], flown["V07T9976"]])
     <JointClosedLoop of V07T9975, V07T9976: impingement-onset + coating-thickness or heat-capacity, RMSE 2.16 K ...>
     """

@@ -268,5 +268,5 @@ def _compiled(kernel: Any) -> tuple[Any, bool]:
     """A kernel as a C function, and whether it can raise."""
     from sim_heating.base.kernels.numba_private import can_raise  # numba is slow to import
 
-    made = c_function(KERNEL, kernel.py_func)
+    made = c_function(KERNEL, kernel.py_func, cache=kernel.py_func.__closure__ is None)
     return made, can_raise(made)

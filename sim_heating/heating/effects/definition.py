@@ -5,13 +5,17 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from typing import Literal, get_args, get_type_hints
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import EXTRAS, HEATING, STATE, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import raise_problems, suggestion
 from sim_heating.base.kernels.block import EFFECT_SLOTS, EFFECT_WIDTH
+from sim_heating.base.kernels.jit import njit
 from sim_heating.base.parameters import MODEL, RECORD_PARAMETERS, Parameter, is_number
+from sim_heating.heating import flight_variables
 
 NEEDED_COLUMNS = (*STATE, *HEATING, "q_add_W_m2", "jets", "qbar_Pa", *EXTRAS)
 """Columns of the flight conditions that an effect may need: those of every flight, and the optional ones."""
@@ -61,6 +65,38 @@ def model_parameter(name: str, stands_for: str, text: str = "", **changes: float
 
 
 @dataclass(frozen=True)
+class Window:
+    """A range of one flight condition within which an effect acts.
+
+    name      : what the effect is called there, after its own name
+    variable  : flight condition by the name of its column, one that kernels read (heating/flight_variables.py)
+    low, high : ends of the range, in the unit of the column
+    ramp      : width of the rise from nothing at either end to all of the effect, within the range, in that unit; 0 for
+                a jump
+    raises    : InputError where the range or the ramp is none, or kernels do not read the variable
+    """
+
+    name: str
+    variable: str
+    low: float
+    high: float
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        known = [name for name, place in vars(flight_variables).items() if isinstance(place, int)]
+        if self.variable not in known:
+            raise InputError(
+                f"window `{self.name}`: effects do not read a flight condition `{self.variable}`"
+                f"{suggestion(self.variable, known)}"
+            )
+        if not self.low < self.high:
+            raise InputError(f"window `{self.name}`: low is {self.low:g} and high {self.high:g}; low is below high")
+        widest = 0.5 * (self.high - self.low)
+        if not 0.0 <= self.ramp <= widest:
+            raise InputError(f"window `{self.name}`: ramp is {self.ramp:g}; give 0 to {widest:g}, half the range")
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect on the heating, on the emittance, or on parameters of the model.
 
@@ -71,6 +107,7 @@ class Effect:
     needs_wall    : whether the kernel's value depends on the wall temperature
     reads_ratio   : whether it depends on the heating ratio that it multiplies; the film is then not affine in the ratio
     lags          : whether the ratio lags; the first two parameters are then time constant [s] and fraction [-]
+    remembers     : whether its value depends on conditions before the present ones in another way
     needs         : columns of the flight conditions (NEEDED_COLUMNS) that must exist and vary for the effect to be
                     identifiable; `close-loop` does not look for it in other flights
     neutral       : its magnitudes and the values at which, all of them together, it does nothing for any other
@@ -84,6 +121,7 @@ class Effect:
     of_flight     : parameters of one flight, such as the time of an event: no two records have them in common
     physics       : the physical process, in a line
     source        : publication or flight in which it was seen
+    window        : range of a flight condition within which it acts; None: always
     raises        : InputError where parameters are too many, mode and kernel or parameters contradict each other, or
                     `neutral` names a parameter, or `needs` a column, that does not exist
 
@@ -101,6 +139,7 @@ class Effect:
     needs_wall: bool = False
     reads_ratio: bool = False
     lags: bool = False
+    remembers: bool = False
     needs: tuple[str, ...] = ()
     neutral: Mapping[str, float] = field(default_factory=dict, compare=False)
     search_starts: Callable[[Conditions], Sequence[SearchStart]] | None = field(default=None, compare=False)
@@ -110,6 +149,7 @@ class Effect:
     of_flight: tuple[str, ...] = ()
     physics: str = ""
     source: str = ""
+    window: Window | None = None
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -247,6 +287,49 @@ class Effect:
 
 def _all_are(values: object, kind: type) -> bool:
     return isinstance(values, (tuple, list)) and all(isinstance(v, kind) for v in values)
+
+
+@njit
+def share_within(v: float, low: float, high: float, ramp: float) -> float:
+    """Part of an effect [-] that acts at the value v of its window's variable, from 0 to 1.
+
+    v, low, high, ramp : in the unit of the variable. Source: docs/reference/effects.md, equation 30.
+    """
+    inside = min(v - low, high - v)
+    if inside < 0.0:
+        return 0.0
+    return inside / ramp if inside < ramp else 1.0
+
+
+@cache
+def effect_within(always: Effect, window: Window) -> Effect:
+    """An effect within a window; it is called `NAME-WINDOW`, and its parameters are those of the effect.
+
+        f_w = n + w (f - n),    w = min(1, max(0, min(v - low, high - v) / ramp))
+
+    always : an effect with a kernel and without memory;  window : range of a flight condition v
+    raises : InputError where the effect takes no window
+
+    n is the value of no effect, 0 of what adds to the ratio and 1 of a factor. docs/reference/effects.md, equation 30.
+    """
+    name = always.name
+    if always.kernel is None:
+        raise InputError(f"effect {name}: takes no window, as it sets parameters of the model; remove `window`")
+    if always.lags or always.remembers:
+        raise InputError(f"effect {name}: takes no window, as it has a memory; remove `window`")
+    kernel, neutral = always.kernel, 0.0 if always.mode == "add" else 1.0
+    place, low, high, ramp = getattr(flight_variables, window.variable), window.low, window.high, window.ramp
+
+    def within(B: FloatArray, c: int, p: int, wall_K: float) -> float:
+        share = share_within(B[c + place], low, high, ramp)
+        if share == 0.0:
+            return neutral
+        return neutral + share * (kernel(B, c, p, wall_K) - neutral)
+
+    needs = dict.fromkeys((*always.needs, window.variable))
+    return replace(
+        always, name=f"{name}-{window.name}", kernel=njit(within), window=window, search_starts=None, needs=tuple(needs)
+    )
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import Any
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import suggestion
-from sim_heating.heating.effects.definition import Effect, EffectUse
+from sim_heating.heating.effects.definition import Effect, EffectUse, Window, effect_within
 
 FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
 PUBLIC = (
@@ -133,15 +133,17 @@ def effect(name: str) -> Effect:
     return known[name]
 
 
-def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
+def use(name: str, values: Mapping[str, float] | None = None, window: Window | None = None) -> EffectUse:
     """An effect with some of its parameters set and the rest nominal.
 
     name    : of the effect
     values  : parameter values by name, each in the parameter's unit
+    window  : range of a flight condition within which it acts; None: always
     returns : the effect and all its values, in the order in which its kernel reads them
     raises  : InputError naming a parameter that the effect does not have, or a value outside its bounds
     """
     found, given = effect(name), dict(values or {})
+    found = found if window is None else effect_within(found, window)
     known = [p.name for p in found.parameters]
     for key in given:
         if key not in known:
@@ -155,6 +157,9 @@ def use(name: str, values: Mapping[str, float] | None = None) -> EffectUse:
 
 def _reduced(found: Effect) -> Any:
     """An effect as another process gets it: by its name, as the module of a user's file has none to be imported by."""
+    if found.window is not None:
+        always = effect(found.name.removesuffix(f"-{found.window.name}"))
+        return effect_within, (always, found.window)
     known = effects().get(found.name) is found
     return (effect, (found.name,)) if known else found.__reduce_ex__(pickle.DEFAULT_PROTOCOL)
 

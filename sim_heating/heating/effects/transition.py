@@ -173,6 +173,7 @@ EFFECT = Effect(
         Parameter("hysteresis", "1", 0.0, 0.1, 0.0, 1.0, "by how much it turns laminar again below its onset"),
     ),
     kernel=transition_factor,
+    remembers=True,
     needs=("log10_re",),
     neutral={"factor": 1.0},
     search_starts=search_starts,
