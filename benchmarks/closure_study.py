@@ -57,6 +57,8 @@ WIDTHS = ("width", "catalysis_width_K", "decay_s")
 GROUPS = {"onsets": ONSETS, "lags": LAGS, "widths": WIDTHS}
 ELSEWHERE = ("emissivity_slope", "start_s", "boil_K")
 """Parameters that the two programs define differently."""
+CURVED = ("alpha-curvature", "elevon-curvature", "bodyflap-curvature", "interaction", "impingement-onset")
+"""Effects beside which a slope of the ratio depends on the condition that it is taken at."""
 
 
 def world_of(row: Row) -> str:
@@ -215,17 +217,21 @@ def estimates(row: Row) -> Iterator[tuple[str, float, float, float]]:
 
 
 def _of_ratio(row: Row) -> Iterator[tuple[str, float, float, float]]:
-    """Those of scale and slopes; the true scale about the reference condition of the report."""
+    """Those of scale and slopes, which with a curvature depend on the reference condition; the scale only where it does
+    not change by half its sigma between that of the truth and that of the report."""
+    if {*row.get("effects", [])} & {*CURVED}:
+        return
     true, stated = row.get("true_errors", {}), row.get("derivatives", {})
     about, reference = row.get("reference_condition", {}), row.get("reference_stated") or {}
-    moved = {
-        d: reference.get(v, about[v]) - about[v] for v, d in zip(VARIABLES, DERIVATIVES, strict=True) if v in about
-    }
+    pairs = zip(VARIABLES, DERIVATIVES, strict=True)
+    moved = {d: reference.get(v, about[v]) - about[v] for v, d in pairs if v in about}
     for key, truth in true.items():
         p = stated.get(f"ratio.{key}")
-        if p is not None and p["sigma"]:
-            shift = sum(true[d] * x for d, x in moved.items()) / row["mean_ratio"] if key == "scale" else 0.0
-            yield f"ratio.{key}", truth + shift, p["value"], p["sigma"]
+        if p is None or not p["sigma"]:
+            continue
+        shift = sum(true[d] * x for d, x in moved.items()) / row["mean_ratio"]
+        if key != "scale" or abs(shift) < 0.5 * p["sigma"]:
+            yield f"ratio.{key}", truth, p["value"], p["sigma"]
 
 
 def ranks(rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -53,8 +53,8 @@ class Bench:
         return np.array([floor_K(sensors[i]) for i in used(sensors)])
 
     def over_floors(self, K: FloatArray) -> FloatArray:
-        """(reading,) of (sample, sensor) temperatures, over the floors."""
-        return np.asarray((K[self.fit][:, used(self.case.point.sensors)] / self.floors).T.ravel())
+        """(reading,) of (sample, sensor) temperatures, over the floors; 0 of what is lost."""
+        return np.nan_to_num((K[self.fit][:, used(self.case.point.sensors)] / self.floors).T.ravel())
 
     @cached_property
     def _modes(self) -> tuple[FloatArray, FloatArray]:
