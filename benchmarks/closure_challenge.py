@@ -86,7 +86,7 @@ def jobs(classes: Sequence[str], share: float, worlds: Sequence[str] = ("exact",
             if k < max(share * sizes[c], 1):
                 name = name_of(k, c, world != "exact")
                 wanted.append(((k + 0.5) / sizes[c], Job(f"{name}.json", (c, k, world != "exact", seed))))
-    if FLOWN in classes:
+    if FLOWN in classes and "exact" in worlds:
         names = flown_names()
         count = max(round(share * SEEDS), 1)
         few = [name for name in names if int(name.rpartition("-")[2]) <= count]
@@ -527,7 +527,7 @@ def main(share: float, classes: str, world: str, seed: int, processes: int, figu
     from benchmarks.closure_study import study_text
 
     worlds = tuple(WORLDS) if world == "both" else (world,)
-    everything = (*dict.fromkeys(c for w in worlds for c in WORLDS[w]), FLOWN)
+    everything = (*dict.fromkeys(c for w in worlds for c in WORLDS[w]), *([FLOWN] if "exact" in worlds else []))
     chosen = everything if classes == "all" else tuple(name.strip() for name in classes.split(","))
     unknown = [name for name in chosen if name not in everything]
     if unknown:
