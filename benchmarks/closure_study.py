@@ -268,9 +268,17 @@ def _coverage_figures(rows: Sequence[Row]) -> list[Figure]:
         if z[group]:
             figures += share_of(f"95 % intervals hold the truth, {group}", [{"z": x} for x in z[group]], _inside, 0.93)
     told = [r for r in rows if r.get("stated_error") and "model_error" in r and r["model_error"]["heating"]]
+    exact = [r for r in rows if r.get("stated_error") and "model_error" in r and is_exact(r["model_error"])]
+    what = "called measured, and exact: 95 % limit of the error below 1 % of the heating"
+    figures += share_of(what, exact, lambda r: r["stated_error"]["relative_heating"]["limit_95"] < 0.01, 0.9)
     for name, key in (("realised size", "rms_while_hot"), ("standard deviation", "relative")):
         figures += share_of(f"model error below its stated 95 % limit, {name}", told, _below(key), 0.93)
     return figures
+
+
+def is_exact(error: Mapping[str, Any]) -> bool:
+    """Whether neither heating nor flight nor clock of a record differ from what it states."""
+    return not (error["heating"] or error["flight"] or error["drift_s"] or error["spike"])
 
 
 def _inside(row: Row) -> bool:

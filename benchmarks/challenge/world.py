@@ -196,12 +196,14 @@ class World:
 
 
 def draw_world(rng: Generator, case: Case, of_class: str, number: int) -> World:
-    """Errors of a record; of class `error` one kind alone, of the others a mixture."""
+    """Errors of a record; of class `error` one kind alone, or nothing and called measured; of the others a mixture."""
     declared = DECLARED[(number + number // 6) % 3]
     world = World(declared=declared)
     if of_class == "error":
-        kind = (*HEATING, "flight")[number % 3]
-        world = replace(world, declared=DECLARED[(number // 3) % 3])
+        kind = (*HEATING, "flight", "nothing")[number % 4]
+        if kind == "nothing":
+            return replace(world, declared="not")
+        world = replace(world, declared=DECLARED[(number // 4) % 3])
         return _with_flight(rng, world, case) if kind == "flight" else _with_heating(rng, world, case, kind)
     if rng.random() < 0.85:
         world = _with_heating(rng, world, case, str(rng.choice(HEATING)))
