@@ -15,7 +15,7 @@ NAMES = (
     "estimator_speed", "estimator_null", "estimator_statistics", "process_noise", "residual", "sts96", "tile_phases",
     "tile_left_out", "switched_off",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
-    "closure", "campaign",
+    "closure", "closure_challenge", "campaign",
     "live", "journals", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
     "live_hour",
     "live_picture", "waiting", "scaling", "layouts",

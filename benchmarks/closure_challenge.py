@@ -4,13 +4,16 @@
     python -m benchmarks.closure_challenge --share 0.1             # a tenth of every class, for work between full runs
     python -m benchmarks.closure_challenge --classes null,wall     # some classes
     python -m benchmarks.closure_challenge --figures               # figures of the finished records
+    python -m benchmarks closure_challenge                         # records of exact and of imperfect models, all
+    python -m benchmarks.closure_challenge --world imperfect --seed 7 --share 0.1 --processes 1
 
-Finished records are kept in out/closure_challenge: an interrupted run is resumed from there. What counts as right:
+Finished records are kept in out/closure_challenge, of another seed in seed_N below it: an interrupted run is resumed
+from there. Statements by class, reliability, ranks and coverage: closure_study.py. What counts as right:
 
 - effects: each thing found contains a true effect in its set of names, and each true effect is in one of the sets;
   nothing else is named. A rival that the generator's linear estimate cannot tell from the truth counts as the truth.
 - a fault of wall, flight, sensor or table: an entry of not_effects of that kind, or an effect that reports the fault.
-- nothing: `none`. A form that no library has: `unknown` or `partly`.
+- nothing: `none`, whatever errors the model has. A form that no library has: `unknown` or `partly`.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from benchmarks.challenge.record import CLASSES, KINDS, whole_set
+from benchmarks.challenge.record import CLASS_NAMES, CLASSES, WORLDS, name_of, whole_set
 from benchmarks.challenge.record import make_and_write as make_challenge
 from benchmarks.closure import limits, proportion, rmse_K, search_of_effect
 from benchmarks.measure import Figure, save, table
@@ -45,8 +48,12 @@ FLOWN = "flown"
 NAMED = ("found", "one of")
 SURE = 0.95
 """Probability from which on a finding is meant to be relied on."""
+LARGEST_ERROR = 0.15
+"""Relative error of the heating beyond which a model may not be named."""
 ADEQUATE = 0.01
 """p-value of the adequacy above which a model explains the record to its noise."""
+UNLISTED = ("unknown", "lacking")
+"""Classes whose causes no library has."""
 CLOSE = 10.0
 """Difference of BIC below which a fit that knows the truth cannot tell it from what was found."""
 LIBRARY = {
@@ -61,7 +68,7 @@ LIBRARY = {
 }  # fmt: skip
 """Forms of the generator that the package has, by effect."""
 REFUSED = {"finding": "refused", "alternatives": [], "probability": 0.0, "calibrated": False, "not_effects": [],
-           "p_value": None, "converged": True}  # fmt: skip
+           "p_value": None, "converged": True, "effects_stated": []}  # fmt: skip
 """What is kept of a record that is not read."""
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Limits of the probabilities that are counted together."""
@@ -70,16 +77,21 @@ BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 # Making and closing --------------------------------------------------------------------------------------------------
 
 
-def jobs(classes: Sequence[str], share: float) -> list[Job]:
+def jobs(classes: Sequence[str], share: float, worlds: Sequence[str] = ("exact",), seed: int = SEED) -> list[Job]:
     """A share of every class, spread evenly; the first part of the run is representative at any time."""
-    made = [c for c in classes if c in CLASSES]
-    whole = [(c, k) for c, k in whole_set(sum(CLASSES[c] for c in made), made) if k < max(share * CLASSES[c], 1)]
-    wanted = [((k + 0.5) / CLASSES[c], Job(f"{c}-{k:03d}.json", (c, k))) for c, k in whole]
-    if FLOWN in classes:
+    wanted = []
+    for world in worlds:
+        sizes = {c: WORLDS[world][c] for c in classes if c in WORLDS[world]}
+        for c, k in whole_set(sum(sizes.values()), tuple(sizes), world):
+            if k < max(share * sizes[c], 1):
+                name = name_of(k, c, world != "exact")
+                wanted.append(((k + 0.5) / sizes[c], Job(f"{name}.json", (c, k, world != "exact", seed))))
+    if FLOWN in classes and "exact" in worlds:
         names = flown_names()
         count = max(round(share * SEEDS), 1)
         few = [name for name in names if int(name.rpartition("-")[2]) <= count]
-        wanted += [((i + 0.5) / len(few), Job(f"{name}.json", (FLOWN, name))) for i, name in enumerate(few)]
+        flown = [Job(f"{name}.json", (FLOWN, name, False, seed)) for name in few]
+        wanted += [((i + 0.5) / len(few), job) for i, job in enumerate(flown)]
     return [job for _, job in sorted(wanted, key=lambda w: (w[0], w[1].id))]
 
 
@@ -100,15 +112,15 @@ def _answers(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "answers.toml").read_text())
 
 
-def make_and_close(task: tuple[str, int | str]) -> bytes:
+def make_and_close(task: tuple[str, int | str, bool, int]) -> bytes:
     """Make a record, or take one of the flown ones, and close its loop; truth and finding as JSON."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    of_class, which = task
+    of_class, which, imperfect, seed = task
     if isinstance(which, str):
         answer = _answers(LEDGER / "records")[which]
         return json.dumps(closed(LEDGER / "records" / which, answer)).encode()
     with tempfile.TemporaryDirectory() as folder:
-        name, answer, _ = make_challenge((SEED, which, of_class, Path(folder)))
+        name, answer, _ = make_challenge((seed, which, of_class, Path(folder), imperfect))
         return json.dumps(closed(Path(folder) / name, answer)).encode()
 
 
@@ -119,8 +131,9 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     from sim_heating.inputs.record import load_record
 
     kept = ("class", "form", "flight", "wall", "effects", "accepted", "separable", "kind", "what", "size",
-            "residual_over_floor", "chi_square", "noise_floor_K", "noise", "true_rmse_K")  # fmt: skip
-    row = {key: answer[key] for key in kept if key in answer}
+            "residual_over_floor", "chi_square", "log_evidence", "noise_floor_K", "noise", "true_rmse_K", "parameters",
+            "true_errors", "reference_condition", "mean_ratio", "world", "model_error")  # fmt: skip
+    row = {key: answer[key] for key in kept if key in answer} | {"record": directory.name}
     begun = time.process_time()
     try:
         record = load_record(directory)
@@ -130,7 +143,7 @@ def closed(directory: Path, answer: Mapping[str, Any]) -> dict[str, Any]:
     report = closure_json(loop.report)
     row |= stated(report) | used_for_probability(loop.search) | {"cpu_s": time.process_time() - begun}
     after = {part: e["rmse_K"] for part, e in report["after"].items() if e}
-    row["after_K"] = after
+    row |= {"after_K": after, "contradictions": contradictions(report)}
     truth = row.get("true_rmse_K", {})
     if row["class"] == "one" and any(after[p] > 1.1 * truth[p] for p in after.keys() & truth.keys()):
         row["known_K"] = rmse_K(search_of_effect(loop.search, row["effects"][0]))
@@ -150,7 +163,36 @@ def stated(report: Mapping[str, Any]) -> dict[str, Any]:
         "not_effects": [{"kind": entry["kind"], "what": entry["what"]} for entry in report["not_effects"]],
         "p_value": adequacy["p_value"],
         "converged": report["converged"],
+        **{key: report.get(key) for key in ("resembles", "samples", "barred")},
+        "stated_error": report.get("model_error"),
+        "effects_stated": [{"name": e["name"], "parameters": e["parameters"]} for e in report.get("effects", [])],
+        "derivatives": {n: p for n, p in report.get("estimated", {}).items() if n.startswith("ratio.")},
+        "reference_stated": report.get("reference_condition"),
     }
+
+
+def contradictions(report: Mapping[str, Any]) -> list[str]:
+    """Statements of a report that cannot both hold, a line each."""
+    finding, p = report["finding"], (report["adequacy"] or {"p_value": None})["p_value"]
+    before, after = report["before"], report["after"]
+    named, size = finding in NAMED, report.get("model_error")
+    parts = [part for part in ("fit", "holdout") if before[part] and after[part]]
+    checks = {
+        f"`{finding}` with p = {p}": finding in (*NAMED, "none") and p is not None and p < ADEQUATE,
+        f"`{finding}` and the last fit has not converged": named and not report["converged"],
+        f"`{finding}` with effects": not named and bool(report["effects"]),
+        f"`{finding}` without a cause": named and not report["effects"] and not report["not_effects"],
+        f"`{finding}` resembles {report['resembles']}": named and bool(report["resembles"]),
+        "`none` with other errors after": finding == "none" and any(before[k] != after[k] for k in parts),
+        "the cause makes the fitted errors larger": named and after["fit"]["rmse_K"] > 1.02 * before["fit"]["rmse_K"],
+        "a model error above 15 % of the heating is named": named
+        and size is not None
+        and size["relative_heating"]["value"] > LARGEST_ERROR,
+        f"probability {report['probability']}": report["probability"] is not None
+        and not 0.0 <= report["probability"] <= 1.0,
+        "a model that fits better is barred without a reason": any(not b["reason"] for b in report["barred"]),
+    }
+    return [line for line, holds in checks.items() if holds]
 
 
 def used_for_probability(found: SearchResult) -> dict[str, Any]:
@@ -234,7 +276,7 @@ def things(row: Mapping[str, Any]) -> list[list[str]]:
 
 def truth_of(row: Mapping[str, Any]) -> list[list[str]]:
     """For each thing that is true the names that count as right; a table's error has to be named."""
-    if row["class"] not in KINDS:
+    if "kind" not in row:
         return list(row["accepted"])
     own = [name for name in row["accepted"][0] if row["class"] != "table" or name != "none"]
     return [[f"kind:{row['kind']}", *own]]
@@ -246,8 +288,9 @@ def verdict(row: Mapping[str, Any]) -> str:
     if row["finding"] == "refused":
         return "right" if row["class"] == "sensor" else "wrong"
     undecided = row["finding"] in ("unknown", "partly")
-    if row["class"] == "unknown":
-        right = undecided or ("none" in truth[0] and not found)
+    if row["class"] in UNLISTED:
+        rivals = row["class"] == "lacking" and explains(found, truth)
+        right = undecided or ("none" in truth[0] and not found) or rivals
     else:
         right = not undecided and explains(found, truth)
     if right:
@@ -299,7 +342,7 @@ def share_of(
 
 def figures_of(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """The table of figures: findings by class, probabilities, sets, errors, time."""
-    of = {c: [r for r in rows if r["class"] == c] for c in (*CLASSES, FLOWN)}
+    of = {c: [r for r in rows if r["class"] == c] for c in (*CLASS_NAMES, FLOWN)}
     faults = [r for c in ("wall", "flight", "sensor") for r in of[c]]
     figures = [*_of_flown(of[FLOWN]), *_of_probabilities(rows), *_of_sets(rows)]
     for of_class, target in (("one", 0.95), ("two", 0.9), ("three", None), ("table", None), ("unknown", None)):
@@ -331,8 +374,13 @@ def is_statement(row: Mapping[str, Any]) -> bool:
     return row["finding"] in (*NAMED, "none")
 
 
+def is_stated(row: Mapping[str, Any]) -> bool:
+    """Whether a report states something with a calibrated probability."""
+    return is_statement(row) and row.get("calibrated", True)
+
+
 def _of_probabilities(rows: Sequence[dict[str, Any]]) -> list[Figure]:
-    sure = [r for r in rows if is_statement(r) and r["probability"] >= SURE]
+    sure = [r for r in rows if is_stated(r) and r["probability"] >= SURE]
     figures = share_of(f"stated with {SURE} or more: right", sure, is_right, 0.95)
     for of_class in (*CLASSES, FLOWN):
         some = [r for r in sure if r["class"] == of_class]
@@ -398,7 +446,7 @@ def reliability(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for low, high in pairwise(BINS):
         last = high == BINS[-1]
-        some = [r for r in rows if is_statement(r) and low <= r["probability"] and (r["probability"] < high or last)]
+        some = [r for r in rows if is_stated(r) and low <= r["probability"] and (r["probability"] < high or last)]
         if some:
             hits = sum(map(is_right, some))
             mean = float(np.mean([r["probability"] for r in some]))
@@ -410,35 +458,57 @@ def reliability(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def by_class(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
     """Class -> verdict -> how many."""
     verdicts = ("right", "undecided", "missed", "wrong")
-    counted = {c: [verdict(r) for r in rows if r["class"] == c] for c in (*CLASSES, FLOWN)}
+    counted = {c: [verdict(r) for r in rows if r["class"] == c] for c in (*CLASS_NAMES, FLOWN)}
     return {c: {v: found.count(v) for v in verdicts} for c, found in counted.items() if found}
 
 
-def finished() -> list[dict[str, Any]]:
-    """Rows of the finished records."""
-    return [json.loads(path.read_text()) for path in sorted(LEDGER.glob("*.json"))]
+def ledger(seed: int = SEED) -> Path:
+    """Folder of the finished records of a seed."""
+    return LEDGER if seed == SEED else LEDGER / f"seed_{seed}"
 
 
-def figures_and_results(rows: Sequence[dict[str, Any]], name: str = "closure_challenge") -> list[Figure]:
+def finished(seed: int = SEED, worlds: Sequence[str] = ("exact",)) -> list[dict[str, Any]]:
+    """Rows of the finished records of some worlds."""
+    rows = [json.loads(path.read_text()) for path in sorted(ledger(seed).glob("*.json"))]
+    return [r for r in rows if r.get("world", "exact") in worlds]
+
+
+def figures_and_results(
+    rows: Sequence[dict[str, Any]], name: str = "closure_challenge", seed: int = SEED
+) -> list[Figure]:
     """Figures of rows, saved with verdicts by class, the reliability of probabilities, and the rows."""
-    figures = figures_of(rows)
-    more = {"seed": SEED, "by_class": by_class(rows), "reliability": reliability(rows), "records": list(rows)}
+    from benchmarks.closure_study import study, study_figures  # which uses the verdicts of this module
+
+    exact = [r for r in rows if r.get("world", "exact") == "exact"]
+    figures = [*(figures_of(exact) if exact else []), *study_figures(rows)]
+    more = {"seed": seed, "by_class": by_class(exact), "reliability": reliability(exact), "study": study(rows),
+            "records": list(rows)}  # fmt: skip
     save(name, figures, more)
     return figures
 
 
-def run(classes: Sequence[str] = (*CLASSES, FLOWN), share: float = 1.0) -> list[Figure]:
-    """Make and close the records that are not finished, in two processes."""
-    outcome = run_batches(jobs(classes, share), make_and_close, LEDGER, workers=2, progress=_progress)
-    failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=", ".join(outcome.failed))
+def run(
+    classes: Sequence[str] = (*CLASS_NAMES, FLOWN),
+    share: float = 1.0,
+    worlds: Sequence[str] = tuple(WORLDS),
+    seed: int = SEED,
+    processes: int = 2,
+) -> list[Figure]:
+    """Make and close the records that are not finished."""
+    wanted = jobs(classes, share, worlds, seed)
+    outcome = run_batches(wanted, make_and_close, ledger(seed), workers=processes, progress=_progress)
+    note = "; ".join(f"{name}: {reason}" for name, reason in outcome.failed.items())
+    failed = Figure("records that could not be closed", len(outcome.failed), "", 0, note=note)
     rows = [json.loads(path.read_text()) for path in outcome.done.values()]
-    return [failed, *figures_and_results(rows, name_of(classes, share))]
+    return [failed, *figures_and_results(rows, results_name(classes, share, worlds), seed)]
 
 
-def name_of(classes: Sequence[str], share: float) -> str:
-    """Name of the results: `closure_challenge`, with `_share` and the classes where these are not all."""
-    some = "" if len(classes) == len(CLASSES) + 1 else "_" + "_".join(classes)
-    return f"closure_challenge{'' if share == 1.0 else '_share'}{some}"
+def results_name(classes: Sequence[str], share: float, worlds: Sequence[str] = ("exact",)) -> str:
+    """Name of the results: `closure_challenge`, with the worlds, `_share` and the classes where these are not all."""
+    known = {c for world in worlds for c in WORLDS[world]}
+    some = "" if known <= {*classes} else "_" + "_".join(classes)
+    world = "" if tuple(worlds) == ("exact",) else "_" + "_".join(worlds)
+    return f"closure_challenge{world}{'' if share == 1.0 else '_share'}{some}"
 
 
 def _progress(fraction: float, text: str) -> None:
@@ -447,22 +517,28 @@ def _progress(fraction: float, text: str) -> None:
 
 @click.command(help="Close the loop on the classes of `challenge` and on the project's own flights.")
 @click.option("--share", type=click.FloatRange(0.0, 1.0), default=1.0, show_default=True, help="of every class")
-@click.option("--classes", default="all", help=f"some of {', '.join((*CLASSES, FLOWN))}, with commas")
+@click.option("--classes", default="all", help=f"some of {', '.join((*CLASS_NAMES, FLOWN))}, with commas")
+@click.option("--world", type=click.Choice([*WORLDS, "both"]), default="exact", show_default=True, help="of the models")
+@click.option("--seed", type=click.IntRange(0), default=SEED, show_default=True, help="of the records")
+@click.option("--processes", type=click.IntRange(1), default=2, show_default=True)
 @click.option("--figures", is_flag=True, help="of the finished records; none are made")
-def main(share: float, classes: str, figures: bool) -> None:
+def main(share: float, classes: str, world: str, seed: int, processes: int, figures: bool) -> None:
     """Run, or print the figures of the finished part."""
-    chosen = (*CLASSES, FLOWN) if classes == "all" else tuple(name.strip() for name in classes.split(","))
-    unknown = [name for name in chosen if name not in (*CLASSES, FLOWN)]
+    from benchmarks.closure_study import study_text
+
+    worlds = tuple(WORLDS) if world == "both" else (world,)
+    everything = (*dict.fromkeys(c for w in worlds for c in WORLDS[w]), *([FLOWN] if "exact" in worlds else []))
+    chosen = everything if classes == "all" else tuple(name.strip() for name in classes.split(","))
+    unknown = [name for name in chosen if name not in everything]
     if unknown:
-        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join((*CLASSES, FLOWN))}, or all")
+        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join(everything)}, or all")
     if figures:
-        rows = [r for r in finished() if r["class"] in chosen]
-        click.echo(table(figures_and_results(rows)))
+        rows = [r for r in finished(seed, worlds) if r["class"] in chosen]
+        click.echo(table(figures_and_results(rows, results_name(chosen, share, worlds), seed)))
     else:
-        click.echo(table(run(chosen, share)))
-        rows = [r for r in finished() if r["class"] in chosen]
-    for of_class, counted in by_class(rows).items():
-        click.echo(f"{of_class:<9}" + "".join(f"{name} {n:<6}" for name, n in counted.items()))
+        click.echo(table(run(chosen, share, worlds, seed, processes)))
+        rows = [r for r in finished(seed, worlds) if r["class"] in chosen]
+    click.echo(study_text(rows))
 
 
 if __name__ == "__main__":

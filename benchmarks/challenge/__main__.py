@@ -15,27 +15,28 @@ import click
 import numpy as np
 
 from benchmarks.challenge.files import toml_text
-from benchmarks.challenge.record import CLASSES, make_and_write, whole_set
+from benchmarks.challenge.record import WORLDS, make_and_write, whole_set
 
 
 @click.command(help="Write flight records with known truth, and answers.toml next to them.")
-@click.option(
-    "--count", type=click.IntRange(1), default=sum(CLASSES.values()), show_default=True, help="how many records"
-)
+@click.option("--count", type=click.IntRange(1), help="how many records; the whole set without")
 @click.option("--seed", type=click.IntRange(0), required=True, help="the same seed makes the same records")
-@click.option("--classes", default="all", show_default=True, help=f"some of {', '.join(CLASSES)}, with commas")
+@click.option("--world", type=click.Choice(list(WORLDS)), default="exact", show_default=True, help="of the model")
+@click.option("--classes", default="all", show_default=True, help="some of the world's, with commas")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="a new directory")
 @click.option("--processes", type=click.IntRange(1), default=1, show_default=True)
-def main(count: int, seed: int, classes: str, out: Path, processes: int) -> None:
+def main(count: int | None, seed: int, world: str, classes: str, out: Path, processes: int) -> None:
     """Make and write."""
-    names = list(CLASSES) if classes == "all" else [name.strip() for name in classes.split(",")]
-    unknown = [name for name in names if name not in CLASSES]
+    known = WORLDS[world]
+    names = list(known) if classes == "all" else [name.strip() for name in classes.split(",")]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join(CLASSES)}, or all")
+        raise click.BadParameter(f"`{unknown[0]}` is not a class; known: {', '.join(known)}, or all")
     if out.exists() and any(out.iterdir()):
         raise click.BadParameter(f"`{out}` is not empty; give a new directory")
     out.mkdir(parents=True, exist_ok=True)
-    tasks = [(seed, number, of_class, out) for of_class, number in whole_set(count, names)]
+    count = sum(known[name] for name in names) if count is None else count
+    tasks = [(seed, number, of_class, out, world == "imperfect") for of_class, number in whole_set(count, names, world)]
     answers: dict[str, dict[str, Any]] = {}
     start, seconds = time.perf_counter(), []
     with get_context("spawn").Pool(processes) as pool:

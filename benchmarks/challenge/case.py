@@ -57,6 +57,8 @@ class Deviation:
     shifts_m      : thermocouple -> how much deeper it is than declared
     back          : film coefficient, temperature, emissivity, exponent
     deposit       : weights of a depth, share of the convective flux, share of it that the surface lacks
+    added         : (time,) flux into the surface besides convection [W/m2]
+    side          : weights of a depth: G of what is lost sideways [W/(m3 K)]
     water         : content of a depth [kg/m3]; latent heat, boiling and width [K], time [s], share condensing inward
     read, after   : on (time, sensor) temperatures before noise and word, and after them
     skew_s        : (time,) by which the clock of the thermocouples lags
@@ -71,6 +73,8 @@ class Deviation:
     shifts_m: tuple[tuple[int, float], ...] = ()
     back: tuple[float, ...] | None = None
     deposit: tuple[Weights, float, float] | None = None
+    added: FloatArray | float = 0.0
+    side: Weights | None = None
     water: tuple[Weights, FloatArray] | None = None
     read: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
     after: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
@@ -88,6 +92,8 @@ class Deviation:
             shifts_m=self.shifts_m + other.shifts_m,
             back=self.back or other.back,
             deposit=self.deposit or other.deposit,
+            added=self.added + other.added,
+            side=self.side or other.side,
             water=self.water or other.water,
             read=self.read + other.read,
             after=self.after + other.after,
@@ -131,6 +137,11 @@ class Case:
     def misrecorded(self, change: Callable[[dict[str, FloatArray]], dict[str, FloatArray]]) -> Case:
         """The same flight, recorded with other state; what is derived from the state is derived from the wrong one."""
         state = change({name: np.array(values) for name, values in self.flown.items()})
+        return replace(self, recorded=columns_of(state, self.point, "jets" in self.flown))
+
+    def recorded_again(self, change: Callable[[dict[str, FloatArray]], dict[str, FloatArray]]) -> Case:
+        """The same flight, with a further error in what was recorded."""
+        state = change({name: np.array(values) for name, values in self.recorded.items()})
         return replace(self, recorded=columns_of(state, self.point, "jets" in self.flown))
 
     @cached_property
@@ -200,6 +211,8 @@ class History:
             diverted=share * diverted,
             water=wall.shares(content),
             moisture=moisture,
+            added=np.broadcast_to(np.asarray(deviation.added, dtype=float), n).copy(),
+            side=wall.shares(deviation.side or np.zeros_like),
         )
         nodes = [wall.node(depth) for depth in depths]
         return march(wall, forcing, case.point.stack["initial_K"], nodes, self.step_s)

@@ -118,14 +118,14 @@ def _contact(history: History, form: str, p: Parameters) -> Deviation:
 # Flight --------------------------------------------------------------------------------------------------------------
 
 
-def _hot_time(rng: Generator, case: Case, low: float, high: float) -> float:
+def hot_time(rng: Generator, case: Case, low: float, high: float) -> float:
     history = case.at(STEP)
     hot = history.t[history.hot]
     return round(float(hot[int(rng.uniform(low, high) * (len(hot) - 1))]), 1)
 
 
 def _draw_velocity(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    return {"size": float(sign(rng) * rng.uniform(0.02, 0.06)), "start_s": _hot_time(rng, case, 0.1, 0.7)}
+    return {"size": float(sign(rng) * rng.uniform(0.02, 0.06)), "start_s": hot_time(rng, case, 0.1, 0.7)}
 
 
 def _velocity(case: Case, form: str, p: Parameters, state: State) -> State:
@@ -138,7 +138,7 @@ def _velocity(case: Case, form: str, p: Parameters, state: State) -> State:
 
 def _draw_layer(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     history = case.at(STEP)
-    h = float(np.interp(_hot_time(rng, case, 0.2, 0.8), history.t, history.columns["altitude_m"]))
+    h = float(np.interp(hot_time(rng, case, 0.2, 0.8), history.t, history.columns["altitude_m"]))
     return {
         "size": float(sign(rng) * rng.uniform(0.08, 0.2)),
         "altitude_m": h,
@@ -195,7 +195,7 @@ def _swap(history: History, form: str, p: Parameters) -> Deviation:
     return Deviation(read=(read,))
 
 
-def _one(rng: Generator, case: Case, form: str) -> dict[str, Any]:
+def one_sensor(rng: Generator, case: Case, form: str) -> dict[str, Any]:
     sensors = [case.point.sensors[i] for i in used(case.point.sensors)]
     return {"sensor": str(rng.choice([s["name"] for s in sensors]))}
 
@@ -214,7 +214,7 @@ def _unit(history: History, form: str, p: Parameters) -> Deviation:
 
 
 def _draw_stuck(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    return _one(rng, case, form) | {"start_s": _hot_time(rng, case, 0.15, 0.8)}
+    return one_sensor(rng, case, form) | {"start_s": hot_time(rng, case, 0.15, 0.8)}
 
 
 def _stuck(history: History, form: str, p: Parameters) -> Deviation:
@@ -227,7 +227,7 @@ def _stuck(history: History, form: str, p: Parameters) -> Deviation:
 
 
 def _draw_clipped(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    drawn = _one(rng, case, form)
+    drawn = one_sensor(rng, case, form)
     i = [s["name"] for s in case.point.sensors].index(drawn["sensor"])
     T = case.at(STEP).temperatures()[:, 1 + i]
     return drawn | {"limit_K": float(np.max(T) - rng.uniform(0.04, 0.2) * np.ptp(T))}
@@ -238,7 +238,7 @@ def _clipped(history: History, form: str, p: Parameters) -> Deviation:
 
 
 def _draw_drift(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    return _one(rng, case, form) | {"drift_K": float(sign(rng) * rng.uniform(5.0, 30.0))}
+    return one_sensor(rng, case, form) | {"drift_K": float(sign(rng) * rng.uniform(5.0, 30.0))}
 
 
 def _drift(history: History, form: str, p: Parameters) -> Deviation:
@@ -246,6 +246,10 @@ def _drift(history: History, form: str, p: Parameters) -> Deviation:
     if form == "hot":  # with the time spent hot, as a junction that deteriorates
         return on_sensor(place(history, p), lambda t, T: T + p["drift_K"] * np.cumsum(0.7 * np.max(T) < T) / len(t))
     return on_sensor(place(history, p), lambda t, T: T + p["drift_K"] * share)
+
+
+def _draw_gain(rng: Generator, case: Case, form: str) -> dict[str, Any]:
+    return one_sensor(rng, case, form) | {"gain": float(1.0 + sign(rng) * rng.uniform(0.01, 0.06))}
 
 
 def _gain(history: History, form: str, p: Parameters) -> Deviation:
@@ -270,7 +274,8 @@ def _depth(history: History, form: str, p: Parameters) -> Deviation:
 
 
 def _draw_lag_change(rng: Generator, case: Case, form: str) -> dict[str, Any]:
-    return _one(rng, case, form) | {"tau_s": float(rng.uniform(4.0, 20.0)), "start_s": _hot_time(rng, case, 0.2, 0.6)}
+    drawn = one_sensor(rng, case, form)
+    return drawn | {"tau_s": float(rng.uniform(4.0, 20.0)), "start_s": hot_time(rng, case, 0.2, 0.6)}
 
 
 def _lag_change(history: History, form: str, p: Parameters) -> Deviation:
@@ -478,7 +483,7 @@ FAULTS: dict[str, tuple[Family, ...]] = {
     ),
     "sensor": (
         Family("swap", ("neighbours",), _two, _swap, points=(*IN_DEPTH, "V07T9975", "own-plate", "LOWER_MID")),
-        Family("unit", ("degC", "degF"), _one, _unit),
+        Family("unit", ("degC", "degF"), one_sensor, _unit),
         Family("stuck", ("held",), _draw_stuck, _stuck),
         Family("clipped", ("top",), _draw_clipped, _clipped),
         Family(
@@ -487,7 +492,7 @@ FAULTS: dict[str, tuple[Family, ...]] = {
         Family(
             "gain",
             ("factor",),
-            lambda rng, case, form: _one(rng, case, form) | {"gain": float(1.0 + sign(rng) * rng.uniform(0.01, 0.06))},
+            _draw_gain,
             _gain,
             {"gain": (1.0, 0.85, 1.15)},
             effects=("sensor-bias",),

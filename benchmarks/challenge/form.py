@@ -32,6 +32,7 @@ class Family:
     recorded  : for a fault of the flight: the state as it was recorded, from the state as it was
     effects   : names of effects that report it all the same
     is_slope  : whether a refit of the slopes takes up all of it
+    kind      : "wall", "flight" or "sensor" of a fault whose class does not say it; empty where it is none of them
     """
 
     name: str
@@ -44,6 +45,7 @@ class Family:
     recorded: Callable[[Case, str, Parameters, dict[str, Any]], dict[str, Any]] | None = None
     effects: tuple[str, ...] = ()
     is_slope: bool = False
+    kind: str = ""
 
 
 @dataclass(frozen=True)

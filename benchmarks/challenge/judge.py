@@ -1,9 +1,10 @@
 """How visible a deviation is, and which effects resemble it, by linear estimates.
 
 Readings are taken as linear in scale, slopes and the size of a deviation, and weighted with each thermocouple's noise
-floor; marches have steps of a second and a third of the elements: enough for differences. A rival explains a deviation
-where chi-square + k log n, with k its parameters, is less than 10 above that of the truth. Its parameters are the best
-of some draws and of some changes of the best draw: a rival that a full fit brings close may be missed.
+floor, what the model does not know besides (world.py) being further noise, correlated; marches have steps of a second
+and a third of the elements: enough for differences. A rival explains a deviation where chi-square + k log n, with k its
+parameters, is less than 10 above that of the truth. Its parameters are the best of some draws and of some changes of
+the best draw: a rival that a full fit brings close may be missed.
 """
 
 from __future__ import annotations
@@ -35,12 +36,15 @@ BIC = 10.0
 class Bench:
     """A case as recorded, at the fitted samples of its used thermocouples.
 
-    t, fit : (sample,) times and which are fitted
+    t, fit  : (sample,) times and which are fitted
+    unknown : (reading, mode) responses over the floors to one standard deviation of each error that the model of the
+              record has besides the noise; None where it has none
     """
 
     case: Case
     t: FloatArray
     fit: NDArray[np.bool_]
+    unknown: FloatArray | None = None
 
     @cached_property
     def floors(self) -> FloatArray:
@@ -48,9 +52,26 @@ class Bench:
         sensors = self.case.point.sensors
         return np.array([floor_K(sensors[i]) for i in used(sensors)])
 
+    def over_floors(self, K: FloatArray) -> FloatArray:
+        """(reading,) of (sample, sensor) temperatures, over the floors; 0 of what is lost."""
+        return np.nan_to_num((K[self.fit][:, used(self.case.point.sensors)] / self.floors).T.ravel())
+
+    @cached_property
+    def _modes(self) -> tuple[FloatArray, FloatArray]:
+        """Orthonormal modes of the unknown errors, and by how much a reading along each is shortened."""
+        U, size, _ = np.linalg.svd(np.asarray(self.unknown), full_matrices=False)
+        return U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+
     def stacked(self, K: FloatArray) -> FloatArray:
-        """(reading,) of (sample, sensor) temperatures, over the floors."""
-        return np.asarray((K[self.fit][:, used(self.case.point.sensors)] / self.floors).T.ravel())
+        """(reading,) of (sample, sensor) temperatures, over noise: C^(-1/2) times them over the floors, C = 1 + G G^T.
+
+        G : `unknown`; floors alone where there is none
+        """
+        v = self.over_floors(K)
+        if self.unknown is None:
+            return v
+        U, shorter = self._modes
+        return np.asarray(v - U @ (shorter * (U.T @ v)))
 
     @cached_property
     def plain_K(self) -> FloatArray:
@@ -110,6 +131,18 @@ def over_floor(left: FloatArray) -> float:
     """RMS of a remainder where it exceeds two floors; 0 below ten samples."""
     acts = np.abs(left) > 2.0
     return float(np.sqrt(np.mean(left[acts] ** 2))) if np.count_nonzero(acts) >= 10 else 0.0
+
+
+def log_evidence(chi_square: float, parameters: int) -> float:
+    """Logarithm of the evidence of a true form over that of none, by a linear estimate.
+
+        ln B = (chi^2 - k ln(1 + chi^2)) / 2
+
+    chi_square : of the deviation after a refit of scale and slopes, over the true noise
+    parameters : k, each of which a prior as wide as its effect is long has (Kass and Raftery 1995, J. Am. Stat. Assoc.
+                 90, 773: the Laplace approximation with such priors)
+    """
+    return 0.5 * (chi_square - parameters * float(np.log1p(chi_square)))
 
 
 def count(drawn: Drawn) -> int:

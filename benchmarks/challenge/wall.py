@@ -2,6 +2,7 @@
 
     C_i dT_i/dt = sum_j g_ij (T_j - T_i) + s_i,    C_i = sum of rho c(T_i) dx / 2,    g_ij = k((T_i + T_j) / 2, p) / dx
     surface      r h_ref (H_r - H_w(T_0)) + q_add - eps sigma (T_0^4 - T_sur^4) enters the first node
+    sideways     s_i loses G_i (T_i - T_i(0)) to a neighbour that stays as it was
     in time      (3 T_n+1 - 4 T_n + T_n-1) / (2 dt), properties at 2 T_n - T_n-1: one elimination and Newton on T_0
 
 A contact resistance is an element without capacity. Differences of the second order in time: Gear (1971).
@@ -74,6 +75,8 @@ class Forcing:
     H_w                          : enthalpy of air on WALL_K [J/kg]
     deposit, diverted            : (node,) share of the convective flux that is set free there; share the surface lacks
     water                        : (node,) [kg/m2]
+    added                        : (time,) flux into the surface besides convection and radiation [W/m2]
+    side                         : (node,) G of what is lost sideways [W/(m2 K)]
     moisture                     : latent heat [J/kg], boiling and width [K], time [s], share that condenses inward
     """
 
@@ -88,6 +91,8 @@ class Forcing:
     diverted: float
     water: FloatArray
     moisture: FloatArray
+    added: FloatArray
+    side: FloatArray
 
 
 def build(
@@ -198,6 +203,8 @@ def march(wall: Wall, forcing: Forcing, start_K: float, nodes: Sequence[int], st
         forcing.diverted,
         forcing.water.copy(),
         forcing.moisture,
+        forcing.added,
+        forcing.side,
         WALL_K[1],
         kept,
         out,
@@ -274,6 +281,8 @@ def _march(
     diverted,
     water,
     moisture,
+    added,
+    side,
     wall_step,
     kept,
     out,
@@ -282,7 +291,7 @@ def _march(
     before, ahead = T.copy(), T.copy()
     C, g, a, b, source = np.empty(n), np.empty(m), np.empty(n), np.empty(n), np.empty(n)
     pressures, rows = np.empty(len(log_ps)), np.empty(len(log_ps), np.int64)
-    wet, flux = moisture[0] > 0.0 and water.sum() > 0.0, 0.0
+    wet, flux, start = moisture[0] > 0.0 and water.sum() > 0.0, 0.0, T[n - 1]
     for q in range(len(kept)):
         out[0, q] = T[kept[q]]
     for step in range(1, len(film)):
@@ -291,7 +300,8 @@ def _march(
         for i in range(n):
             ahead[i] = T[i] if first else 2.0 * T[i] - before[i]
             C[i] = 0.0
-            source[i] = deposit[i] * flux
+            source[i] = deposit[i] * flux - side[i] * (ahead[i] - start)
+        source[0] += added[step]
         if wet:
             _boil(T, dt, water, moisture, source)
         for q in range(len(log_ps)):

@@ -12,9 +12,21 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.challenge.air import EARTH_M, G0, WALL_K, standard_air, wall_enthalpy
-from benchmarks.challenge.faults import FAULTS
-from benchmarks.challenge.record import CLASSES, EFFECTS, KINDS, Made, make, whole_set, write
+from benchmarks.challenge.judge import Bench, log_evidence
+from benchmarks.challenge.record import (
+    CLASSES,
+    EFFECTS,
+    FAULTS,
+    IMPERFECT,
+    IMPERFECT_CHI2,
+    KINDS,
+    Made,
+    make,
+    whole_set,
+    write,
+)
 from benchmarks.challenge.recorder import floor_K
+from benchmarks.challenge.world import ARC_S, World
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.heating.atmosphere import us76_kernel
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
@@ -121,7 +133,7 @@ def test_recorded_pressure_is_that_of_the_weight_of_the_recorded_density():
 
 def test_every_effect_of_a_closure_report_can_be_made():
     assert {family.name for family in EFFECTS} == CONTRACT
-    assert all(set(family.effects) <= CONTRACT for families in FAULTS.values() for family in families)
+    assert all(set(family.effects) <= {*CONTRACT, "none"} for families in FAULTS.values() for family in families)
 
 
 def test_set_holds_every_class_and_any_first_part_of_it_holds_nearly_all_in_proportion():
@@ -152,3 +164,82 @@ def test_same_seed_class_and_number_make_the_same_record_and_others_do_not():
     again = make(SEED, 0, "null")
     np.testing.assert_array_equal(again.measured_K, made_of("null").measured_K)
     assert make(SEED + 1, 0, "null").measured_K.shape != again.measured_K.shape
+
+
+# Records whose model has errors of its own ---------------------------------------------------------------------------
+
+
+@cache
+def imperfect(of_class: str, number: int) -> Made:
+    """A record of an imperfect model."""
+    return make(SEED, number, of_class, imperfect=True)
+
+
+def test_spline_of_heating_error_passes_through_its_values():
+    world = World("spline", 0.1, np.arange(0.0, 901.0, 150.0), np.array([0.1, -0.2, 0.0, 0.05, 0.1, -0.1, 0.02]))
+    assert world.error(world.knots) == pytest.approx(world.values, abs=1e-12)
+    between = world.error(np.linspace(0.0, 900.0, 400))
+    assert np.max(np.abs(np.diff(between))) < 0.01  # it is smooth
+
+
+def test_arc_of_a_trajectory_has_one_error_of_heating_up_to_the_next():
+    world = World("steps", 0.1, np.array([0.0, 100.0, 200.0]), np.array([0.1, -0.1, 0.05]))
+    assert world.error(np.array([0.0, 40.0, 60.0, 140.0, 160.0, 300.0])) == pytest.approx(
+        [0.1, 0.1, -0.1, -0.1, 0.05, 0.05]
+    )
+    assert world.error(np.array([50.0])) == pytest.approx([0.0])  # half-way between two arcs
+    assert np.allclose(world.shapes(np.linspace(0.0, 300.0, 50)).sum(axis=1), 1.0)
+    assert ARC_S < 10.0
+
+
+@pytest.mark.parametrize(
+    ("declared", "relative", "shift_s", "measured"),
+    [("rightly", 0.06, 3.0, False), ("small", 0.02, 1.0, False), ("not", None, None, True)],
+)
+def test_errors_are_declared_rightly_too_small_or_not_at_all(declared, relative, shift_s, measured):
+    world = World("spline", 0.06, np.arange(3.0), np.zeros(3), {"time_shift_s": (3.0, -1.2)}, declared=declared)
+    plain = {"measured": False, "conditions": {"file": "conditions.csv"}, "heating": {"reference": "columns"}}
+    found = world.declare(plain, 1500.0)
+    assert found["measured"] is measured
+    assert found["heating"].get("uncertainty", {}).get("relative") == relative
+    assert found["conditions"].get("uncertainty", {}).get("time_shift_s") == shift_s
+    assert found["conditions"].get("confidence") == ("C" if declared == "not" else None)
+
+
+def test_evidence_grows_with_what_is_seen_and_falls_with_what_has_to_be_found():
+    assert log_evidence(40.0, 1) > log_evidence(40.0, 3) > log_evidence(10.0, 3)
+    assert log_evidence(0.0, 3) == 0.0
+
+
+def test_set_of_imperfect_models_has_the_classes_that_goals_need():
+    assert len(set(whole_set(sum(IMPERFECT.values()), tuple(IMPERFECT), "imperfect"))) == sum(IMPERFECT.values())
+    assert IMPERFECT["null"] + IMPERFECT["error"] >= 200
+    assert IMPERFECT["one"] >= 200
+    assert IMPERFECT["lacking"] >= 60
+    assert IMPERFECT["three"] + IMPERFECT["rivals"] >= 60
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("of_class", "number"), [("error", 0), ("one", 1), ("lacking", 0)])
+def test_record_of_an_imperfect_model_loads_and_its_errors_exceed_its_noise(of_class, number, tmp_path):
+    made = imperfect(of_class, number)
+    write(made, tmp_path)
+    record = load_record(tmp_path / made.name)
+    floors = np.array([floor_K(s) for s in made.case.point.sensors])[:, np.newaxis]
+    used = [i for i, s in enumerate(record.sensors) if s.used]
+    left = (made.indicated_K.T - at_the_true_parameters(made, record))[used][:, made.fit] / floors[used]
+    assert np.nansum(left**2) > IMPERFECT_CHI2[0]  # before the refit of scale and slopes
+    assert made.answer["world"] == "imperfect"
+    assert made.answer["effects"] == ([made.drawn[0].family.name] if of_class == "one" else [])
+    assert made.answer["true_rmse_K"]["fit"] < 2.0 * made.answer["noise_floor_K"]
+    stated = record.declared.heating.uncertainty, record.declared.conditions.uncertainty, record.declared.measured
+    assert any(stated)
+
+
+@pytest.mark.thorough
+def test_what_the_model_does_not_know_makes_a_deviation_less_visible():
+    made = imperfect("one", 1)
+    bench = Bench(made.case, made.recorder.time_s, made.fit)
+    blurred = replace(bench, unknown=made.world.unknown(bench))
+    change = bench.change(made.drawn, true=False)
+    assert float(np.sum(blurred.change(made.drawn, true=False) ** 2)) < float(np.sum(change**2))

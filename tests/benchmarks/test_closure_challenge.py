@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
+import numpy as np
 import pytest
 
-from benchmarks.challenge.faults import FAULTS
-from benchmarks.challenge.record import CLASSES, EFFECTS
-from benchmarks.closure_challenge import LIBRARY, explains, figures_of, jobs, reliability, stated, verdict
+from benchmarks.challenge.record import CLASSES, EFFECTS, FAULTS, IMPERFECT
+from benchmarks.closure_challenge import (
+    LIBRARY,
+    contradictions,
+    explains,
+    figures_of,
+    jobs,
+    make_and_close,
+    reliability,
+    stated,
+    verdict,
+)
+from benchmarks.closure_study import ranks, reliability_by_class, statements, study_figures, study_text
 
 
 def row(of_class: str, accepted: list[list[str]], finding: str = "none", **more: Any) -> dict[str, Any]:
@@ -69,6 +81,14 @@ def test_each_set_holds_a_true_effect_and_each_true_effect_is_in_one(sets, truth
         (row("unknown", [[]], "partly"), "right"),
         (row("unknown", [[]], "found", alternatives=[["catalysis"]]), "wrong"),
         (row("unknown", [[]]), "missed"),
+        (row("error", []), "right"),
+        (row("error", [], "found", alternatives=[["catalysis"]]), "wrong"),
+        (row("lacking", [["sensor-bias"]], "partly"), "right"),
+        (row("lacking", [["sensor-bias"]], "found", alternatives=[["sensor-bias"]]), "right"),
+        (row("lacking", [["sensor-bias"]], "found", alternatives=[["transition"]]), "wrong"),
+        (row("lacking", [[]], not_effects=kinds("sensor"), kind="sensor"), "right"),
+        (row("recorder", [["none"]], kind="sensor"), "right"),
+        (row("recorder", [["time-skew"]], "found", alternatives=[["time-skew"]], kind="flight"), "right"),
         (row("flown", [["emissivity"]], "one of", alternatives=[["catalysis", "emissivity"]]), "right"),
     ],
 )  # fmt: skip
@@ -110,4 +130,77 @@ def test_forms_called_those_of_the_library_are_forms_of_the_generator():
     forms = {family.name: set(family.forms) for family in EFFECTS}
     assert LIBRARY.keys() == forms.keys()
     assert all(set(named) <= forms[name] for name, named in LIBRARY.items())
-    assert set(FAULTS) < set(CLASSES)
+    assert set(FAULTS) < {*CLASSES, *IMPERFECT}
+
+
+# Statements, reliability, ranks --------------------------------------------------------------------------------------
+
+
+def right_transition(onset: float, **more: Any) -> dict[str, Any]:
+    """A transition that is found, its true onset at 6.8 +- 0.02."""
+    parameters = {"log10_re_onset": {"value": onset, "sigma": 0.02, "unit": "1"}}
+    plain = {"form": ["transition/logistic"], "effects": ["transition"], "parameters": [{"log10_re_onset": 6.8}]}
+    plain |= {"alternatives": [["transition"]], "effects_stated": [{"name": "transition", "parameters": parameters}]}
+    plain |= {"record": "one-000", "log_evidence": [12.0], "calibrated": True, "probability": 0.95}
+    return row("one", [["transition"]], "found", **plain) | more
+
+
+def test_statements_are_counted_by_world_and_class():
+    false = row("error", [], "found", alternatives=[["moisture"]], world="imperfect")
+    counted = statements([right_transition(6.8), row("error", [], world="imperfect"), false])
+    assert counted["exact one"] == {"records": 1, "right": 1, "undecided": 0, "missed": 0, "wrong": 0,
+                                    "wrong and found": 0, "refused": 0}  # fmt: skip
+    assert (counted["imperfect error"]["right"], counted["imperfect error"]["wrong and found"]) == (1, 1)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    onsets = 6.8 + 0.02 * np.random.default_rng(3).normal(size=400)
+    (onset,) = ranks([right_transition(float(x)) for x in onsets])
+    assert onset["parameter"] == "transition.log10_re_onset"
+    assert onset["within"] == pytest.approx(0.95, abs=0.04)
+    assert onset["uniform"] > 0.01
+    (narrow,) = ranks([right_transition(6.8 + 3.0 * float(x - 6.8)) for x in onsets])
+    assert narrow["uniform"] < 1e-6
+    assert narrow["within"] < 0.6
+
+
+def test_a_parameter_of_a_wrong_cause_has_no_rank():
+    assert ranks([right_transition(6.8, accepted=[["catalysis"]], effects=["catalysis"])]) == []
+
+
+def test_a_class_is_judged_by_the_findings_of_the_others():
+    rival = {"rival": 20.0, "explained": 1.0, "p_value": 0.5, "disqualified": 0.0}
+    right = [right_transition(6.8, **rival) for _ in range(12)]
+    wrong = [row("null", [], "found", alternatives=[["moisture"]], **rival) for _ in range(6)]
+    by = {part["class"]: part for part in reliability_by_class([*right, *wrong, *[row("null", [], **rival)] * 6])}
+    assert by["exact one"]["right"] == 1.0
+    assert by["exact null"]["right"] == 0.5
+    assert by["exact null"]["by the others"] > by["exact one"]["by the others"]
+
+
+def test_figures_of_the_study_are_of_causes_that_the_noise_leaves_visible():
+    hidden = right_transition(6.8, finding="unknown", alternatives=[], log_evidence=[1.0])
+    figures = {f.what: f for f in study_figures([right_transition(6.8), hidden])}
+    assert figures["one cause worth 5 or more, exact: stated"].note.startswith("1 of 1")
+    assert "statements" in study_text([right_transition(6.8), hidden])
+
+
+def test_a_report_that_names_a_cause_and_does_not_explain_it_contradicts_itself():
+    errors = {"fit": {"rmse_K": 2.0}, "holdout": None}
+    report = {"finding": "found", "effects": [{"name": "catalysis"}], "not_effects": [], "resembles": [],
+              "adequacy": {"p_value": 0.4}, "converged": True, "probability": 0.9, "barred": [],
+              "before": {"fit": {"rmse_K": 4.0}, "holdout": None}, "after": errors}  # fmt: skip
+    assert contradictions(report) == []
+    assert contradictions(report | {"adequacy": {"p_value": 1e-4}}) == ["`found` with p = 0.0001"]
+    assert contradictions(report | {"finding": "none"}) == ["`none` with effects", "`none` with other errors after"]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("of_class", "number"), [("error", 0), ("lacking", 0)])
+def test_nothing_is_named_where_the_model_is_imperfect_and_no_cause_is_in_it(of_class, number):
+    """Records that state the size of their heating's error: a spline alone, and a skin that loses heat sideways."""
+    judged = json.loads(make_and_close((of_class, number, True, 97)))
+    assert judged["record"] == f"imperfect-{of_class}-{number:03d}"
+    assert verdict(judged) == "right"
+    assert judged["contradictions"] == []
+    assert judged["stated_error"]["relative_heating"]["limit_95"] > 0.5 * judged["model_error"]["rms_while_hot"]
