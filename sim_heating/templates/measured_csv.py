@@ -365,7 +365,12 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         ):
             place = f"{display_path(block.path)}, column {name}"
             layout = _clock_word(unit) or chosen.time_unit
-            clock = clock_of(cells, place, chosen.dates, layout)
+            try:
+                clock = clock_of(cells, place, chosen.dates, layout)
+            except InputError:
+                is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
+                if chosen.time in (name, block.names[k]) or (chosen.time is None and is_called):
+                    raise  # another column is the time otherwise
         heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
     return heads, signs
 
@@ -518,6 +523,7 @@ def _time(
     with_day = [c for c in readable if (clock := by_name[c.name].clock) is not None and not clock.has_time]
     if len(readable) > len(with_day):
         readable = [c for c in readable if c not in with_day]
+    readable = [c for c in readable if _moves(by_name[c.name])] or readable
     if readable:
         head = by_name[readable[0].name]
         if head.clock is not None:
@@ -536,6 +542,12 @@ def _time(
         found = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], found, chosen)
     raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
+
+
+def _moves(head: _Head) -> bool:
+    """Whether a time is not one and the same in all rows, as that of a start is."""
+    values = head.numbers.values if head.clock is None else head.clock.seconds
+    return len(np.unique(values[np.isfinite(values)])) > 1
 
 
 def _is_read(head: _Head) -> bool:
@@ -959,11 +971,11 @@ def _stated(
             "separator": block.separator or None,
             "decimal": signs.decimal if block.separator else None,
             "dates": chosen.dates or (order if order != "year-first" else None),
-            "time": clock.name if chosen.period_s is None and block.has_names else None,
+            "time": clock.name if chosen.period_s is None else None,
             "time_unit": chosen.time_unit or (None if is_clock_time or clock.name in has_own else clock.unit),
-            "column": used if block.has_names else [],
-            "temperature_unit": None if block.has_names else chosen.temperature_unit,
-            "flux_unit": None if block.has_names else chosen.flux_unit,
+            "column": used,
+            "temperature_unit": None,
+            "flux_unit": None,
         }
     )
 
