@@ -30,7 +30,9 @@ from sim_heating.templates.loggers.clocks import (
     ORDERS,
     Clock,
     clock_of,
+    may_be_hhmmss,
     over_midnight,
+    with_colons,
 )
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
@@ -354,6 +356,9 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
             name, own = raw[1], raw[2]
         names.append(name if name not in names else f"{name} {k + 1}")
         stated.append(unit.strip("-") or own)
+    if chosen.time_unit == "hhmmss":
+        as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
+        block = replace(block, cells=tuple(as_clock))
     clocks = [k for k in range(len(names)) if _mostly(block.column(k), is_clock)]
     signs = number_signs(block, [k for k in range(len(names)) if k not in clocks], chosen.decimal)
     heads = []
@@ -652,6 +657,11 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
     steps = np.diff(values)
     step = float(np.median(steps)) if len(steps) else 1.0
+    if len(steps) and may_be_hhmmss(values):
+        raise InputError(
+            f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
+            "--time-unit hhmmss or --time-unit s"
+        )
     if DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1] and np.any(values % 1.0) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if step < SHORTEST_STEP_S or step > LONGEST_STEP_S:
