@@ -222,8 +222,8 @@ def mutant(seed: int) -> Mutant:
     if separator == "  ":
         place = rng.choice(["[]", "()", "row"])
         spelling = spelling.replace(" ", "")
-    if place == "_" and spelling == "xyz":
-        spelling = "mV"  # T_xyz is a name
+    if place == "_" and spelling in ("xyz", "W"):
+        spelling = "mV"  # T_xyz and T_W are names
     lost = rng.choice(["none", "none", *LOST])
     if separator == "  " and (" " in lost or not lost):
         lost = "NaN"

@@ -30,7 +30,9 @@ from sim_heating.templates.loggers.clocks import (
     ORDERS,
     Clock,
     clock_of,
+    may_be_hhmmss,
     over_midnight,
+    with_colons,
 )
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
@@ -354,6 +356,9 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
             name, own = raw[1], raw[2]
         names.append(name if name not in names else f"{name} {k + 1}")
         stated.append(unit.strip("-") or own)
+    if chosen.time_unit == "hhmmss":
+        as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
+        block = replace(block, cells=tuple(as_clock))
     clocks = [k for k in range(len(names)) if _mostly(block.column(k), is_clock)]
     signs = number_signs(block, [k for k in range(len(names)) if k not in clocks], chosen.decimal)
     heads = []
@@ -365,7 +370,12 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         ):
             place = f"{display_path(block.path)}, column {name}"
             layout = _clock_word(unit) or chosen.time_unit
-            clock = clock_of(cells, place, chosen.dates, layout)
+            try:
+                clock = clock_of(cells, place, chosen.dates, layout)
+            except InputError:
+                is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
+                if chosen.time in (name, block.names[k]) or (chosen.time is None and is_called):
+                    raise  # another column is the time otherwise
         heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
     return heads, signs
 
@@ -518,6 +528,7 @@ def _time(
     with_day = [c for c in readable if (clock := by_name[c.name].clock) is not None and not clock.has_time]
     if len(readable) > len(with_day):
         readable = [c for c in readable if c not in with_day]
+    readable = [c for c in readable if _moves(by_name[c.name])] or readable
     if readable:
         head = by_name[readable[0].name]
         if head.clock is not None:
@@ -536,6 +547,12 @@ def _time(
         found = replace(first, kind=TIME, reason="no column is called time; this one increases")
         return _number_time(block, by_name[first.name], found, chosen)
     raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
+
+
+def _moves(head: _Head) -> bool:
+    """Whether a time is not one and the same in all rows, as that of a start is."""
+    values = head.numbers.values if head.clock is None else head.clock.seconds
+    return len(np.unique(values[np.isfinite(values)])) > 1
 
 
 def _is_read(head: _Head) -> bool:
@@ -640,6 +657,11 @@ def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, 
             return unit, "", f"{column.reason}; {unit} since 1970 by the size"
     steps = np.diff(values)
     step = float(np.median(steps)) if len(steps) else 1.0
+    if len(steps) and may_be_hhmmss(values):
+        raise InputError(
+            f"{display_path(block.path)}, column {head.name}: `{head.cells[0]}` may be a time of day or seconds; state "
+            "--time-unit hhmmss or --time-unit s"
+        )
     if DAY_NUMBERS[0] <= values.min() and values.max() <= DAY_NUMBERS[1] and np.any(values % 1.0) and step < 0.05:
         return "day", "", f"{column.reason}; days of a spreadsheet by the size"
     if step < SHORTEST_STEP_S or step > LONGEST_STEP_S:
@@ -959,11 +981,11 @@ def _stated(
             "separator": block.separator or None,
             "decimal": signs.decimal if block.separator else None,
             "dates": chosen.dates or (order if order != "year-first" else None),
-            "time": clock.name if chosen.period_s is None and block.has_names else None,
+            "time": clock.name if chosen.period_s is None else None,
             "time_unit": chosen.time_unit or (None if is_clock_time or clock.name in has_own else clock.unit),
-            "column": used if block.has_names else [],
-            "temperature_unit": None if block.has_names else chosen.temperature_unit,
-            "flux_unit": None if block.has_names else chosen.flux_unit,
+            "column": used,
+            "temperature_unit": None,
+            "flux_unit": None,
         }
     )
 

@@ -650,9 +650,10 @@ def like_record(
     }
     times = measured.of_kind(TIME)[0].si
     readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
-    record = make_record(
-        declared.model_copy(update=update), model.conditions, readings, model.ratio_table, out, model.turbulent
-    )
+    with said_of_readings(measured, out):
+        record = make_record(
+            declared.model_copy(update=update), model.conditions, readings, model.ratio_table, out, model.turbulent
+        )
     comment = f"Temperatures of {measured.path.name}, stack and flight of {model.name}; made by sim-heating new record."
     write_record(record, out, comment=comment)
     return record, [*measured.notes, *notes, f"stack, flight and heating of {display_path(Path(like))}"]

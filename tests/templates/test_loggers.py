@@ -205,6 +205,19 @@ def test_the_order_of_day_and_month_holds_for_all_rows_or_is_asked() -> None:
         read_measured_csv(bad)
 
 
+def test_a_time_of_day_without_colons_is_asked_for() -> None:
+    path = rows("Time,TC1 (C)", [f"{s:%H%M%S},20.5" for s in STAMPS])
+    with pytest.raises(InputError, match="`104500` may be a time of day or seconds; state --time-unit hhmmss"):
+        read_measured_csv(path)
+    assert span_s(read_measured_csv(path, time_unit="hhmmss")) == 120.0
+
+
+def test_a_time_of_start_or_a_duration_beside_the_time_is_not_it() -> None:
+    path = rows("Start time,Time (s),Duration,TC1 (C)", [f"10:45:00,{2 * k},00:{2 * k:02d},20.5" for k in range(20)])
+    found = read_measured_csv(path)
+    assert (found.of_kind(TIME)[0].name, span_s(found)) == ("Time", 38.0)
+
+
 def test_an_hour_that_a_clock_loses_or_repeats_is_told() -> None:
     autumn = [START + timedelta(seconds=2.0 * k - (3600.0 if k > 30 else 0.0)) for k in range(61)]
     with pytest.raises(InputError, match="as where summer time ends: write UTC offsets"):

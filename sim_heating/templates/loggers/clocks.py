@@ -21,7 +21,7 @@ ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": 
 """Value of the option --dates -> in words."""
 ANY_ORDER = "in any order"
 """Of dates whose order changes no time between rows."""
-CLOCKS = ("hh:mm", "mm:ss", "hh:mm:ss", "hh:mm:ss:ms", "dd:hh:mm:ss")
+CLOCKS = ("hh:mm", "mm:ss", "hh:mm:ss", "hh:mm:ss:ms", "dd:hh:mm:ss", "hhmmss")
 """Layouts of times of day that --time-unit may state."""
 LONGEST_STEP_S = 1e4
 """A longer time between rows is logged by nobody [s]."""
@@ -306,6 +306,29 @@ def _checked(day: FloatArray, rows: np.ndarray, cells: pd.Series, place: str) ->
     if len(bad):
         raise InputError(f"{place}: `{cells[rows[bad[0]]]}` is no date; mend the cell, or state --dates")
     return day
+
+
+def with_colons(cells: Sequence[str]) -> list[str]:
+    """Times of day as hhmmss, such as 94502 or 104500.5, with their colons; other cells as they are."""
+    found = []
+    for cell in cells:
+        whole = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
+        padded = whole[1].zfill(6) if whole else ""
+        found.append(f"{padded[:2]}:{padded[2:4]}:{padded[4:]}{whole[2] or ''}" if whole else cell)
+    return found
+
+
+def may_be_hhmmss(values: FloatArray) -> bool:
+    """Whether numbers may be times of day as hhmmss: all are such times, and seconds stop at 59 where steps go on."""
+    minutes, seconds = values // 100.0 % 100.0, values % 100.0
+    if (
+        not np.all((values >= 0.0) & (values < 240000.0) & (minutes < 60.0) & (seconds < 60.0))
+        or values.max() < 10000.0
+    ):
+        return False
+    read = np.diff(3600.0 * (values // 10000.0) + 60.0 * minutes + seconds)
+    steps = np.diff(values)
+    return bool(np.any(steps != read) and np.ptp(read) < np.ptp(steps))
 
 
 def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:
