@@ -167,6 +167,8 @@ def _recorded(
     flown = read_recording(
         path, vehicle.reference_length_m, vehicle.surfaces, stated, statement=OPTION, sounding=sounding
     )
+    for line in flown.assumed:
+        warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
     roots = roots_of(out / SCENARIO, root, vehicle.directory)
     inside = any(real_path(path).is_relative_to(folder) for folder in roots.folders)
     if inside and sounding is None:

@@ -18,7 +18,8 @@ from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES,
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
-from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M
+from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, with_density
@@ -86,7 +87,7 @@ def read_conditions(
     if found.notes:
         warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
     given = dict(table.columns)
-    derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    derived = derived_conditions(given, length_m=length_m).columns
     # A column of the file takes precedence over the derived one.
     columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
     order = STATE + tuple(name for name in columns if name not in STATE)
