@@ -175,7 +175,7 @@ def _recorded(
         table = {column: declared.model_dump(exclude_none=True) for column, declared in stated.items()}
         return _Recorded(Path(os.path.relpath(path, out)).as_posix(), table, None, flown.notes)
     header = dict(flown.table.header)
-    air = "" if sounding is None else f", air of {sounding.title}"
+    air = "" if sounding is None else f", air of the sounding {sounding.path.name}"
     header["source"] = f"{header.get('source') or f'recorded trajectory {path.name}'}{air}"
     if flown.has_model_density:
         header["confidence"] = lowered_confidence(header.get("confidence", ""))

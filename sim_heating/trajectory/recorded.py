@@ -19,7 +19,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M
-from sim_heating.heating.recorded.derive import derived_conditions
+from sim_heating.heating.recorded.derive import AIR, derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, with_density
@@ -114,8 +114,9 @@ def read_recording(
     if not fields and sounding is None and states_columns(path, required, (DENSITY,)):
         spared = [name for name in SURFACES if name not in surfaces]
         return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
+    air = ("rho_kg_m3",) if sounding is None else AIR
     return read_flight(
-        path, [*required, "rho_kg_m3"], statement=statement, fields=fields, length_m=length_m, sounding=sounding
+        path, [*required, *air], statement=statement, fields=fields, length_m=length_m, sounding=sounding
     )
 
 

@@ -12,8 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_csv_columns
 from sim_heating.base.files.schema import schema_line
 from sim_heating.cli import cli
+from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.starters import practice_bell
@@ -201,6 +203,17 @@ def test_a_scenario_states_fields_of_its_trajectory():
     declared = tomllib.loads(Path("flown/scenario.toml").read_text())["trajectory"]
     assert declared["fields"]["altitude_m"] == {"field": "altitude", "unit": "km"}
     assert declared["fields"]["alpha_deg"] == {"constant": -20.0}
+
+
+def test_a_scenario_has_temperature_and_density_of_a_sounding():
+    assert run("new", "vehicle", *POD, "--out", "pod").exit_code == 0
+    flight, air = FLIGHTS / "own_columns.csv", FLIGHTS / "wyoming_sounding.txt"
+    made = run("new", "scenario", "--vehicle", "pod", "--trajectory", flight, "--atmosphere", air, "--out", "flown")
+    assert made.exit_code == 0, made.exception
+    table = read_csv_columns("flown/trajectory.csv", ["time_s", "T_inf_K", "p_inf_Pa", "rho_kg_m3"])
+    assert table["T_inf_K"][-1] == pytest.approx(us76(5041.3)[0] + 10.0, abs=0.3)
+    assert table.header["confidence"] == "C"  # most of the flight is above the sounding
+    assert table.header["source"].endswith("own_columns.csv, air of the sounding wyoming_sounding.txt")
 
 
 def test_a_scenario_elsewhere_takes_its_root():
