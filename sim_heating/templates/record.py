@@ -320,6 +320,8 @@ def flown_heat(
         sounding=None if atmosphere is None else read_sounding(atmosphere),
         pressure=local_pressure(local_angle_deg) if known else None,
     )
+    for line in flown.assumed:
+        warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
     columns = {name: values for name, values in flown.table.columns.items() if name != "q_Pa"}
     zero = ("beta_deg", "elevon_deg", "bodyflap_deg")
     absent = [n for n in zero if n not in columns]

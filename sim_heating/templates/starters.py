@@ -168,13 +168,15 @@ def _recorded(
     flown = read_recording(
         path, vehicle.reference_length_m, vehicle.surfaces, stated, statement=OPTION, sounding=sounding
     )
+    for line in flown.assumed:
+        warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
     roots = roots_of(out / SCENARIO, root, vehicle.directory)
     inside = any(real_path(path).is_relative_to(folder) for folder in roots.folders)
     if inside and sounding is None:
         table = {column: declared.model_dump(exclude_none=True) for column, declared in stated.items()}
         return _Recorded(Path(os.path.relpath(path, out)).as_posix(), table, None, flown.notes)
     header = dict(flown.table.header)
-    air = "" if sounding is None else f", air of {sounding.title}"
+    air = "" if sounding is None else f", air of the sounding {sounding.path.name}"
     header["source"] = f"{header.get('source') or f'recorded trajectory {path.name}'}{air}"
     if flown.has_model_density:
         header["confidence"] = lowered_confidence(header.get("confidence", ""))

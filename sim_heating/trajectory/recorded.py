@@ -18,7 +18,8 @@ from sim_heating.base.conditions import EXTRAS, FRAME, HEATING, STATE, SURFACES,
 from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import CsvTable, display_path, raise_problems, read_csv_columns
 from sim_heating.base.progress import Progress
-from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, free_stream
+from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M
+from sim_heating.heating.recorded.derive import AIR, derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import states_columns
 from sim_heating.heating.recorded.plausible import implausible_values, unusual_values, with_density
@@ -87,7 +88,7 @@ def read_conditions(
         warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
     tell(unusual_values(table))
     given = dict(table.columns)
-    derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
+    derived = derived_conditions(given, length_m=length_m).columns
     # A column of the file takes precedence over the derived one.
     columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
     order = STATE + tuple(name for name in columns if name not in STATE)
@@ -114,8 +115,9 @@ def read_recording(
     if not fields and sounding is None and states_columns(path, required, (DENSITY,)):
         spared = [name for name in SURFACES if name not in surfaces]
         return FlightTable(with_density(read_csv_columns(path, required, [*OPTIONAL, *spared])))
+    air = ("rho_kg_m3",) if sounding is None else AIR
     return read_flight(
-        path, [*required, "rho_kg_m3"], statement=statement, fields=fields, length_m=length_m, sounding=sounding
+        path, [*required, *air], statement=statement, fields=fields, length_m=length_m, sounding=sounding
     )
 
 

@@ -12,8 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import read_csv_columns
 from sim_heating.base.files.schema import schema_line
 from sim_heating.cli import cli
+from sim_heating.heating.atmosphere import us76
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.starters import practice_bell
@@ -61,6 +63,15 @@ def test_a_wall_that_is_heated_from_the_first_reading_starts_there():
     assert "wall at 300 K at the start, the first reading, since it changes from there on" in made.output
 
 
+NO_UNIT_OF_TIME = pytest.mark.filterwarnings("ignore:.*states no unit. s assumed:UserWarning")
+
+
+def test_a_time_without_a_unit_is_a_warning():
+    with pytest.warns(UserWarning, match="`Time` states no unit: s assumed"):
+        record("--conditions", FLIGHTS / "jsbsim_out.csv", *SPHERE, csv=descent())
+
+
+@NO_UNIT_OF_TIME
 @pytest.mark.parametrize("file", ["jsbsim_out.csv", "own_columns.csv", "own_columns_units_names.csv"])
 def test_a_descent_in_other_names_and_units_is_a_record(file: str):
     made = record("--conditions", FLIGHTS / file, *SPHERE, csv=descent())
@@ -71,6 +82,7 @@ def test_a_descent_in_other_names_and_units_is_a_record(file: str):
     assert "p_surface_Pa of the stagnation point, behind a normal shock" in made.output
 
 
+@NO_UNIT_OF_TIME
 def test_a_density_of_the_standard_atmosphere_lowers_the_confidence_of_the_record():
     record("--conditions", FLIGHTS / "own_columns.csv", *SPHERE, csv=descent())
     conditions = load_record("made").declared.conditions
@@ -89,6 +101,7 @@ def test_a_sounding_is_the_air_of_the_day():
     assert load_record("made").conditions["rho_kg_m3"][-1] == pytest.approx(1.2 * 0.733, rel=0.03)
 
 
+@NO_UNIT_OF_TIME
 def test_all_that_a_telemetry_lacks_is_asked_at_once_and_then_works():
     telemetry = ("--conditions", FLIGHTS / "telemetry_km.csv", *SPHERE)
     refused = record(*telemetry, csv=descent())
@@ -148,6 +161,7 @@ def test_a_record_whose_flight_lacks_the_air_derives_it_and_lowers_its_confidenc
     assert found.conditions["altitude_m"][0] == 100e3
 
 
+@NO_UNIT_OF_TIME
 def test_altitudes_in_feet_in_a_column_of_metres_are_told():
     record("--conditions", FLIGHTS / "jsbsim_out.csv", *SPHERE, csv=descent())
     lines = Path("made/conditions.csv").read_text().splitlines()
@@ -178,6 +192,7 @@ def test_a_scenario_takes_a_trajectory_from_anywhere_and_stays_recorded(tmp_path
     assert conditions["confidence"] == "C"
 
 
+@NO_UNIT_OF_TIME
 def test_a_scenario_states_fields_of_its_trajectory():
     assert run("new", "vehicle", *POD, "--out", "pod").exit_code == 0
     Path("t.csv").write_text((FLIGHTS / "telemetry_km.csv").read_text())
@@ -188,6 +203,17 @@ def test_a_scenario_states_fields_of_its_trajectory():
     declared = tomllib.loads(Path("flown/scenario.toml").read_text())["trajectory"]
     assert declared["fields"]["altitude_m"] == {"field": "altitude", "unit": "km"}
     assert declared["fields"]["alpha_deg"] == {"constant": -20.0}
+
+
+def test_a_scenario_has_temperature_and_density_of_a_sounding():
+    assert run("new", "vehicle", *POD, "--out", "pod").exit_code == 0
+    flight, air = FLIGHTS / "own_columns.csv", FLIGHTS / "wyoming_sounding.txt"
+    made = run("new", "scenario", "--vehicle", "pod", "--trajectory", flight, "--atmosphere", air, "--out", "flown")
+    assert made.exit_code == 0, made.exception
+    table = read_csv_columns("flown/trajectory.csv", ["time_s", "T_inf_K", "p_inf_Pa", "rho_kg_m3"])
+    assert table["T_inf_K"][-1] == pytest.approx(us76(5041.3)[0] + 10.0, abs=0.3)
+    assert table.header["confidence"] == "C"  # most of the flight is above the sounding
+    assert table.header["source"].endswith("own_columns.csv, air of the sounding wyoming_sounding.txt")
 
 
 def test_a_scenario_elsewhere_takes_its_root():

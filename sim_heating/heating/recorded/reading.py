@@ -42,11 +42,13 @@ class FlightTable:
 
     table    : columns of conditions, rows of the file
     notes    : one line for each field that was renamed or converted, and for each derivation
+    assumed  : those of the notes that are assumptions: a time whose unit is not stated
     has_model_density : whether the density needs the standard atmosphere, which lowers the confidence of conditions
     """
 
     table: CsvTable
     notes: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
     has_model_density: bool = False
 
 
@@ -139,7 +141,7 @@ def read_flight(
     if found.unused:
         notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
-    return FlightTable(found.table(columns), tuple(notes), of_model)
+    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model)
 
 
 def local_pressure(local_angle_deg: float | None) -> PressureModel:
