@@ -24,7 +24,8 @@ VALUES: dict[str, list[Any]] = {
 }
 """Values to try first, by key, where a little more or less does nothing."""
 REFUSES: dict[str, str] = {
-    "Compare.control_point": "no control point", "Compare.file": "no such file", "Design.control_point": "no control point",
+    "Compare.control_point": "no control point", "Compare.file": "no such file",
+    "Design.control_point": "no control point",
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
     "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
