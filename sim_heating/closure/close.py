@@ -57,6 +57,7 @@ from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers
 from sim_heating.estimation.problem import FitOptions, FitProblem
+from sim_heating.estimation.record_fit import LAG_NAME
 from sim_heating.estimation.report.estimate_file import NAME, Estimate
 from sim_heating.estimation.report.remarks import remarks, samples_in_words
 from sim_heating.estimation.report.report import FIT_FILES, estimate_contents, noise_floor_K, write_fit_data
@@ -284,10 +285,12 @@ def refit(result: SearchResult) -> FitResult:
 def refit_priors(trial: TrialFit) -> dict[str, Parameter]:
     """Priors of the last fit with the effects of a trial, by dotted name: those of the search.
 
-    With the declared ones the last fit could end at other values than those that were ranked.
+    With the declared ones the last fit could end at other values than those that were ranked: a lag of 30 s is 60
+    sigmas from that of a sensor which is attached as declared.
     """
     part = trial.problem.record_fits[0]
-    priors = {p.name: p for p in trial.problem.parameters if p.name == CLOCK_SKEW.name}
+    searched = trial.problem.parameters
+    priors = {p.name: p for p in searched if p.name == CLOCK_SKEW.name or p.name.endswith(LAG_NAME)}
     for name in part.march_names:
         if name.startswith(EFFECT_PREFIX):
             parameter = part.model.definition(name)

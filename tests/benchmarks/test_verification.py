@@ -12,6 +12,7 @@ from benchmarks.verification import (
     LEAST_ROWS,
     PAGE,
     atmosphere,
+    conduction,
     effects,
     flights,
     gas,
@@ -28,6 +29,7 @@ SAMPLE = (
     atmosphere.states, atmosphere.transport, gas.published, gas.viscosity, gas.perfect_gas,
     effects.rows, flights.rows, gas.partition_functions, heating.rows, inside.rows, surface.lumped, trim.rows,
     sensors.rows, wall_steps.laminar_rows, wall_steps.turbulent_rows, wall_steps.published_rows,
+    conduction.nafems_on_coarse_meshes,
 )  # fmt: skip
 
 

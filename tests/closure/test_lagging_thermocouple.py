@@ -30,17 +30,7 @@ tau_s = {tau_s}
     ("sensor", "tau_s"),
     [
         pytest.param("V09T9527", 8.0, id="at the surface"),
-        pytest.param(
-            "V07T9528",
-            30.0,
-            id="long, 4 mm deep",
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason=(
-                    "found, 29.6 +- 0.14 s for 30: its sigma is above 0.125 s since thin air is bridged at the point"
-                ),
-            ),
-        ),
+        pytest.param("V07T9528", 30.0, id="long, 4 mm deep"),
     ],
 )
 def test_the_lag_of_one_thermocouple_is_found_and_is_no_skew_of_the_clock(

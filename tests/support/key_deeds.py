@@ -613,7 +613,9 @@ def of_settings(folder: Path) -> Outcome:
     if code != 0:
         raise ValueError(f"exit {code}")
     found = read_json(out / "estimate.json")
-    return {k: found[k] for k in ("reference_condition", "parameters", "fixed", "ties", "fit", "segments", "starts")}
+    return {
+        k: found.get(k) for k in ("reference_condition", "parameters", "fixed", "ties", "fit", "segments", "starts")
+    }
 
 
 def settings(folder: Path) -> None:
@@ -737,6 +739,7 @@ def link(**keys: Any) -> Callable[[Path], None]:
              "beta_deg": 0.0, "elevon_deg": 1.0, "bodyflap_deg": 15.0, "rho": 9e-8, "word": 20.0 + 9.0 * t,
              "w": 18.0 + 4.0 * t, "word_ms": 1000.0 * t + 5100.0}
             for t in range(30)
+            if not 10 <= t < 14
         ]  # fmt: skip
         (folder / "messages.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
         write(folder / "link.toml", merged(LINK, keys))

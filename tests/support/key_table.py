@@ -10,14 +10,27 @@ VALUES: dict[str, list[Any]] = {
     "ControlPointFile.ratio_table": ["ratio_tables/LEE_UPPER.csv", "ratio_tables/STS96_597.csv"],
     "DerivedMaterial.based_on": ["li900"],
     "InterfaceDeclaration.upstream": ["V09T9527"],
+    "LinkFile.control_points": [["V09T9527", "NOSE_HRSI"]],
     "Layer.material": ["al2024"],
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+    "EstimateSettings.jump_s": [10.0],
+    "FitSettings.start": ["circuit", "circuit:10"],
+    "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
+    "Replay.record": ["second/record"],
+    "Design.after_s": [5.0],
+    "Design.parameters": [["ratio.d_elevon"], ["ratio.d_logre"]],
     "Target.deadband_deg": [30.0],
     "Target.latitude_deg": [40.0],
 }
 """Values to try first, by key, where a little more or less does nothing."""
-REFUSES: dict[str, str] = {"Mass.cg_range": "cg_fraction"}
-"""Keys that do nothing but refuse another key's value, which the message names."""
+REFUSES: dict[str, str] = {
+    "Compare.control_point": "no control point", "Compare.file": "no such file",
+    "Design.control_point": "no control point",
+    "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
+    "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
+    "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
+}  # fmt: skip
+"""Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
 
 _SHOWN = {
     "tests/trajectory/test_fmu_import.py": (
@@ -32,6 +45,7 @@ _SHOWN = {
     "tests/live/test_jsbsim_link.py": "JSBSimInput.port JSBSimInput.prefix OutputSettings.jsbsim LinkFile.output",
     "tests/live/test_outputs.py": "JSBSimInput.host OutputSettings.host OutputSettings.metrics OutputSettings.page "
     "OutputSettings.port OutputSettings.lines",
+    "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario",
     "tests/live/test_engine.py": "OutputSettings.rate_Hz",
     "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
     "tests/planning/test_optimal_entry.py": (

@@ -116,7 +116,7 @@ def others(value: Any, choices: Sequence[str] = ()) -> Iterator[Any]:
         yield [v + 0.05 * max(abs(v), 0.02) if i else v for i, v in enumerate(value)]
         yield [1.05 * v for v in value]
         yield value[:-1]
-    elif isinstance(value, list) and value and all(isinstance(v, list) for v in value):
+    elif isinstance(value, list) and value and all(isinstance(v, list) and not isinstance(v[0], str) for v in value):
         yield [[row[0], *(0.93 * v for v in row[1:])] for row in value]
         yield [[0.97 * v for v in row] for row in value]
     elif isinstance(value, (list, tuple)) and len(value) > 1:
@@ -187,6 +187,7 @@ def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path, refuses: str
                 refused.append(f"{value!r}: {str(error).splitlines()[0][:160]}")
     if refuses and any(refuses in text for text in refused):
         return ""
-    if not idle and any(f"`{key.partition('.')[2]}`" in text for text in refused):
+    name = key.partition(".")[2]
+    if not idle and any(named in text for text in refused for named in (f"`{name}`", f"[{name}]")):
         return ""
     return f"nothing comes of it; refused: {refused}"
