@@ -92,7 +92,7 @@ def test_an_editor_sees_what_the_program_refuses(name: str, file: str, place: st
     assert not check.is_valid(data)
 
 
-def test_a_shipped_file_names_its_schema_by_a_path_and_that_of_a_user_no_machine():
+def test_a_file_of_a_user_names_its_schema_and_no_machine():
     assert schema_line("record", SCHEMAS.parent) == "#:schema schemas/record.schema.json"
     assert schema_line("record") == "#:schema record.schema.json"
 

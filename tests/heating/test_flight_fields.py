@@ -52,7 +52,7 @@ def test_each_layout_is_the_same_descent(file, fields):
     assert len(table) == 119
 
 
-def test_density_of_a_rocket_export_is_that_of_its_pressure_and_temperature():
+def test_density_of_a_rocket_export_follows_from_its_pressure():
     table = read_flight(FLIGHTS / "openrocket_descent.csv", COLUMNS).table
     assert table["T_inf_K"][-1] == pytest.approx(243.15)
     assert table["p_inf_Pa"][-1] == pytest.approx(50307.0)

@@ -57,7 +57,7 @@ def test_a_sphere_in_flight_is_heated_by_704_kW_m2_on_a_cold_wall():
     assert q == pytest.approx(704e3, rel=0.01)
 
 
-def test_a_wall_that_is_heated_from_the_first_reading_starts_there():
+def test_a_wall_heated_from_the_first_reading_starts_there():
     made = record("--conditions", FLIGHTS / "flight_conditions.csv", *SPHERE)
     assert load_record("made").declared.stack.initial_K == 300.0
     assert "wall at 300 K at the start, the first reading, since it changes from there on" in made.output
@@ -83,7 +83,7 @@ def test_a_descent_in_other_names_and_units_is_a_record(file: str):
 
 
 @NO_UNIT_OF_TIME
-def test_a_density_of_the_standard_atmosphere_lowers_the_confidence_of_the_record():
+def test_a_standard_density_lowers_the_confidence_of_a_record():
     record("--conditions", FLIGHTS / "own_columns.csv", *SPHERE, csv=descent())
     conditions = load_record("made").declared.conditions
     assert conditions.confidence == "C"
@@ -150,7 +150,7 @@ def test_options_of_a_flight_are_refused_without_one():
 # Records that exist ---------------------------------------------------------------------------------------------------
 
 
-def test_a_record_whose_flight_lacks_the_air_derives_it_and_lowers_its_confidence():
+def test_a_record_without_air_derives_it_and_lowers_its_confidence():
     record("--conditions", FLIGHTS / "own_columns.csv", *SPHERE, csv=descent())
     text = Path("made/record.toml").read_text().replace('confidence = "C" ', 'confidence = "A" ')
     Path("made/record.toml").write_text(text)
@@ -180,7 +180,8 @@ POD = ("--length", "2m", "--mass", "800kg", "--area", "3m2", "--nose-radius", "1
        "NOSE=RCG 0.4 mm / LI-900 60 mm / al2024 3 mm")  # fmt: skip
 
 
-def test_a_scenario_takes_a_trajectory_from_anywhere_and_stays_recorded(tmp_path: Path):
+@pytest.mark.thorough
+def test_a_trajectory_from_anywhere_stays_recorded(tmp_path: Path):
     assert run("new", "vehicle", *POD, "--out", "pod").exit_code == 0
     made = run("new", "scenario", "--vehicle", "pod", "--trajectory", FLIGHTS / "own_columns.csv", "--out", "flown")
     assert made.exit_code == 0, made.exception
