@@ -79,6 +79,8 @@ def test_keys_that_describe_are_told_by_validate(tmp_path: Path) -> None:
                 told = descriptions(folder / deed.file)
                 assert "a text that describes" in [text for texts in told.values() for text in texts.values()], key
                 shown.add(key)
+    of_study = descriptions(ROOT / "scenarios" / "studies" / "optimal_entry.toml")["optimal_entry.toml"]
+    shown |= {f"OptimalStudyFile.{key}" for key in of_study}
     described = {key for key in KEYS if describes(key, KINDS) and not key.endswith(".format")}
     assert sorted(described - shown - set(ELSEWHERE)) == []
 

@@ -658,7 +658,7 @@ def study(**keys: Any) -> Callable[[Path], None]:
 
     def write_study(folder: Path) -> None:
         orbiter()(folder)
-        write(folder / "study.toml", {"format": "study/1", "title": "A study", "vehicle": "orbiter",
+        write(folder / "study.toml", {"format": "study/1", "title": "A study", "note": "invented", "vehicle": "orbiter",
                                       "control_points": ["V09T9527"], **keys})  # fmt: skip
 
     return write_study
@@ -692,7 +692,8 @@ def study_deed(name: str, **keys: Any) -> Deed:
 
 
 CAMPAIGN: Document = {
-    "format": "campaign/1", "title": "A campaign", "vehicle": "orbiter", "control_points": ["V09T9527"],
+    "format": "campaign/1", "title": "A campaign", "note": "invented", "vehicle": "orbiter",
+    "control_points": ["V09T9527"],
     "flight": [{"scenario": "entry.toml", "seeds": [11, 12]}, {"scenario": "entry.toml", "seeds": [13], "check": True}],
     "fit": {"parameters": ["ratio.scale"], "reference": {"alpha_deg": 39.0}, "fix": {"ratio.d_alpha": 0.001},
             "prior": {"ratio.scale": [0.0, 0.1]}, "bound": {"ratio.scale": [-0.5, 0.5]}, "before_s": 4.0,
@@ -724,7 +725,7 @@ def of_link(folder: Path) -> Outcome:
         "points": json.loads(json.dumps(plain(state.points))),
         "time": state.time_s,
         "title": engine.link.title,
-        "missing": plain(state.missing),
+        "missing": plain(state.missing), "counts": dict(engine.counts),
     }
 
 
@@ -748,7 +749,7 @@ def link(**keys: Any) -> Callable[[Path], None]:
 
 
 LINK: Document = {
-    "format": "link/1", "title": "A link", "vehicle": "orbiter", "control_points": ["V09T9527"],
+    "format": "link/1", "title": "A link", "note": "invented", "vehicle": "orbiter", "control_points": ["V09T9527"],
     "source": [{"kind": "json-lines", "transport": "file", "file": "messages.jsonl"}],
     "time": {"field": "t_ms", "unit": "ms", "zero": 5000.0},
     "conditions": {
@@ -773,7 +774,9 @@ LINK: Document = {
 def replay(folder: Path) -> None:
     """Writes a link that sends a record again."""
     tile({})(folder)
-    tile({"control_point": "OTHER"})(folder / "second")
+    tile({})(folder / "second")
+    shorter = folder / "second" / "record" / "thermocouples.csv"
+    shorter.write_text("\n".join(shorter.read_text().splitlines()[:12]) + "\n")
     write(folder / "link.toml", {
         "format": "link/1", "records": ["record"], "source": [{"kind": "replay", "record": "record", "speed": 0.0}],
         "estimate": {"parameters": ["ratio.scale"]},

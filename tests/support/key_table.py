@@ -19,6 +19,8 @@ VALUES: dict[str, list[Any]] = {
     "Replay.record": ["second/record"],
     "Design.after_s": [5.0],
     "Design.parameters": [["ratio.d_elevon"], ["ratio.d_logre"]],
+    "DesignLimits.alpha_deg": [[36.0, 41.0]],
+    "DesignLimits.qbar_Pa": [[0.0, 100.0]],
     "Target.deadband_deg": [30.0],
     "Target.latitude_deg": [40.0],
 }

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel
 
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import toml_text
 
 Place = tuple[str | int, ...]
@@ -183,6 +183,10 @@ def acts(deed: Deed, key: str, values: Sequence[Any], folder: Path, refuses: str
                 if not same(before, deed.do(folder)):
                     return ""
                 idle = True
+            except RunError as error:
+                if key.partition(".")[2] in str(error):  # what could be done before cannot any more
+                    return ""
+                refused.append(f"{value!r}: {error}")
             except (InputError, ValueError) as error:
                 refused.append(f"{value!r}: {str(error).splitlines()[0][:160]}")
     if refuses and any(refuses in text for text in refused):
