@@ -15,7 +15,7 @@ from benchmarks.page import markdown_table
 
 NAMES = ("mutants", "unit_slips", "kills", "concurrency", "journals")
 """Benchmarks that have tables here."""
-GOOD = ("accepted", "refused", "failed")
+GOOD = ("accepted", "told", "refused", "failed")
 
 
 def table_of(marked: str) -> str | None:
@@ -52,7 +52,7 @@ def by_format(results: Mapping[str, Any]) -> str:
     for name, count in results["formats"].items():
         fault = sum(n for outcome, n in count.items() if outcome not in GOOD)
         rows.append((name, sum(count.values()), *(count.get(outcome, 0) for outcome in GOOD), fault))
-    total = ("all", *(sum(row[i] for row in rows) for i in range(1, 6)))
+    total = ("all", *(sum(row[i] for row in rows) for i in range(1, 7)))
     return markdown_table(("format", "mutants", *GOOD, "faults"), [*rows, total])
 
 

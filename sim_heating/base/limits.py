@@ -347,7 +347,7 @@ USUAL: dict[str, Usual] = {
         "thickness_m": (5e-6, 0.5, _TILE),
         "depth_m": (0.0, 0.5, _TILE),
         "contact_m2K_W": (0.0, 0.05, "joints and thin gaps"),
-        "cp_J_kgK": (500.0, 1.5e4, "heavy gases to hydrogen"),
+        "cp_J_kgK": (700.0, 2500.0, "carbon dioxide and air to hot air; helium and hydrogen have more"),
         "initial_K": (150.0, 700.0, "walls before an entry or a test"),
         "surroundings_K": (2.5, 2000.0, "space to a furnace"),
         "h_W_m2K": (0.0, 2e3, _OVEN),

@@ -399,7 +399,7 @@ class BackFace(Declared):
     docs/theory/equations_thermal_step.md, equations 15 and 15a.
     """
 
-    quantities: ClassVar = {"emissivity": "effective_emissivity"}
+    quantities: ClassVar = {"emissivity": "effective_emissivity", "T_K": "T_back_K"}
 
     h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
     natural_h_W_m2K: float = Field(
