@@ -58,8 +58,11 @@ def by_format(results: Mapping[str, Any]) -> str:
 
 def slips(results: Mapping[str, Any]) -> str:
     """Slips of the unit that were accepted without a word, by quantity, with the reason."""
-    rows = [(name, f"{row['accepted']}/{row['tried']}", row["reason"]) for name, row in results["by_quantity"].items()]
-    return markdown_table(("quantity", "accepted", "why it may be"), rows)
+    by_reason: dict[str, list[str]] = {}
+    for name, row in results["by_quantity"].items():
+        by_reason.setdefault(row["reason"], []).append(f"`{name}` {row['accepted']}/{row['tried']}")
+    rows = [(reason, ", ".join(names)) for reason, names in by_reason.items()]
+    return markdown_table(("why it may be", "accepted of tried"), rows)
 
 
 def faults(results: Mapping[str, Any]) -> str:
