@@ -303,7 +303,7 @@ USUAL: dict[str, Usual] = {
         "off_s": (0.5, 60.0, "parts of a manoeuvre"),
         "duration_s": (0.5, 1e4, "manoeuvres to whole entries"),
         "sample_s": (0.05, 10.0, "recorders of temperature sample at 0.1 to 10 Hz"),
-        "rate_hz": (0.05, 1000.0, "recorders and flight simulators"),
+        "rate_hz": (0.1, 300.0, "recorders and flight simulators"),
         "soak_s": (10.0, 2e4, "the heat of an entry reaches a structure within minutes to hours"),
         "horizon_s": (5.0, 3600.0, "a part of an entry"),
         "drag_m_s2": (0.1, 100.0, "drag of gliding entries"),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -118,13 +118,20 @@ LEAST_LAST_LOG_RE, RATIOS = 4.0, (1e-3, 5.0)
 """Last node of log10 Re of a flight's tables, and the largest ratio of one, of leeward points to small radii."""
 
 
+def log_re_remark(nodes: Sequence[float]) -> str | None:
+    """What is unusual about several nodes of log10 Re that end below those of any entry; None where they do not."""
+    if len(nodes) < 2 or nodes[-1] >= LEAST_LAST_LOG_RE:
+        return None
+    return f"ends at {nodes[-1]:g}, and entries reach 6 and more; is it the base-10 logarithm?"
+
+
 def _remarks(table: RatioTable, where: str) -> list[str]:
     """What is possible and unusual about the nodes and ratios of a table."""
     remarks = []
     for name, axis in zip(RATIO_VARIABLES, table.axes, strict=True):
         found = next((text for value in axis[[0, -1]] if (text := usual_remark(name, float(value)))), None)
-        if found is None and name == "log10_re" and len(axis) > 1 and axis[-1] < LEAST_LAST_LOG_RE:
-            found = f"ends at {axis[-1]:g}, and entries reach 6 and more; is it the base-10 logarithm?"
+        if found is None and name == "log10_re":
+            found = log_re_remark(axis.tolist())
         remarks += [] if found is None else [f"{where}, column {name}: {found}"]
     largest = float(np.max(table.ratio))
     if largest > 0.0 and not RATIOS[0] <= largest <= RATIOS[1]:
