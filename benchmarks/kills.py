@@ -237,18 +237,12 @@ def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
         drawn = draw_figures([inputs() / flight], [5, 6])
         return lambda out: write_figures(drawn, out)
 
-    def new_effect(flight: str) -> Callable[[Path], object]:
-        from sim_heating.templates.starters import write_new_effect
-
-        mode = "multiply" if flight == "before" else "add"
-        return lambda out: write_new_effect(out, "kill-test", mode=mode, vehicle="orbiter", point=POINT)
-
     return {"run": run, "synthesize": synthesize, "predict": predict, "estimate": estimate,
-            "close-loop": close_loop, "plan": plan, "figures": figures, "new effect": new_effect}  # fmt: skip
+            "close-loop": close_loop, "plan": plan, "figures": figures}  # fmt: skip
 
 
 COMMANDS = (
-    "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "new effect", "update-tables",
+    "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "update-tables",
     "revert", "fmu export", "fmu export --ssp",
 )  # fmt: skip
 

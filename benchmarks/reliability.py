@@ -15,7 +15,7 @@ from benchmarks.page import markdown_table
 
 NAMES = ("mutants", "unit_slips", "kills", "concurrency", "journals")
 """Benchmarks that have tables here."""
-GOOD = ("accepted", "refused", "failed")
+GOOD = ("accepted", "told", "refused", "failed")
 
 
 def table_of(marked: str) -> str | None:
@@ -52,14 +52,17 @@ def by_format(results: Mapping[str, Any]) -> str:
     for name, count in results["formats"].items():
         fault = sum(n for outcome, n in count.items() if outcome not in GOOD)
         rows.append((name, sum(count.values()), *(count.get(outcome, 0) for outcome in GOOD), fault))
-    total = ("all", *(sum(row[i] for row in rows) for i in range(1, 6)))
+    total = ("all", *(sum(row[i] for row in rows) for i in range(1, 7)))
     return markdown_table(("format", "mutants", *GOOD, "faults"), [*rows, total])
 
 
 def slips(results: Mapping[str, Any]) -> str:
     """Slips of the unit that were accepted without a word, by quantity, with the reason."""
-    rows = [(name, f"{row['accepted']}/{row['tried']}", row["reason"]) for name, row in results["by_quantity"].items()]
-    return markdown_table(("quantity", "accepted", "why it may be"), rows)
+    by_reason: dict[str, list[str]] = {}
+    for name, row in results["by_quantity"].items():
+        by_reason.setdefault(row["reason"], []).append(f"`{name}` {row['accepted']}/{row['tried']}")
+    rows = [(reason, ", ".join(names)) for reason, names in by_reason.items()]
+    return markdown_table(("why it may be", "accepted of tried"), rows)
 
 
 def faults(results: Mapping[str, Any]) -> str:

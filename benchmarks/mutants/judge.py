@@ -36,7 +36,8 @@ LONGEST_S = 10.0
 PATIENCE_S = 180.0
 """Wall time after which a process that computes nothing counts as hung [s]."""
 LONGEST_LINE = 700
-GOOD = ("accepted", "refused", "failed")
+GOOD = ("accepted", "told", "refused", "failed")
+"""What may follow: done, done with a warning of one line, refused in a line, failed in a line."""
 MAY_BE_EMPTY = ("thermocouples.csv",)
 """Tables in which an empty cell is a lost sample."""
 
@@ -245,7 +246,8 @@ def _outcome(status: int | None, text: str, trace: str, too_long: bool) -> tuple
     if too_long:
         return "too long", "more processor time than it may take"
     if status == 0:
-        return "accepted", ""
+        warned = [line for line in text.splitlines() if line.startswith("warning: ")]
+        return ("told", warned[0]) if warned else ("accepted", "")
     mark = {1: "failed: ", 2: "error: "}.get(status or 0, "?")
     _, found, message = f"\n{text}".rpartition(f"\n{mark}")
     lines = message.rstrip("\n").splitlines() if found else []

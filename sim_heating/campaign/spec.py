@@ -244,7 +244,7 @@ def _repeated_flights(declared: CampaignFile, place: str) -> list[str]:
     first: dict[tuple[str, int | None], int] = {}
     for i, source in enumerate(declared.flight, start=1):
         name = os.path.normpath(source.scenario or source.records or "")
-        for seed in source.seeds or [None]:
+        for seed in source.seeds or (None,):
             k = first.setdefault((name, seed), i)
             if k != i:
                 what = name if seed is None else f"{name} with seed {seed}"

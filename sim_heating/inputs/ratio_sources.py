@@ -42,7 +42,13 @@ from sim_heating.base.files import (
 from sim_heating.base.kernels.axis import cells_of
 from sim_heating.base.limits import QUANTITIES
 from sim_heating.heating.atmosphere import us76_kernel
-from sim_heating.heating.ratio.table import RatioTable, range_problems, ratio_table_text, read_ratio_table
+from sim_heating.heating.ratio.table import (
+    RatioTable,
+    log_re_remark,
+    range_problems,
+    ratio_table_text,
+    read_ratio_table,
+)
 from sim_heating.heating.ratio.tunnel_to_flight import (
     REFERENCE,
     FlowState,
@@ -191,6 +197,11 @@ class Axes(Declared):
             if (text := QUANTITIES[n].axis_problem(getattr(self, n)[0], getattr(self, n)[-1])) is not None
         ]
         return super().implausible() or close
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """Unusual nodes, and Reynolds numbers of no entry."""
+        text = log_re_remark(self.log10_re)
+        return [*super().unusual(), *([] if text is None else [(("log10_re",), text)])]
 
     def arrays(self) -> tuple[FloatArray, ...]:
         """The five axes in the order of a ratio table."""

@@ -945,8 +945,8 @@ def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile
             rule = "stands out of the readings before and after it; check it, or leave the cell of a lost sample empty"
             lines = thermocouples.problems_where_not(sensor.column, ~alone, rule)
         first, initial = float(T[rows[0]]), declared.stack.initial_K
-        cold = declared.stack.initial == "uniform" and initial is not None and t[rows[0]] - flown[0] < 30.0
-        if not lines and cold and abs(first - initial) > FIRST_K + FIRST_RELATIVE * initial:
+        at_start = declared.stack.initial == "uniform" and t[rows[0]] - flown[0] < 30.0
+        if not lines and at_start and initial is not None and abs(first - initial) > FIRST_K + FIRST_RELATIVE * initial:
             rule = f"is the first reading, and {declaration} declares initial_K = {initial:g}; check both"
             lines = [thermocouples.problem(int(rows[0]), sensor.column, rule)]
         remarks += lines

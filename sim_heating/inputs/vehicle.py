@@ -22,7 +22,7 @@ from typing import ParamSpec, TypeVar
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
-from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.errors import InputError, error_context, tell
 from sim_heating.base.files import (
     check,
     display_path,
@@ -427,6 +427,7 @@ def _read_control_points(
         if vehicle is not None:
             for line in _position_problems(path, file, vehicle):
                 problems.add(line)
+            tell(_position_remarks(path, file, vehicle))
         construction = None
         if invalid.isdisjoint(layer.material for layer in file.stack.layer):
             construction = problems.attempt(_construct_wall, file, materials, display_path(path))
@@ -494,6 +495,19 @@ def _tables_of_others(directory: Path, tables: Sequence[tuple[str, str, RatioTab
                 f"put back the file of {name}, or correct the header"
             )
     return found
+
+
+AWAY = 0.2
+"""Difference of x_over_L and the position over the reference length that noses and body flaps do not explain."""
+
+
+def _position_remarks(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> list[str]:
+    """A position that is not where the distance over the reference length says."""
+    x, length = file.position_m[0], vehicle.reference_length_m
+    if abs(x / length - file.x_over_L) <= AWAY:
+        return []
+    found = f"position_m has x = {x:g} m, {x / length:.3g} of reference_length_m = {length:g}"
+    return [f"{display_path(path)}: x_over_L is {file.x_over_L:g}, and {found}; check them"]
 
 
 def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> list[str]:

@@ -48,7 +48,7 @@ LIGHT_LAYER_M, METAL_LAYER_M, THIN_LAYER_M, METAL_W_MK = (5e-4, 0.15), (2e-4, 0.
 """Thickness [m] of felts to thick tiles, of skins to blocks, of paints to bonds; k from which it is the second."""
 NOT_METAL_EMITS = 0.3
 """Emissivity below which a surface is of bright metal; one of a poor conductor is above."""
-FIRST_K, LAST_K, AIR_PA = (50.0, 500.0), (350.0, 4500.0), (5e4, 2.5e5)
+FIRST_K, LAST_K, AIR_PA = (50.0, 500.0), (300.0, 4500.0), (5e4, 2.5e5)
 """Ranges of the first and the last temperature of a property [K], and of the last pressure [Pa], near that of 1 atm."""
 STANDS_OUT = 3.0
 """Factor by which a node of a property is over, or under, both of its neighbours where it stands out."""
@@ -399,7 +399,7 @@ class BackFace(Declared):
     docs/theory/equations_thermal_step.md, equations 15 and 15a.
     """
 
-    quantities: ClassVar = {"emissivity": "effective_emissivity"}
+    quantities: ClassVar = {"emissivity": "effective_emissivity", "T_K": "T_back_K"}
 
     h_W_m2K: float = Field(default=0.0, ge=0.0, le=MOST, description="film coefficient in W/(m2 K)")
     natural_h_W_m2K: float = Field(

@@ -25,8 +25,8 @@ from pydantic import (
 )
 
 from sim_heating.base.files import Convertible, Location
-from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast
-from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.base.limits import QUANTITIES, SLOWEST_M_S, low_and_fast, usual_remark
+from sim_heating.heating.atmosphere import G0_M_S2, HIGHEST_M, LOWEST_M, us76
 from sim_heating.heating.recorded.fields import ConditionField, check_columns, field_or_table
 
 Axis = Literal["mach", "velocity_m_s"]
@@ -105,6 +105,9 @@ def entry_remarks(altitude_m: float, velocity_m_s: float, gamma_deg: float) -> l
 
     altitude_m, velocity_m_s, gamma_deg : altitude [m], speed [m/s] and path angle [deg]
     """
+    q_Pa = 0.5 * us76(min(max(altitude_m, LOWEST_M), HIGHEST_M))[2] * velocity_m_s**2
+    if (text := usual_remark("q_Pa", float(q_Pa))) is not None:
+        return [(("altitude_m",), f"{altitude_m:g} m at {velocity_m_s:g} m/s: dynamic pressure [Pa] of {text}")]
     if altitude_m < ENTRY_ABOVE_M or velocity_m_s < SLOWEST_M_S:
         return []
     remarks: list[tuple[Location, str]] = []

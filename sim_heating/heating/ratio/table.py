@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, SURFACES
-from sim_heating.base.errors import InputError
+from sim_heating.base.errors import InputError, tell
 from sim_heating.base.files import (
     CsvTable,
     csv_columns,
@@ -33,7 +33,7 @@ from sim_heating.base.files import (
     suggestion,
     write_text_atomic,
 )
-from sim_heating.base.limits import QUANTITIES, Quantity
+from sim_heating.base.limits import QUANTITIES, Quantity, usual_remark
 from sim_heating.heating.reference.models import recovery_name
 from sim_heating.heating.reference.recovery import RECOVERIES
 
@@ -109,7 +109,34 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
               an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
-    return _table_of(Path(path), read_text(path))
+    table = _table_of(Path(path), read_text(path))
+    tell(_remarks(table, display_path(path)))
+    return table
+
+
+LEAST_LAST_LOG_RE, RATIOS = 4.0, (1e-3, 5.0)
+"""Last node of log10 Re of a flight's tables, and the largest ratio of one, of leeward points to small radii."""
+
+
+def log_re_remark(nodes: Sequence[float]) -> str | None:
+    """What is unusual about several nodes of log10 Re that end below those of any entry; None where they do not."""
+    if len(nodes) < 2 or nodes[-1] >= LEAST_LAST_LOG_RE:
+        return None
+    return f"ends at {nodes[-1]:g}, and entries reach 6 and more; is it the base-10 logarithm?"
+
+
+def _remarks(table: RatioTable, where: str) -> list[str]:
+    """What is possible and unusual about the nodes and ratios of a table."""
+    remarks = []
+    for name, axis in zip(RATIO_VARIABLES, table.axes, strict=True):
+        found = next((text for value in axis[[0, -1]] if (text := usual_remark(name, float(value)))), None)
+        if found is None and name == "log10_re":
+            found = log_re_remark(axis.tolist())
+        remarks += [] if found is None else [f"{where}, column {name}: {found}"]
+    largest = float(np.max(table.ratio))
+    if largest > 0.0 and not RATIOS[0] <= largest <= RATIOS[1]:
+        remarks.append(f"{where}, column ratio: the largest is {largest:g} ({RATIOS[0]:g} to {RATIOS[1]:g} is usual)")
+    return remarks
 
 
 @lru_cache(maxsize=TABLES_KEPT)

@@ -451,7 +451,12 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
 
 
 def implied_radius_m(table: CsvTable) -> float | None:
-    """Median radius [m] of the sphere that the film coefficients are those of; None where nothing flies fast."""
+    """Median radius [m] of the sphere that the film coefficients are those of; None where nothing flies fast.
+
+    R = rho (2 * 1.7415e-4 V / h_ref)^2, from q = 1.7415e-4 (rho / R)^0.5 V^3 and H_r = V^2 / 2.
+
+    Source: Sutton and Graves (1971), NASA TR R-376.
+    """
     for column, _, radius, used, _, _ in _flight_ratios(table):
         if column == "h_ref_kg_m2_s" and np.any(used):
             return float(np.median(radius[used]))

@@ -133,8 +133,8 @@ def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[
         bits = _bits(entry)
         if bits is not None and not 1 <= bits <= 64:
             return [f"parameter `{entry.name}`: a number of {bits} bits cannot be; correct `sizeInBits`"]
-    sizes = [_bits(entry) for is_common, entry in entries if is_common]
-    ends = list(accumulate(takewhile(lambda size: size is not None, sizes)))
+    sizes = [_bits(entry) or 0 for is_common, entry in entries if is_common]  # 0 where it is not known
+    ends = list(accumulate(takewhile(bool, sizes)))
     whole = len(ends) == len(sizes)
     if (whole or (ends and ends[-1] > 8 * HEADER)) and 8 * HEADER not in ends:
         rule = f"its parameters do not end at the {8 * HEADER} bits of a primary header; correct their sizes"
