@@ -58,7 +58,7 @@ step is tried together with its fractions.
 """
 RECENT = 3
 """Steps whose largest gain is what each step left may gain, in `needed_log_likelihood`."""
-SETTLED_STEP = 0.02
+SETTLED_STEP = 0.05
 """Step over the sigma of each parameter [-] at which a search in which no step helps has converged, on a kink or many
 small ones."""
 SHORTENINGS = 2
