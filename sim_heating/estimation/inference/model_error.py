@@ -72,8 +72,9 @@ class HeatingErrorPrior:
         count = TIMES if self.longest_s > self.shortest_s else 1
         middles = ends[0] + (np.arange(count) + 0.5) / count * (ends[1] - ends[0])
         edges = np.concatenate([[0.0], 0.5 * (sizes[1:] + sizes[:-1]), [1.5 * sizes[-1]]])
-        weight = np.diff(edges) * np.exp(-0.5 * (sizes / self.relative) ** 2)
-        return sizes, np.exp(middles), np.tile(np.log(weight / weight.sum()) - math.log(count), (count, 1))
+        log_weight = np.log(np.diff(edges)) - 0.5 * (sizes / self.relative) ** 2
+        log_weight -= np.logaddexp.reduce(log_weight)
+        return sizes, np.exp(middles), np.tile(log_weight - math.log(count), (count, 1))
 
 
 class FlightError(Protocol):
