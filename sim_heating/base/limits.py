@@ -41,7 +41,7 @@ LIMITS: dict[str, tuple[float, float, str]] = {
     "p_inf_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
     "p_surface_Pa": (0.0, 1e10, "is not a pressure (0 or above)"),
     "h_ref_kg_m2_s": (0.0, 100.0, "is not a film coefficient in kg/(m2 s) (0 to 100)"),
-    "H_r_J_kg": (0.0, 5e8, "is not a recovery enthalpy in J/kg (0 to 5e8; enthalpies are zero at 0 K)"),
+    "H_r_J_kg": (0.0, 2e10, "is not a recovery enthalpy in J/kg (0 to 5e8 of a flow; enthalpies are zero at 0 K)"),
     "jets": (0.0, 1.0, "is not a share of jets firing (0 to 1)"),
 }
 """Column -> lowest value, highest value, and the rule that a message states about a value outside."""
@@ -253,7 +253,7 @@ USUAL: dict[str, Usual] = {
         # Columns of conditions
         "altitude_m": (-500.0, 4e5, "the Dead Sea to a low orbit"),
         "velocity_m_s": (0.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
-        "T_inf_K": (120.0, 1500.0, "the coldest mesopause to the thermosphere"),
+        "T_inf_K": (100.0, 1500.0, "the coldest mesopause to the thermosphere"),
         "stream_K": (35.0, 1500.0, "wind tunnels to the thermosphere"),
         "T_surroundings_K": (2.5, 2000.0, "space to a furnace"),
         "T_back_K": (120.0, 900.0, "a wall in orbit to a hot structure"),

@@ -177,22 +177,17 @@ class Ensemble:
     def _grouped(self, kinds: Sequence[int], behind: Mapping[int, int]) -> list[list[int]]:
         """Numbers of the models of each group, at most LANES of one kind, walls upstream in groups before."""
 
-        def interfaces_ahead(i: int) -> int:
-            return 1 + interfaces_ahead(behind[i]) if i in behind else 0
+        def most_nodes(i: int) -> int:
+            return max([self.meshes[i].nodes, *(most_nodes(k) for k, wall in behind.items() if wall == i)])
 
-        # Padding behind the back costs as much as nodes do: neighbours in node count share a group. Walls upstream come
-        # first, so that the last of their groups may be shared by what lies behind them.
-        walls = set(behind.values())
-        order = sorted(
-            range(len(self.models)),
-            key=lambda i: (kinds[i], interfaces_ahead(i), i not in walls, -self.meshes[i].nodes, i),
-        )
+        # Padding behind the back costs as much as nodes do: neighbours in node count share a group, walls with those of
+        # what lies behind them.
+        remaining = sorted(range(len(self.models)), key=lambda i: (kinds[i], -most_nodes(i), i))
         members: list[list[int]] = []
-        for i in order:
-            own = members[-1] if members else []
-            if not own or len(own) == LANES or kinds[i] != kinds[own[0]] or behind.get(i) in own:
-                members.append(own := [])
-            own.append(i)
+        while remaining:
+            ready = [i for i in remaining if behind.get(i) not in remaining and kinds[i] == kinds[remaining[0]]]
+            members.append(ready[:LANES] or remaining[:1])
+            remaining = [i for i in remaining if i not in members[-1]]
         return members
 
     def _arrange(self, kinds: Sequence[int], behind: Mapping[int, int]) -> None:

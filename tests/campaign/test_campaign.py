@@ -139,7 +139,7 @@ def test_flights_that_differ_by_more_than_their_bounds_disagree() -> None:
         ('scenario = "doublet.toml"\nseeds = [13]', 'scenario = "absent.toml"', "there is no"),
         ("seeds = [11, 12]", "seeds = [11, 11]", "must be different whole numbers"),
         ("check = true", 'records = "out/records"', "give either `scenario` or `records`"),
-        ("seeds = [13]\ncheck = true", "seeds = [12]", "two flights are named doublet-seed12"),
+        ("seeds = [13]\ncheck = true", "seeds = [12]", "doublet.toml with seed 12 is that of [[flight]] 1"),
         ("close_loop = false", "close_lop = false", "close_loop"),
         ('vehicle = "orbiter"', 'vehicle = "orbiter"\ncontrol_points = ["V09T9999"]', "V09T9999"),
     ],

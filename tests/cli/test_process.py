@@ -356,11 +356,11 @@ EARLY = """
 import builtins, os, signal, sys
 import sim_heating.__main__ as program
 load = builtins.__import__
-def stop(name, *rest):
+def stop(name, *rest, **more):
     if name == "{module}" and not program_stopped:
         program_stopped.append(name)
         os.kill(os.getpid(), signal.{number})
-    return load(name, *rest)
+    return load(name, *rest, **more)
 program_stopped = []
 builtins.__import__ = stop
 sys.argv = ["sim-heating", "run", "--json", "scenarios/popu_mach20.toml", "--out", "{out}"]

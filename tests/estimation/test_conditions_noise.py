@@ -60,7 +60,7 @@ def test_columns_of_a_measured_flight_tell_their_own_noise() -> None:
 def test_a_generated_flight_has_only_the_noise_that_it_states() -> None:
     record = load_record(PRACTICE / "p06")
     assert conditions_noise(noisy(record)) is None
-    stated = FlightNoise(density_relative=0.02)
+    stated = FlightNoise(density_relative=0.02, velocity_relative=0.001)
     assert conditions_noise(stating(record, noise=stated)) == stated
 
 

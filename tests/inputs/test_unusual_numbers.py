@@ -164,12 +164,6 @@ def test_cold_thermocouples_in_flight_are_told(record: Path) -> None:
     assert any("thermocouples.csv, row 2, column LS_surface_K" in x and "is unusual (100 to 3000 K" in x for x in lines)
 
 
-def test_a_first_reading_far_from_the_declared_temperature_is_told(record: Path) -> None:
-    path = record / "record.toml"
-    path.write_text(path.read_text().replace("initial_K = 294.2", "initial_K = 529.6"))  # in Rankine
-    assert any("declares initial_K = 529.6; check both" in line for line in told(lambda: load_record(record)))
-
-
 @pytest.mark.parametrize(
     ("changes", "line"),
     [

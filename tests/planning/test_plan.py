@@ -348,7 +348,9 @@ def test_an_envelope_without_a_possible_flight_fails_with_the_reason(study, tmp_
     study.write_text(STUDY.format(more="").split("[dispersion]")[0].replace("-1.2", "89.0") + ENVELOPE)
     out = tmp_path / "out"
     assert cli.main(["plan", str(study), "--out", str(out), "--workers", "1"]) == 1
-    errors = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    told = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("...")]
+    warned, errors = ([line for line in told if line.startswith("warning: ") == is_one] for is_one in (True, False))
+    assert any("`gamma_deg`: 89" in line for line in warned)
     assert len(errors) == 2
     assert errors[0].startswith(f"envelope: {study}: none of 2 flights can be flown; the first: alpha_offset_deg -4: ")
     assert "outside the atmosphere" in errors[0]

@@ -122,7 +122,7 @@ EVERY_KEY: Document = {
     "conditions": {
         "source": "invented", "confidence": "A",
         "uncertainty": {
-            "time_shift_s": 0.5, "time_stretch": 1e-3, "density_relative": 0.1, "density_scale_m": 100.0,
+            "time_shift_s": 0.5, "time_stretch": 1e-3, "density_relative": 0.1, "density_scale_m": 7000.0,
             "velocity_relative": 2e-3, "alpha_deg": 0.3,
         },
     },

@@ -61,6 +61,23 @@ _SHOWN = {
         "Review.date Review.factor Review.level Review.person Review.reviewed Review.statement ReviewFile.review"
     ),
     "tests/campaign/test_campaign.py": "FlightSource.records",
+    "tests/templates/test_loggers.py": (
+        "LayoutColumn.depth LayoutColumn.kind LayoutColumn.name LayoutColumn.unit LoggerLayout.column "
+        "LoggerLayout.dates LoggerLayout.decimal LoggerLayout.flux_unit LoggerLayout.lost "
+        "LoggerLayout.period_s LoggerLayout.repeated "
+        "LoggerLayout.separator LoggerLayout.sheet LoggerLayout.temperature_unit LoggerLayout.time "
+        "LoggerLayout.time_unit LoggerLayout.title"
+    ),
+    "tests/estimation/test_conditions_noise.py": (
+        "ConditionsFile.noise FlightNoise.alpha_deg FlightNoise.density_relative FlightNoise.velocity_relative"
+    ),
+    "tests/estimation/test_growing_noise.py": "Sensor.noise_per_K",
+    "tests/heating/test_effect_window.py": (
+        "EffectWindow.high EffectWindow.low EffectWindow.name EffectWindow.ramp EffectWindow.variable "
+        "ScenarioEffect.window"
+    ),
+    "tests/inputs/test_unusual_numbers.py": "Material.apparent",
+    "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
 }
 ELSEWHERE: dict[str, str] = {key: test for test, keys in _SHOWN.items() for key in keys.split()}
 """Keys that act only with a network, a solver, a compiler or another process: the test that shows it."""

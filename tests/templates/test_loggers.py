@@ -17,6 +17,7 @@ from benchmarks.layouts import GOAL_READ, outcomes, share_read
 from benchmarks.verification.loggers import LOGGERS, READ
 from sim_heating.base.errors import InputError
 from sim_heating.cli import main
+from sim_heating.cli.path_check import descriptions
 from sim_heating.inputs.record import load_record
 from sim_heating.templates.loggers.readings import far_off
 from sim_heating.templates.measured_csv import FLUX, TEMPERATURE, TIME, MeasuredCsv, read_measured_csv
@@ -427,12 +428,28 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
     assert record.sensors[0].depth_m == 0.003
     assert record.thermocouples["T_back_K"][0] == pytest.approx(333.15)
     assert np.flatnonzero(np.isnan(record.thermocouples["T_back_K"])).tolist() == [7]
+    layout = Path("rig.toml").read_text()
+    other = layout.replace('title = "', 'title = "bench, ').replace('separator = ";"', 'separator = ","')
+    Path("rig.toml").write_text(other)
+    assert "bench, " in str(descriptions(Path("rig.toml")))
+    assert "no rows of numbers" in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+    Path("rig.toml").write_text(layout)
     rows("millis;T_front", ["0;20,5", "2000;20,5"])
     assert "--layout: column T_back: there is no such column" in refused(
         "new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c"
     )
     Path("rig.toml").write_text(Path("rig.toml").read_text().replace("decimal", "decimals"))
     assert "decimals" in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+
+
+def test_a_layout_states_the_unit_of_fluxes_that_state_none() -> None:
+    rows("Time (s);T (C);heat flux", [f"{2 * k};{20 + k};18" for k in range(61)])
+    plate = ("--layer", "copper 3 mm", "--depth", "T=back", "--emissivity", "0.9")
+    for unit, flux in (("kW/m2", 18e3), ("W/cm2", 18e4)):
+        Path("rig.toml").write_text(f'format = "logger-layout/1"\nflux_unit = "{unit}"\n')
+        made = run("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", unit[:2])
+        assert made.exit_code == 0, made.exception
+        assert load_record(unit[:2]).conditions["q_add_W_m2"].max() == pytest.approx(flux)
 
 
 def test_what_was_read_before_stays_readable() -> None:

@@ -284,7 +284,7 @@ def test_a_plate_that_cools_at_its_back_is_a_record() -> None:
         (("--layer", "copper 3 mm", "--depth", "TC=1mm", "--lamp", "20K"), "`K` is not a unit that converts to W/m2"),
         (("--layer", "copper 3 mm", "--depth", "TC=1mm", "--lamp", "flx"), "neither a flux"),
         (("--layer", "al2024 3 mm", "--depth", "TC=1mm", "--lamp", "2kW/m2"), "give --emissivity"),
-        ((*PLAIN_PLATE, "--lamp", "1e12W/m2"), "--lamp: 1e+12 is not a heat flux"),
+        ((*PLAIN_PLATE, "--lamp", "1e12W/m2"), "--lamp: 1e+12 is not a flux in W/m2"),
         ((*PLAIN_PLATE, "--lamp", "2kW/m2", "--point", ""), "--point: "),
         ((*PLAIN_PLATE, "--conditions", "c.csv", "--reference", "fay"), '--reference: "fay" is not one of'),
         ((*PLAIN_PLATE, "--conditions", "c.csv", "--reference", "fay-riddell"), '"fay-riddell" needs --nose-radius'),

@@ -14,9 +14,10 @@ import math
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pint
+if TYPE_CHECKING:
+    import pint
 
 SAME_FACTOR = 1e-12
 """Relative difference below which factors are equal: definitions are written with fifteen digits."""
@@ -91,6 +92,8 @@ class Conversion(NamedTuple):
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
+    import pint  # slow to import, and files in the units of the contract need none
+
     return pint.UnitRegistry(cache_folder=None)
 
 

@@ -103,6 +103,8 @@ def lacks_only_derived(path: Path, required: Sequence[str]) -> bool:
 
 def _first_names(path: Path) -> set[str]:
     """Names in the first line that is no comment; of a file that cannot be read none."""
+    if not path.is_file():  # a pipe would be waited for
+        return set()
     try:
         with path.open(encoding="utf-8-sig") as file:
             first = next((line for line in file if line.strip() and not line.startswith("#")), "")
