@@ -432,7 +432,8 @@ def test_a_layout_is_kept_for_the_next_files_of_the_recorder() -> None:
     other = layout.replace('title = "', 'title = "bench, ').replace('separator = ";"', 'separator = ","')
     Path("rig.toml").write_text(other)
     assert "bench, " in str(descriptions(Path("rig.toml")))
-    assert "no rows of numbers" in refused("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+    by_other = ("new", "record", "--csv", "t.csv", *plate, "--layout", "rig.toml", "--out", "c")
+    assert "no rows of numbers" in refused(*by_other)
     Path("rig.toml").write_text(layout)
     rows("millis;T_front", ["0;20,5", "2000;20,5"])
     assert "--layout: column T_back: there is no such column" in refused(
