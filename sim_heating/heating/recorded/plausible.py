@@ -115,8 +115,7 @@ def implausible_values(table: CsvTable) -> list[str]:
             problems += table.problems_where_not(name, (table[name] >= lowest) & (table[name] <= highest), rule)
     problems += _energy_problems(table)
     # A column that is impossible by itself would make every relation with it look wrong.
-    problems = problems or _duration_problems(table)
-    return problems or [line for relation in RELATIONS for line in relation(table)]
+    return problems or [line for relation in RELATIONS for line in relation(table)] or _duration_problems(table)
 
 
 def with_density(table: CsvTable) -> CsvTable:
@@ -146,7 +145,7 @@ def _duration_problems(table: CsvTable) -> list[str]:
     """Conditions that last longer than any flight."""
     lasting = table["time_s"] - table["time_s"][0]
     rule = f"is more than {LONGEST_S:g} s after the first row and looks like ms or us; give s"
-    return table.problems_where_not("time_s", lasting <= LONGEST_S, rule)
+    return table.problems_where_not("time_s", lasting <= LONGEST_S, rule) or _around_problems(table)
 
 
 def _energy_problems(table: CsvTable) -> list[str]:
@@ -333,7 +332,7 @@ def clock_problems(table: CsvTable) -> list[str]:
         return [f"{where}: from {t[a]:g} to {t[b]:g} {found}; the time is not in s"]
     ballistic = _ballistic_kg_m2(table, LOST_ENERGY)
     if ballistic is None or BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
-        return _around_problems(table)
+        return []
     usual = {1e3: "milliseconds", 1e6: "microseconds", 1.0 / 60.0: "minutes", 1.0 / 3600.0: "hours"}
     close = [u for size, u in usual.items() if 50.0 <= ballistic / size <= 5e3]
     hint = f"the clock of the flight conditions is in {close[0]}, give s" if close else "check time, density and speed"
