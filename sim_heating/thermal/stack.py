@@ -271,8 +271,6 @@ class Material(Declared):
             "specific_heat_J_kgK": pairs(self.specific_heat_J_kgK)[0],
             "conductivity_W_mK": self.conductivity_grid()[1],
         }
-        if self.emissivity is not None:
-            axes["emissivity"] = pairs(self.emissivity)[0]
         found: list[tuple[Location, str]] = [
             ((name,), f"is over {T[0]:g} to {T[-1]:g} K, and walls have some 200 to 2000 K; check its temperatures")
             for name, T in axes.items()

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.kills import state
-from sim_heating.base.parallel.threads import core_count, march_threads
+from sim_heating.base.parallel.threads import march_threads
 from sim_heating.cli import main
 from tests.support.gliding import gliding
 from tests.support.paths import PRACTICE, ROOT, TILE
@@ -327,17 +327,6 @@ def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_proc
     shell, here = state(workdir / "shell"), state(workdir / "here")
     assert len(shell) > least
     assert shell == here
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(sys.platform != "linux" or core_count() < 2, reason="a process is copied on Linux, for two cores")
-def test_the_process_that_writes_a_prediction_loads_no_compiler(workdir: Path) -> None:
-    """Its copy has marched, and the statement of what supports the prediction came with the temperatures."""
-    code = "import sys; from sim_heating.__main__ import main; print(main(), 'numba' in sys.modules)"
-    command = [sys.executable, "-c", code, "predict", str(PRACTICE / "p06"), "--out", "out", "--quiet"]
-    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[-1] == "0 False", done.stderr
-    assert (workdir / "out" / "summary.json").is_file()
 
 
 def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:

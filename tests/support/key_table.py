@@ -53,7 +53,7 @@ _SHOWN = {
     "tests/planning/test_optimal_entry.py": (
         "OptimalStudyFile.alpha_limits_deg OptimalStudyFile.bank_limits_deg OptimalStudyFile.duration_s "
         "OptimalStudyFile.end OptimalStudyFile.initial OptimalStudyFile.intervals OptimalStudyFile.limit "
-        "OptimalStudyFile.mesh_tolerance OptimalStudyFile.probability OptimalStudyFile.soak_s OptimalStudyFile.state "
+        "OptimalStudyFile.mesh_tolerance OptimalStudyFile.probability OptimalStudyFile.state "
         "OptimalStudyFile.tolerance_K OptimalStudyFile.vehicle FinalState.altitude_m FinalState.gamma_deg "
         "FinalState.velocity_m_s StudyFile.optimal"
     ),
@@ -78,6 +78,9 @@ _SHOWN = {
     ),
     "tests/inputs/test_unusual_numbers.py": "Material.apparent",
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
+    "tests/planning/test_envelope.py": "Envelope.refinements",
 }
+UNSHOWN = ("OptimalStudyFile.soak_s",)
+"""Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak."""
 ELSEWHERE: dict[str, str] = {key: test for test, keys in _SHOWN.items() for key in keys.split()}
 """Keys that act only with a network, a solver, a compiler or another process: the test that shows it."""

@@ -60,7 +60,8 @@ class JointClosedLoop:
 
     loops  : each record's own closed loop
     search : the joint search
-    fitted : the last fit of the records that have the cause, all parameters with bounds; None where none was found
+    fitted : the last fit of the records with the best cause that may be named, all parameters with bounds; None where
+             none is better than the declared models
     report : the contents of closure.json and of the page
     """
 
