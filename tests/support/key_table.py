@@ -12,6 +12,7 @@ VALUES: dict[str, list[Any]] = {
     "InterfaceDeclaration.upstream": ["V09T9527"],
     "LinkFile.control_points": [["V09T9527", "NOSE_HRSI"]],
     "Layer.material": ["al2024"],
+    "Mass.cg_fraction": [0.655, 0.67],
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
     "EstimateSettings.jump_s": [10.0],
     "FitSettings.start": ["circuit", "circuit:10"],
@@ -47,7 +48,7 @@ _SHOWN = {
     "tests/live/test_jsbsim_link.py": "JSBSimInput.port JSBSimInput.prefix OutputSettings.jsbsim LinkFile.output",
     "tests/live/test_outputs.py": "JSBSimInput.host OutputSettings.host OutputSettings.metrics OutputSettings.page "
     "OutputSettings.port OutputSettings.lines",
-    "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario",
+    "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario LinkFile.ahead",
     "tests/live/test_engine.py": "OutputSettings.rate_Hz",
     "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
     "tests/planning/test_optimal_entry.py": (
@@ -80,7 +81,8 @@ _SHOWN = {
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
     "tests/planning/test_envelope.py": "Envelope.refinements",
 }
-UNSHOWN = ("OptimalStudyFile.soak_s",)
-"""Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak."""
+UNSHOWN = ("OptimalStudyFile.soak_s", "EstimateSettings.jump_s")
+"""Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak, and no link of
+the walk has a jump."""
 ELSEWHERE: dict[str, str] = {key: test for test, keys in _SHOWN.items() for key in keys.split()}
 """Keys that act only with a network, a solver, a compiler or another process: the test that shows it."""
