@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 
@@ -12,9 +13,9 @@ from pydantic import BaseModel, ValidationError
 from sim_heating.base.files import toml_text
 from sim_heating.cli.path_check import DESCRIBING, descriptions
 from sim_heating.formats.catalogue import formats_with_schema
-from tests.support.key_deeds import DEEDS
+from tests.support.key_deeds import DEEDS, Document
 from tests.support.key_table import ELSEWHERE, REFUSES, UNSHOWN, VALUES
-from tests.support.key_walk import acts, at, changed, keys_of, owner, present
+from tests.support.key_walk import Deed, acts, at, changed, keys_of, owner, present
 from tests.support.paths import ROOT
 
 FORMATS = [declared.load() for declared in formats_with_schema() if declared.language == "toml"]
@@ -44,12 +45,19 @@ SAMPLE = int(os.environ.get("SIM_HEATING_WALKED_KEYS", "24"))
 """How many keys are walked; the whole walk, with a large number in this variable, takes most of an hour."""
 
 
+def documents(path: Path) -> Iterator[tuple[Deed, Document, Path]]:
+    """Each deed with its document, and the folder of its own that this names files in."""
+    for i, deed in enumerate(DEEDS):
+        folder = path / str(i)
+        folder.mkdir()
+        yield deed, deed.document(folder), folder
+
+
 @pytest.fixture(scope="session")
 def stated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[int]]:
     """Numbers of the deeds whose document states a key."""
     found: dict[str, list[int]] = {}
-    for i, deed in enumerate(DEEDS):
-        document = deed.document(tmp_path_factory.mktemp("deed"))
+    for i, (deed, document, _) in enumerate(documents(tmp_path_factory.mktemp("deeds"))):
         for key in dict.fromkeys(key for key, _ in present(deed.model.model_validate(document))):
             found.setdefault(key, []).append(i)
     return found
@@ -71,10 +79,7 @@ def test_key_acts(key: str, stated: dict[str, list[int]], tmp_path: Path) -> Non
 
 def test_keys_that_describe_are_told_by_validate(tmp_path: Path) -> None:
     shown = set()
-    for i, deed in enumerate(DEEDS):
-        folder = tmp_path / str(i)
-        folder.mkdir()
-        document = deed.document(folder)
+    for deed, document, folder in documents(tmp_path):
         for key, place in present(deed.model.model_validate(document)):
             if describes(key, KINDS) and not key.endswith(".format") and key not in shown:
                 assert isinstance(at(document, place), str)
@@ -90,10 +95,7 @@ def test_keys_that_describe_are_told_by_validate(tmp_path: Path) -> None:
 
 def test_another_format_is_refused(tmp_path: Path) -> None:
     refused = set()
-    for i, deed in enumerate(DEEDS):
-        folder = tmp_path / str(i)
-        folder.mkdir()
-        document = deed.document(folder)
+    for deed, document, _ in documents(tmp_path):
         if "format" in document and deed.model not in refused:
             with pytest.raises(ValidationError):
                 deed.model.model_validate(document | {"format": "another/9"})
