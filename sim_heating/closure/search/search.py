@@ -408,8 +408,8 @@ def _exchanged(
     """
     rounds: list[SearchRound] = []
     more: list[Hypothesis] = []
+    rated = _accepted(none, found)
     for _ in range(EXCHANGES):
-        rated = _accepted(none, [*found, *more])
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
             break
         best, values = rated[0], fitted_values(rated[0].last)
@@ -421,7 +421,8 @@ def _exchanged(
         seen, tried = _with_one_more(stacks, first.forms, progress)
         rounds += seen
         more += tried
-        if set(_accepted(none, [*found, *more])[0].names) == set(best.names):
+        rated = _accepted(none, [*found, *more])
+        if set(rated[0].names) == set(best.names):
             break
     return rounds, more
 
