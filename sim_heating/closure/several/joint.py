@@ -243,7 +243,7 @@ def _flights(fitted: FitResult) -> dict[str, dict[str, tuple[float, float] | Non
             continue
         at = part.index[-len(part.flight_names) :]
         covariance = fitted.fit.covariance[np.ix_(at, at)]
-        found[part.record.declared.flight] = told_flight(error.flight, fitted.fit.values[at], covariance)
+        found[part.record.flight] = told_flight(error.flight, fitted.fit.values[at], covariance)
     return found
 
 

@@ -159,7 +159,7 @@ def joined(parts: Sequence[FitProblem], levels: Mapping[str, str]) -> FitProblem
     one_point = len({f.record.declared.control_point for f in fits}) == 1
     owners = [
         {n: owner(level, f.record, one_point) for n, level in levels.items()}
-        | dict.fromkeys(f.flight_names, f.record.declared.flight)
+        | dict.fromkeys(f.flight_names, f.record.flight)
         for f in fits
     ]
     return FitProblem.joined(parts, owners)
@@ -171,7 +171,7 @@ def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:
     The error of a record's heating is as large as with the best model of its own search.
     """
     bases = [_with_size(result) for result in alone]
-    flights = [b.problem.record_fits[0].record.declared.flight for b in bases]
+    flights = [b.problem.record_fits[0].record.flight for b in bases]
     shared = [
         b if flights.count(flight) < 2 else replace(
             b, problem=b.problem.with_flight_unknowns(), held_out=b.held_out and b.held_out.with_flight_unknowns()
@@ -391,7 +391,7 @@ def _flight_cost(h: JointHypothesis) -> float:
     for i in h.members:
         part = h.by_record[i].problem.record_fits[0]
         values = fitted_values(h.by_record[i])
-        flights[part.record.declared.flight] = [values[n] for n in part.flight_names]
+        flights[part.record.flight] = [values[n] for n in part.flight_names]
     return float(sum(np.sum(np.square(f)) for f in flights.values()))
 
 
