@@ -61,6 +61,31 @@ def test_gradient_and_information_are_those_of_the_dense_covariance(problem):
     np.testing.assert_allclose(found.information, J.T @ np.linalg.solve(covariance, J), rtol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def of_words(problem):
+    """The same with words whose step is twice the noise."""
+    record = load_record(ROOT / "scenarios" / "records" / "practice" / "p06")
+    plain = FitProblem([record], ["ratio.scale", "ratio.d_alpha"], REFERENCE)
+    part = plain.record_fits[0]
+    part.sigma_K.update({c.number: 0.5 * c.sensor.lsb_K for c in part.channels})
+    return plain.with_model_error(problem.record_fits[0].model_error)
+
+
+@pytest.mark.parametrize("at", [AT, np.array([0.3, -3e-4])], ids=["near", "far off"])
+def test_gradient_of_rounded_readings_is_that_of_their_likelihood(of_words, at):
+    steps = np.diag([1e-4, 1e-6])
+    either = [[of_words.evaluate(at + sign * d) for sign in (1.0, -1.0)] for d in steps]
+    gradient = [(a.log_likelihood - b.log_likelihood) / (2.0 * d.sum()) for (a, b), d in zip(either, steps, strict=True)]
+    curvature = [(b.gradient - a.gradient) / (2.0 * d.sum()) for (a, b), d in zip(either, steps, strict=True)]
+    found = of_words.evaluate(at)
+    sigma = np.sqrt(np.diag(np.linalg.inv(found.information)))
+    np.testing.assert_allclose(found.gradient * sigma, gradient * sigma, atol=0.05)
+    assert np.all(np.linalg.eigvalsh(found.information * np.outer(sigma, sigma)) > 0.0)
+    np.testing.assert_allclose(
+        found.information * np.outer(sigma, sigma), curvature * np.outer(sigma, sigma), rtol=0.2, atol=0.2
+    )
+
+
 def test_innovations_have_the_same_likelihood_together(problem):
     samples = problem.innovations(AT)
     each = [np.sum(log_likelihood(s.channel.intervals, s.mean_K, s.spread_K)) for s in samples]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -32,8 +33,9 @@ STEP = 0.02
 """Relative change of the heating for the derivative of the readings [-]."""
 KNOTS_A_TIME = 4.0
 """Knots of slow noise in each of its correlation times."""
-SETTLED, MOST_STEPS = 0.01, 12
-"""Change of u at which the inner iteration has converged [-], and its most steps."""
+SETTLED, MOST_STEPS = 1e-3, 50
+"""Change of u, in its standard deviations given the readings, at which the inner iteration has converged [-], and its
+most steps."""
 TOGETHER = 64
 """Readings that the filter takes at a time."""
 
@@ -136,15 +138,14 @@ class ScoredReadings:
     """The likelihood of the readings of one record at some predictions, the error of the model integrated out.
 
     log_likelihood : [-];  score : (reading,) [1/K];  weight : (reading,) information W of the readings [1/K2]
-    root           : (reading, unknown) G of the error [K], and the (unknown, unknown) lower root of 1 + G' R^-1 G; None
-                     without an error
+    root           : (reading, unknown) G of the error [K]; None without an error
     error          : (unknown,) the most probable u [-]; empty without an error
     """
 
     log_likelihood: float
     score: FloatArray
     weight: FloatArray
-    root: tuple[FloatArray, FloatArray] | None = None
+    root: FloatArray | None = None
     error: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def information(self, sensitivity: FloatArray) -> FloatArray:
@@ -156,9 +157,19 @@ class ScoredReadings:
         whole = weighed.T @ sensitivity
         if self.root is None:
             return whole
-        G, lower = self.root
-        lost = solve_triangular(lower, G.T @ weighed, lower=True)
+        lost = self._taken_up @ sensitivity
         return np.asarray(whole - lost.T @ lost)
+
+    @cached_property
+    def _taken_up(self) -> FloatArray:
+        """(unknown, reading) C^-1 G' W with the lower root C of 1 + G' W G [1/K], what the error takes up.
+
+        W of a word may be above R^-1: with the root of 1 + G' R^-1 G the information would not be that of any error.
+        """
+        assert self.root is not None  # asked for with an error only
+        weighed = self.root * self.weight[:, np.newaxis]
+        lower = np.linalg.cholesky(np.eye(self.root.shape[1]) + self.root.T @ weighed)
+        return np.asarray(solve_triangular(lower, weighed.T, lower=True))
 
 
 def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> ScoredReadings:
@@ -186,13 +197,18 @@ def scored_readings(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> Sco
         step = cho_solve((lower, True), G.T @ score - u)
         there = at(u + step)
         # the sum is concave in u: a shorter step raises it
-        while there[0] < total - SETTLED and np.max(np.abs(step)) > SETTLED:
+        while there[0] < total and _size(lower, step) > SETTLED:
             step = 0.5 * step
             there = at(u + step)
         u, (total, score, weight) = u + step, there
-        if np.max(np.abs(step)) < SETTLED:
+        if _size(lower, step) < SETTLED:
             break
-    return ScoredReadings(total + volume, score, weight, (G, lower), u)
+    return ScoredReadings(total + volume, score, weight, G, u)
+
+
+def _size(lower: FloatArray, step: FloatArray) -> float:
+    """Length of a step of u in its standard deviations given the readings [-]."""
+    return float(np.linalg.norm(lower.T @ step))
 
 
 def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
