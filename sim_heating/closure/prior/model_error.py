@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.prior.changed_flight import (
     shift_conditions,
     with_alpha,
@@ -20,6 +21,7 @@ from sim_heating.closure.prior.changed_flight import (
     with_velocity,
 )
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
+from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import BY_CONFIDENCE, FlightUncertainty, Record
 
@@ -30,11 +32,14 @@ SHORTEST_S, LONGEST_S = 60.0, 600.0
 """Limits of the log-uniform prior of its correlation time [s]."""
 DENSITY = "density_relative"
 FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
-"""Columns that the error of a flight acts through.
+"""Columns that the error of a flight acts through; one of its duration acts through the angles as well.
 
-Angles, Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a
-derivative along the flight's error could not say it.
+Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a derivative along
+the flight's error could not say it.
 """
+TURNED = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
+CLOCK_SIGMAS = 3.0
+"""Standard deviations by which the clock of a flight may be off, as far as the record allows."""
 
 
 def heating_error_prior(record: Record) -> HeatingErrorPrior | None:
@@ -61,6 +66,23 @@ def flight_error(record: Record) -> SmoothFlightError | None:
     z, scale = record.conditions["altitude_m"], stated.density_scale_m
     error = SmoothFlightError(record, stated, np.arange(z.min(), z.max() + scale, scale))
     return error if error.directions else None
+
+
+def clock_prior(record: Record, agreement_s: float) -> Parameter:
+    """The clock of the readings against that of the conditions, with its prior in the declared model.
+
+    agreement_s : by how much two recorders differ that agree [s]
+
+    It is as uncertain as the time of the flight. A shift moves the answer to a manoeuvre by more than a derivative can
+    say, so that it is a parameter of the march; the flight's own error, which acts through the heating, takes up what
+    is beyond SKEW_SPAN_S.
+    """
+    error = flight_error(record)
+    sigma_s = 0.0 if error is None else error.uncertainty.time_shift_s
+    if sigma_s <= CLOCK_SKEW.sigma:
+        return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
+    limit_s = min(max(CLOCK_SIGMAS * sigma_s, agreement_s), SKEW_SPAN_S)
+    return replace(CLOCK_SKEW, sigma=sigma_s, lower=-limit_s, upper=limit_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +145,11 @@ class SmoothFlightError:
             other = with_velocity(other, 1.0 + float(by["velocity_relative"][0]))
         if "alpha_bias_deg" in by:
             other = with_alpha(other, float(by["alpha_bias_deg"][0]))
-        later_s = sum(float(by[n][0]) * x for n, x in (("time_shift_s", 1.0), ("time_stretch", t - t[0])) if n in by)
-        other = shift_conditions(other, later_s)
+        stretched_s = float(by["time_stretch"][0]) * (t - t[0]) if "time_stretch" in by else 0.0
+        other = shift_conditions(other, stretched_s + (float(by["time_shift_s"][0]) if "time_shift_s" in by else 0.0))
+        turned = shift_conditions(flown, stretched_s).conditions
         heated = conditions_of_record(other)
-        columns = {n: heated[n] for n in FROM_FLIGHT if n in heated}
+        columns = {n: heated[n] for n in FROM_FLIGHT if n in heated} | {n: turned[n] for n in TURNED}
         stated = flown.declared.heating
         # the recovery of the point may follow from its reference heating
         recovery = stated.recovery if stated.reference == "columns" else stated.recovery_of_point.kind

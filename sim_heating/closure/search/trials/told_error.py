@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.estimation.inference.model_error import ModelError
 
 PHASES = 8
 """Consecutive parts of a record whose error is compared."""
+TIME_SHIFT = "time_shift_s"
 TOLD_APART = 0.5
 """Part of its prior's standard deviation below which an error of the flight is told by itself."""
 
@@ -92,7 +94,13 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     flight, state = error.flight, trial.known_error
     if not isinstance(flight, SmoothFlightError) or state is None or trial.problem.record_fits[0].flight_names:
         return {}
-    return told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
+    told = told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
+    clock = trial.problem.priors.get(CLOCK_SKEW.name)
+    if clock is not None and clock.sigma > CLOCK_SKEW.sigma:
+        k = trial.fit.names.index(CLOCK_SKEW.name)
+        own, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
+        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < TOLD_APART * clock.sigma else None
+    return told
 
 
 def told_flight(

@@ -20,7 +20,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
-from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
+from sim_heating.closure.prior.model_error import clock_prior, flight_error, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.estimation.fit import (
@@ -319,8 +319,7 @@ def _declared_problem(
     # Clocks of two recorders never agree exactly, and an unstated skew is estimated as an effect: some room for it
     # belongs to the model without effects.
     agreement_s = min(AGREEMENT * interval, SKEW_SPAN_S)
-    limited = {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)}
-    clock = {} if CLOCK_SKEW.name in whole.names else limited
+    clock = {} if CLOCK_SKEW.name in whole.names else {CLOCK_SKEW.name: clock_prior(record, agreement_s)}
     options = FitOptions(
         effects=before.problem.options.effects,
         priors={**priors, **clock},
@@ -455,7 +454,7 @@ def is_fitted(base: TrialFit, name: str) -> bool:
     """
     part = base.problem.record_fits[0]
     if name == CLOCK_SKEW.name and name in base.problem.priors:
-        return False
+        return base.problem.priors[name].sigma > CLOCK_SKEW.sigma
     return any(part.model.same_parameter(name, own) for own in part.names)
 
 
