@@ -32,7 +32,8 @@ SHORTEST_S, LONGEST_S = 60.0, 600.0
 """Limits of the log-uniform prior of its correlation time [s]."""
 DENSITY = "density_relative"
 FROM_FLIGHT = ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa")
-"""Columns that the error of a flight acts through; one of its duration acts through the angles as well.
+"""Columns that the error of a flight acts through; one of its duration through the angles as well, where the flight has
+one clock.
 
 Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a derivative along
 the flight's error could not say it.
@@ -73,14 +74,14 @@ def clock_prior(record: Record, agreement_s: float) -> Parameter:
 
     agreement_s : by how much two recorders differ that agree [s]
 
-    It is as uncertain as the time of the flight. A shift moves the answer to a manoeuvre by more than a derivative can
-    say, so that it is a parameter of the march; the flight's own error, which acts through the heating, takes up what
-    is beyond SKEW_SPAN_S.
+    It is as uncertain as the time of the flight, where that is known to SKEW_SPAN_S. A shift moves the answer to a
+    manoeuvre by more than a derivative can say, so that it is a parameter of the march. A flight whose time is less
+    well known is not the one that was flown: its heating is then earlier or later than its angles say.
     """
     error = flight_error(record)
-    sigma_s = 0.0 if error is None else error.uncertainty.time_shift_s
-    if sigma_s <= CLOCK_SKEW.sigma:
+    if error is None or not error.has_one_clock:
         return replace(CLOCK_SKEW, lower=-agreement_s, upper=agreement_s)
+    sigma_s = error.uncertainty.time_shift_s
     limit_s = min(max(CLOCK_SIGMAS * sigma_s, agreement_s), SKEW_SPAN_S)
     return replace(CLOCK_SKEW, sigma=sigma_s, lower=-limit_s, upper=limit_s)
 
@@ -99,12 +100,20 @@ class SmoothFlightError:
     uncertainty: FlightUncertainty
     altitudes_m: FloatArray
 
+    @property
+    def has_one_clock(self) -> bool:
+        """Whether angles and heating are of one clock, whose shift is a parameter of the model (`clock_prior`).
+
+        An uncertainty below that of two recorders that agree needs none.
+        """
+        return CLOCK_SKEW.sigma < self.uncertainty.time_shift_s <= SKEW_SPAN_S
+
     @cached_property
     def directions(self) -> Sequence[tuple[str, float]]:
         """(direction,) what differs, as in a closure report, and its standard deviation in its unit."""
         u = self.uncertainty
         single = [
-            ("time_shift_s", u.time_shift_s), ("time_stretch", u.time_stretch),
+            ("time_shift_s", 0.0 if self.has_one_clock else u.time_shift_s), ("time_stretch", u.time_stretch),
             ("velocity_relative", u.velocity_relative), ("alpha_bias_deg", u.alpha_deg),
         ]  # fmt: skip
         density = [(DENSITY, u.density_relative)] * len(self.altitudes_m)
@@ -147,7 +156,7 @@ class SmoothFlightError:
             other = with_alpha(other, float(by["alpha_bias_deg"][0]))
         stretched_s = float(by["time_stretch"][0]) * (t - t[0]) if "time_stretch" in by else 0.0
         other = shift_conditions(other, stretched_s + (float(by["time_shift_s"][0]) if "time_shift_s" in by else 0.0))
-        turned = shift_conditions(flown, stretched_s).conditions
+        turned = shift_conditions(flown, stretched_s).conditions if self.has_one_clock else flown.conditions
         heated = conditions_of_record(other)
         columns = {n: heated[n] for n in FROM_FLIGHT if n in heated} | {n: turned[n] for n in TURNED}
         stated = flown.declared.heating

@@ -16,6 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.base.parameters import CLOCK_SKEW
+from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
@@ -40,7 +42,7 @@ from sim_heating.closure.several.common_parameters import owner, widest_level
 from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
-from sim_heating.estimation.record_fit import sensor_definition
+from sim_heating.estimation.record_fit import RecordFit, sensor_definition
 from sim_heating.estimation.side_by_side import maximise_together
 
 
@@ -159,10 +161,16 @@ def joined(parts: Sequence[FitProblem], levels: Mapping[str, str]) -> FitProblem
     one_point = len({f.record.declared.control_point for f in fits}) == 1
     owners = [
         {n: owner(level, f.record, one_point) for n, level in levels.items()}
-        | dict.fromkeys(f.flight_names, f.record.flight)
+        | dict.fromkeys((*f.flight_names, *_clock_of_flight(f)), f.record.flight)
         for f in fits
     ]
     return FitProblem.joined(parts, owners)
+
+
+def _clock_of_flight(part: RecordFit) -> tuple[str, ...]:
+    """The name of the clock, where its shift is an error of the flight that the record has in common with others."""
+    error = flight_error(part.record) if part.flight_names else None
+    return (CLOCK_SKEW.name,) if error is not None and error.has_one_clock and CLOCK_SKEW.name in part.names else ()
 
 
 def with_common_flights(alone: Sequence[SearchResult]) -> list[TrialFit]:

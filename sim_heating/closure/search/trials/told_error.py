@@ -95,11 +95,10 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     if not isinstance(flight, SmoothFlightError) or state is None or trial.problem.record_fits[0].flight_names:
         return {}
     told = told_flight(flight, error.along_flight(u), state.covariance[error.of_flight, error.of_flight])
-    clock = trial.problem.priors.get(CLOCK_SKEW.name)
-    if clock is not None and clock.sigma > CLOCK_SKEW.sigma:
+    if flight.has_one_clock and CLOCK_SKEW.name in trial.fit.names:
         k = trial.fit.names.index(CLOCK_SKEW.name)
         own, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
-        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < TOLD_APART * clock.sigma else None
+        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < TOLD_APART * flight.uncertainty.time_shift_s else None
     return told
 
 
