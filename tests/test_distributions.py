@@ -56,6 +56,7 @@ def unpacked(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -
     return source
 
 
+@pytest.mark.thorough
 def test_a_wheel_has_every_file_of_the_package_and_of_the_data_folders(built):
     expected = {f"sim_heating/{name}" for name in files_below(ROOT / "sim_heating")}
     for folder in INSIDE:
@@ -65,6 +66,7 @@ def test_a_wheel_has_every_file_of_the_package_and_of_the_data_folders(built):
     assert found == expected
 
 
+@pytest.mark.thorough
 def test_a_source_distribution_has_what_the_tests_and_pages_need(unpacked):
     for folder in (*INSIDE, "sim_heating", "tests", "benchmarks", "examples", "docs"):
         assert files_below(unpacked / folder) == files_below(ROOT / folder)
@@ -80,6 +82,7 @@ def test_two_builds_in_two_folders_have_the_same_bytes(built, unpacked, tmp_path
     assert digests(build(unpacked, tmp_path)) == digests(built)
 
 
+@pytest.mark.thorough
 def test_the_citation_is_of_the_version_that_is_built(built):
     version = built[".whl"].name.split("-")[1]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")

@@ -213,6 +213,7 @@ def test_a_finished_result_that_no_longer_holds_is_computed_again(tmp_path):
     assert [job.id for job in jobs(3) if (tmp_path / job.id).stat().st_mtime_ns != kept[job.id]] == ["job-002"]
 
 
+@pytest.mark.thorough
 def test_two_runs_on_one_ledger_are_not_mixed(tmp_path):
     with exclusive(tmp_path):
         code = (

@@ -242,6 +242,7 @@ def test_results_never_go_where_their_input_is(tmp_path: Path, given: str, relat
 # One writer at a time, and kills -------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_second_process_is_refused_while_the_first_writes(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with output_directory(out, "run") as partial:

@@ -84,6 +84,7 @@ def test_what_a_legend_names_is_seen_and_what_leaves_the_axes_is_marked(figures:
         assert unmarked_points(figure.figure) == [], figure.title
 
 
+@pytest.mark.thorough
 def test_the_csvs_hold_what_is_drawn(figures: PaperFigures, tmp_path: Path) -> None:
     names = write_figures(figures, tmp_path)
     found = json.loads((tmp_path / "figures.json").read_text())

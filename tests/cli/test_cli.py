@@ -417,6 +417,7 @@ def test_a_manoeuvre_whose_trigger_is_never_met_is_reported(workdir: Path, capsy
     assert "trigger never met; manoeuvre not flown" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_a_flight_is_read_back_from_its_own_conditions(workdir: Path, first: Path) -> None:
     head = SHORT[: SHORT.index("[trajectory]")]
     (workdir / "again.toml").write_text(head + '[trajectory]\nsource = "recorded"\nfile = "first/conditions.csv"\n')

@@ -238,6 +238,7 @@ ratio.scale = [0.0, 1.0]
 """
 
 
+@pytest.mark.thorough
 def test_what_is_fixed_and_known_before_comes_from_a_file_and_the_line_and_is_stated(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,6 +266,7 @@ def test_a_clock_that_is_known_is_fixed(workdir: Path) -> None:
     assert all(abs(found.parameters[n][0] - true) < 3.0 * found.parameters[n][1] for n, true in TRUTH.items())
 
 
+@pytest.mark.thorough
 def test_one_coating_of_two_points_is_tied(workdir: Path) -> None:
     coating, records = "stack.coating.thickness_factor", [f"both/{PLUG}", f"both/{POD}"]
     names, flat = ["ratio.scale", "ratio.d_alpha", coating], {coating: (1.0, math.inf)}

@@ -60,6 +60,7 @@ def test_the_object_of_a_prediction_has_its_files_and_the_contents_of_its_summar
     assert found["results"] == read_json(out / "summary.json")
 
 
+@pytest.mark.thorough
 def test_several_records_are_predicted_into_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("one", "two"):
         shutil.copytree(TILE, tmp_path / name)
@@ -120,6 +121,7 @@ def test_a_value_after_two_dashes_is_no_option(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr() == ("", "error: --json: there is no such file\n")
 
 
+@pytest.mark.thorough
 def test_the_object_is_whole_in_a_process_of_its_own(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sim_heating", "validate", str(TILE), "--json"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}

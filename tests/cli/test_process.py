@@ -218,6 +218,7 @@ def test_a_record_whose_name_is_not_utf_8_is_predicted_under_that_name(workdir: 
 UNSHARED = ("unshare", "--user", "--map-user=54321", "--map-group=54321")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(
     shutil.which("unshare") is None or subprocess.run([*UNSHARED, "true"], capture_output=True, check=False).returncode,
     reason="no user can be made here that has no passwd entry",
@@ -273,6 +274,7 @@ def test_what_is_no_regular_file_is_not_opened(workdir: Path) -> None:
         assert what in error
 
 
+@pytest.mark.thorough
 def test_a_pipe_within_a_record_is_refused_by_all_that_read_records(workdir: Path) -> None:
     shutil.copytree(TILE, "record")
     (workdir / "record" / "conditions.csv").unlink()
@@ -329,6 +331,7 @@ def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_proc
     assert shell == here
 
 
+@pytest.mark.thorough
 def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:
     """Where a copy of the process flies, too."""
     text = (workdir / "short.toml").read_text(encoding="utf-8")
@@ -343,6 +346,7 @@ def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:
 
 EARLY = """
 import builtins, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 import sim_heating.__main__ as program
 load = builtins.__import__
 def stop(name, *rest, **more):
@@ -357,6 +361,7 @@ program.run_and_exit()
 """
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("module", ["rich.console", "click", "numpy"])
 def test_a_signal_while_the_program_loads_leaves_the_object_of_json(tmp_path: Path, number: str, module: str) -> None:

@@ -173,6 +173,7 @@ def test_report_and_files_of_one_record(tmp_path: Path, monkeypatch: pytest.Monk
     assert estimated["effect.impingement-onset.slope"]["value"] > 0.0
 
 
+@pytest.mark.thorough
 def test_a_stuck_sensor_is_reported_and_no_effect(tmp_path: Path) -> None:
     """The others of the board under its lamp read what its declared model says."""
     board = simulated_record(load_record(BOARD))

@@ -44,6 +44,7 @@ def residual_with(what: str) -> tuple[ResidualHeating, ResidualEvidence]:
     return residual, residual_evidence(residual)
 
 
+@pytest.mark.thorough
 def test_heating_above_an_onset_angle_is_recognised_as_such():
     _, found = residual_with("onset")
     best = found.shape_fits[0]

@@ -63,6 +63,7 @@ def test_the_effect_put_in_is_named_and_no_other(name: str, effect: str) -> None
     assert found.conclusion.best.adequate
 
 
+@pytest.mark.thorough
 def test_a_residual_that_follows_nothing_is_called_unknown() -> None:
     found = searched_among(load_record(PRACTICE / "p02"), AMONG)  # a sine in time, which is no effect of the library
     assert found.names == ("unknown",)

@@ -148,6 +148,7 @@ def test_an_onset_goes_into_the_table_with_a_node_where_it_is(
 # What a table cannot hold ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_what_the_tables_do_not_hold_is_named_with_what_it_costs(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

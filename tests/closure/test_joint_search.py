@@ -118,6 +118,7 @@ def test_what_is_of_the_flow_of_a_point_or_of_a_flight() -> None:
     assert narrower_levels("point", [left, right]) == []
 
 
+@pytest.mark.thorough
 def test_two_flights_tell_together_what_neither_tells_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     search_among(monkeypatch, *AMONG)
     for name, seed in (("one", 6), ("two", 7)):

@@ -35,6 +35,7 @@ def lit(flux_W_m2: float = FLUX_W_M2, **parameters: float) -> Record:
     return step_record(vehicle, vehicle.control_point("V09T9527"), flux_W_m2, **parameters)
 
 
+@pytest.mark.thorough
 def test_a_wrong_conductivity_is_found_under_a_lamp(tmp_path: Path) -> None:
     write_record(lit(parameters={CONDUCTIVITY: 0.95}), tmp_path / "lit")
     result = CliRunner().invoke(cli, ["close-loop", str(tmp_path / "lit"), "--out", str(tmp_path / "out")])

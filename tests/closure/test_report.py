@@ -278,6 +278,7 @@ class Elements(HTMLParser):
         self.text.append(data)
 
 
+@pytest.mark.thorough
 def test_the_page_is_self_contained_and_has_every_section():
     html = page_html(closure_page(closed()))
     found = Elements(html)

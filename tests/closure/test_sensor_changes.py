@@ -90,6 +90,7 @@ def test_a_drift_is_recognised_with_its_rate():
     assert best.value == pytest.approx(DRIFT_K_S, abs=4.0 * best.sigma)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sensor", [SURFACE, BOND], ids=lambda s: s.name)
 def test_a_depth_that_is_declared_wrong_by_two_millimetres_is_recognised(sensor):
     wrong_m = 2e-3 if sensor is SURFACE else -2e-3
@@ -104,6 +105,7 @@ def test_a_record_with_sound_thermocouples_has_no_other_ones(name):
     assert all(f.delta_bic > -5.0 for f in found_in(record))
 
 
+@pytest.mark.thorough
 def test_an_unknown_effect_is_no_broken_thermocouple():
     unknown = load_record(PRACTICE / "p02")  # a sine of the heating ratio: 90 times the noise
     base = base_trial(estimate([unknown]))

@@ -130,6 +130,7 @@ def test_heating_above_an_onset_is_not_taken_up_by_a_derivative_that_the_table_e
     assert values["effect.impingement-onset.alpha_onset_deg"] == pytest.approx(42.0, abs=0.5)
 
 
+@pytest.mark.thorough
 def test_a_derivative_that_the_table_excludes_and_the_flight_has_is_found_as_an_error_of_the_table(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

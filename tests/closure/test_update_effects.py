@@ -141,6 +141,7 @@ def test_effects_follow_the_ratio_that_the_table_shifts_from_the_fit(workdir: Pa
     assert follow == pytest.approx(rho * (drawn - estimated) / scale.sigma, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_an_effect_is_shifted_no_farther_than_its_bounds(workdir: Path) -> None:
     fit = read_estimate("first.json")
     parameters = {
@@ -155,6 +156,7 @@ def test_an_effect_is_shifted_no_farther_than_its_bounds(workdir: Path) -> None:
     assert estimated["effect.transition.factor"]["value"] == parameters["effect.transition.factor"].value
 
 
+@pytest.mark.thorough
 def test_a_declared_effect_is_replaced_and_its_comments_stay(workdir: Path) -> None:
     old = (
         '\n[[effect]] # hot\nname = "transition" # seen in tunnels\nparameters = { factor = 4.0 }\nsource = "a guess"\n'
@@ -180,6 +182,7 @@ def test_a_file_edited_after_the_update_is_not_reverted(workdir: Path, capsys: p
     assert contents(workdir / "orbiter") == before
 
 
+@pytest.mark.thorough
 def test_an_update_killed_before_writing_its_table_is_detected(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 # From a flight to better predictions ---------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_revised_table_predicts_the_fitted_and_another_manoeuvre(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,6 +174,7 @@ def test_a_revised_table_predicts_the_fitted_and_another_manoeuvre(
     assert read_json(workdir / "after" / "summary.json")["fit"] == pytest.approx(fit["first"]["after"])
 
 
+@pytest.mark.thorough
 def test_later_flights_declare_the_revised_table(workdir: Path) -> None:
     update_and_write()
     assert main(["synthesize", "first.toml", "--out", "third"]) == 0
@@ -290,6 +292,7 @@ def test_a_joint_estimate_of_several_points_updates_the_one_that_is_named(workdi
     assert [u.record for u in other.used] == ["first"]
 
 
+@pytest.mark.thorough
 def test_two_flights_give_the_same_table_in_either_order(workdir: Path) -> None:
     shutil.copytree("orbiter", "other/orbiter")
     for fit in ("first.json", "second.json"):

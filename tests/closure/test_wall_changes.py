@@ -61,6 +61,7 @@ def test_a_changed_record_is_the_model_with_the_parameter(change):
     np.testing.assert_allclose(a.sensors_K, b.sensors_K, atol=0.1)  # two meshes
 
 
+@pytest.mark.thorough
 def test_a_skin_that_is_declared_too_thick_is_recognised():
     thickness_m = 1.2 * TILE.declared.stack.layer[SKIN].thickness_m
     found = fit_changes(base_of(declared_with(TILE, SKIN, thickness_m=thickness_m)), wall_changes(TILE))
@@ -115,6 +116,7 @@ def test_another_material_is_recognised_among_those_of_the_library():
     assert found[1].delta_bic > found[0].delta_bic + 1000.0
 
 
+@pytest.mark.thorough
 def test_a_clean_record_has_no_other_wall():
     assert min(f.delta_bic for f in fit_changes(base_of(TILE), wall_changes(TILE))) > -5.0
 

@@ -211,6 +211,7 @@ def test_a_search_never_leaves_its_limits_and_beats_the_plan(planner):
     assert found.best_experiment.sigma((D_ALPHA,))[0] < found.planned_experiment.sigma((D_ALPHA,))[0]
 
 
+@pytest.mark.thorough
 def test_limits_that_no_design_keeps_are_an_error():
     limits = {"alpha_deg": [39.9, 40.1]}
     with pytest.raises(RunError, match="none of 4 designs keeps the limits; the nearest exceeds that of alpha_deg"):

@@ -175,6 +175,7 @@ def test_few_samples_estimate_what_they_identify_and_no_more():
     assert np.all(np.isfinite(found.bounds.sigma))
 
 
+@pytest.mark.thorough
 def test_manoeuvre_outside_the_table_has_a_warning(capsys, tmp_path):
     shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
     path = tmp_path / "p06" / "ratio_table.csv"
@@ -207,6 +208,7 @@ def test_damaged_record_is_named_with_its_file(capsys, tmp_path):
     assert (status, "conditions.csv" in text) == (2, True)
 
 
+@pytest.mark.thorough
 def test_a_fit_that_ends_on_a_kink_has_converged_and_says_so(capsys, tmp_path):
     """An onset in angle of attack has a kink at every sample, and the flight holds one angle for long."""
     out = tmp_path / "out"

@@ -137,6 +137,7 @@ def test_bounds_of_the_filter_are_the_scatter_of_its_estimates(repetitions: dict
     assert np.all((hits >= low) & (hits <= high))
 
 
+@pytest.mark.thorough
 def test_estimates_of_the_filter_are_nearer_the_truth(repetitions: dict[str, np.ndarray]) -> None:
     # of one parameter at least, the mean of a ratio that wanders passing for a scale whatever is fitted; to 0.70, 0.42
     # of output error's in 400 repetitions (`python -m benchmarks process_noise`), give or take a fifth in 16
@@ -255,6 +256,7 @@ def test_a_priori_temperatures_are_farther_from_the_readings_than_a_posteriori_o
     assert len(np.unique((picture[..., :3] * 255).astype(int).reshape(-1, 3), axis=0)) > 50
 
 
+@pytest.mark.thorough
 def test_the_error_that_the_fit_minimised_is_that_of_a_priori_temperatures_and_not_of_the_march(wandered, fitted: Path):
     found = read_json(fitted / "estimate.json")
     sensors = ("V09T9527", "V07T9528", "V07T9529", "V07T9530", "V07T9531")

@@ -59,6 +59,7 @@ def test_an_onset_that_was_flown_has_an_interval_that_holds_it() -> None:
     assert (found.lower_open, found.upper_open) == (False, False)
 
 
+@pytest.mark.thorough
 def test_an_onset_beyond_the_angles_flown_has_no_upper_end() -> None:
     priors = {ONSET: (45.0, np.inf)}
     fit = estimate(load_record(PRACTICE / "p06"), [SCALE, ONSET], priors=priors, fixed={SLOPE: 0.002}, profiles=[ONSET])

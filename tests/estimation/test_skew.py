@@ -24,6 +24,7 @@ def off(fit, name: str, truth: float) -> float:
     return abs(fit.fit.values[k] - truth) / fit.bounds.sigma[k]
 
 
+@pytest.mark.thorough
 def test_lead_thins_the_coating_that_is_found_and_lag_thickens_it():
     lead, none, lag = (fitted_factor(Tile(skew_s=s))[0] for s in (-1.0, 0.0, 1.0))
     assert lead < 0.7 < none < 1.3 < lag

@@ -94,6 +94,7 @@ def surface_K(folder: str) -> np.ndarray:
     return read_csv_columns(Path(folder) / "temperatures.csv", ("time_s", "surface_K"))["surface_K"]
 
 
+@pytest.mark.thorough
 def test_run_and_validate_accept_it_in_a_scenario():
     plain, with_effect = scenario("plain"), scenario("with_effect", EFFECT.format(table="", growth=GROWTH))
     assert main(["validate", with_effect]) == 0

@@ -405,6 +405,7 @@ def test_no_damage_gives_anything_but_a_record_or_an_input_error(tmp_path: Path,
     answered_or_read(folder)
 
 
+@pytest.mark.thorough
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_value_at_any_key_is_taken_or_refused_with_an_input_error(tmp_path: Path, data: st.DataObject) -> None:

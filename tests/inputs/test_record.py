@@ -245,6 +245,7 @@ sensors = st.builds(
 )
 
 
+@pytest.mark.thorough
 @settings(max_examples=50, deadline=None)
 @given(
     sensor=st.lists(sensors, min_size=1, max_size=3, unique_by=(lambda s: s["name"], lambda s: s["column"])),

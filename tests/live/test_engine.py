@@ -127,6 +127,7 @@ def test_messages_out_of_order_within_the_lateness_give_the_same_bits(short: Pat
     assert points_of(state) == points_of(followed)
 
 
+@pytest.mark.thorough
 def test_doubled_damaged_and_lost_samples_are_counted_and_told(short: Path, followed: State):
     engine = LinkEngine(replaying(short))
     for k, message in enumerate(messages_of(engine.link)):
@@ -171,6 +172,7 @@ def test_the_clock_of_one_thermocouple_that_goes_back_takes_it_out_and_the_page_
     assert not point.sensors[sensor.name].used
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("by_s", "use"), [(-3.0, "are not used"), (-2.0, "are used by their times")])
 def test_the_clock_of_one_thermocouple_that_goes_back_while_nothing_changes_is_told(short: Path, by_s, use):

@@ -133,6 +133,7 @@ def test_filtered_again_about_its_estimate_the_flight_gives_that_estimate():
     assert np.max(np.abs(twice[2] - once[2]) / sigma) < 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["p06", "p07"])
 def test_at_the_end_of_a_record_without_an_effect_the_estimate_is_that_of_a_fit(name):
@@ -229,6 +230,7 @@ def test_the_scale_that_was_flown_is_found_and_the_wall_with_it(in_order):
         assert abs(word.value_K - told.predicted_K) < 5.0 * told.sigma_K
 
 
+@pytest.mark.thorough
 def test_innovations_are_given_once_in_order_and_white(in_order):
     e, seen = estimator(), []
     for sample in shuffled(2, 1.9):

@@ -11,6 +11,7 @@ from benchmarks.journals import full_disk, half_open, hostile_packets, killed
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL and limits of a process")
 
 
+@pytest.mark.thorough
 def test_a_link_that_is_killed_loses_nothing_and_is_not_gone_on_with_by_another_link_file():
     found = killed(1, print, seed=3)
     assert found.pop("kills") == 1
@@ -24,6 +25,7 @@ def test_hostile_packets_take_nothing_from_the_flight_between_them():
     assert set(found.values()) == {0}, found
 
 
+@pytest.mark.thorough
 def test_half_open_connections_to_the_page_take_nothing_from_the_flight():
     found = half_open(400, 256)
     assert found.pop("messages") == 400
@@ -31,6 +33,7 @@ def test_half_open_connections_to_the_page_take_nothing_from_the_flight():
     assert set(found.values()) == {0}, found
 
 
+@pytest.mark.thorough
 def test_a_full_disk_costs_what_had_no_room_which_is_told():
     found = full_disk()
     assert 0 < found["found"] < found["messages"]

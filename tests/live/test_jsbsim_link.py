@@ -26,6 +26,7 @@ NAMES = [f"P{k}" for k in range(16)]
 FOLDERS = {name: f"heating/{name}" for name in NAMES}
 
 
+@pytest.mark.thorough
 def test_a_running_jsbsim_is_followed_by_its_own_socket_and_gets_the_estimates(capfd):
     pytest.importorskip("jsbsim")
     import importlib.util
@@ -111,6 +112,7 @@ async def publish_until(output: JSBSimProperties, is_done: Callable[[], bool], f
     raise AssertionError("it never was so")
 
 
+@pytest.mark.thorough
 def test_sixteen_points_are_written_and_what_is_not_declared_is_one_remark(tmp_path):
     port, said = free_port(), []
     declared = ["heating/time_s", *(f"heating/{name}/{field}" for name in NAMES for field in FIELDS[:4])]

@@ -76,6 +76,7 @@ def the_error(capsys: pytest.CaptureFixture[str], *arguments: str, status: int =
     return lines[0]
 
 
+@pytest.mark.thorough
 def test_the_end_of_a_link_tells_its_estimates_counts_and_records(cut: Path, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(out)]) == 0
@@ -105,6 +106,7 @@ def test_the_report_of_a_link_holds_each_point_s_histories_and_ratio(replayed: P
     assert "What came" in page
 
 
+@pytest.mark.thorough
 def test_the_end_of_a_link_states_what_supports_its_estimates(replayed: Path, capsys):
     """A replayed record: its flight and its model are those of the record, and its readings are met as noise allows."""
     block = read_json(replayed / "live.json")["credibility"]
@@ -137,6 +139,7 @@ def test_json_is_one_object_with_the_last_state(cut: Path, tmp_path, capsys):
     assert found["results"]["state"]["link"]["state"] == "ended"
 
 
+@pytest.mark.thorough
 def test_the_record_of_a_replayed_record_is_estimated(replayed: Path, cut: Path, tmp_path, capsys):
     (point,) = read_json(replayed / "live.json")["control_points"]
     record = replayed / "records" / point
@@ -293,6 +296,7 @@ def test_a_replay_leaves_the_journal_of_a_flight_alone(cut: Path, tmp_path, caps
     assert {p.name: p.read_bytes() for p in flight.iterdir() if p.is_file()} == before
 
 
+@pytest.mark.thorough
 def test_a_replay_goes_by_default_into_a_folder_that_is_not_the_flight_s(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["live", str(of_vehicle(tmp_path)), "--headless", "--quiet"]) == 0
@@ -336,6 +340,7 @@ def test_a_result_that_is_not_the_link_s_is_refused_before_anything_is_taken(tmp
     assert (out / name).read_text() == "mine"
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default:.*replaced live.json")
 def test_results_that_cannot_be_written_at_the_end_leave_a_flight_that_is_gone_on_with(tmp_path, capsys, monkeypatch):
     """Someone writes a file of a result's name while the flight is flown."""
@@ -357,6 +362,7 @@ def test_results_that_cannot_be_written_at_the_end_leave_a_flight_that_is_gone_o
     assert read_json(out / "live.json")["counts"]["frames"] == 30
 
 
+@pytest.mark.thorough
 def test_another_link_file_does_not_go_on_with_a_flight(tmp_path, capsys):
     """Degrees Fahrenheit would be read as kelvins."""
     sensor = f'\n[[sensor]]\nsensor = "{POINT}"\nfield = "{POINT}_K"\nunit = "{{}}"\n'
@@ -376,6 +382,7 @@ def test_another_link_file_does_not_go_on_with_a_flight(tmp_path, capsys):
     assert (out / "journal.bin").read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_damage_of_a_journal_is_told_with_the_record_that_is_made_of_it(tmp_path, capsys):
     flight = recorded(tmp_path)
     data = bytearray((flight / "journal.bin").read_bytes())
@@ -388,6 +395,7 @@ def test_damage_of_a_journal_is_told_with_the_record_that_is_made_of_it(tmp_path
     assert len(load_record(tmp_path / "r").time_s) == 29
 
 
+@pytest.mark.thorough
 def test_a_file_that_is_followed_again_brings_back_what_was_damaged(tmp_path):
     """The file has the message still that the journal has lost; it comes behind the others, and is in the record."""
     link, out = of_vehicle(tmp_path), tmp_path / "o"

@@ -54,6 +54,7 @@ def test_lines_of_json_come_from_several_connections_in_pieces():
     assert said[0].endswith("has connected")
 
 
+@pytest.mark.thorough
 def test_a_client_waits_for_its_server_and_connects_again():
     port = free_port(socket.SOCK_STREAM)
     made = link({"kind": "json-lines", "transport": "tcp-client", "port": port})

@@ -62,6 +62,7 @@ def run_interpreted(code: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="compares with the compiled kernel")
 def test_interpreted_and_compiled_steps_agree_bit_for_bit():
     interpreted = run_interpreted(

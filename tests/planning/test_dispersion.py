@@ -254,6 +254,7 @@ def test_a_dispersed_flight_is_the_built_in_entry_bit_for_bit(tmp_path):
         np.testing.assert_array_equal(flown.rows[1, :count, ROW.index(name)], own[name][:count])
 
 
+@pytest.mark.thorough
 def test_peaks_are_those_of_the_programs_march_along_the_same_flight(tmp_path):
     """One step a sample on the same meshes; the soak in longer steps: 0.05 K."""
     entry = entry_of(tmp_path, FLIGHT + THERMAL)
@@ -343,6 +344,7 @@ def test_exact_slopes_are_those_of_differences(tmp_path):
         assert slope == pytest.approx(difference / (deviation[2 * k, k] - deviation[2 * k + 1, k]), rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_limit_that_every_flight_exceeds_is_reported_in_one_line(tmp_path):
     limits = '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 1200.0\n'
     result = dispersion_of(entry_of(tmp_path, THERMAL, limits=limits))
@@ -352,6 +354,7 @@ def test_a_limit_that_every_flight_exceeds_is_reported_in_one_line(tmp_path):
     assert result.within_limits.count == 0
 
 
+@pytest.mark.thorough
 def test_flights_outside_the_tables_are_reported_with_the_distance_and_do_not_count_as_within_the_limits(tmp_path):
     """From 130 km, log10 Re begins below 2, the lower end of the tables."""
     limits = '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'

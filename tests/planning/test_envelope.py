@@ -73,6 +73,7 @@ def peak(case: Case, limit: str) -> float:
 # Physics of the cases ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_lower_angle_of_attack_cools_the_leeside_and_heats_the_leading_edge() -> None:
     low, base_entry = Case(alpha_offset_deg=-6.0), Case()
     assert peak(low, "V07T9975 surface") < peak(base_entry, "V07T9975 surface") - 20.0

@@ -177,6 +177,7 @@ def test_an_active_limit_is_met_by_the_marched_temperature(limited_flight):
     assert "NOSECAP surface" in limited_flight.status
 
 
+@pytest.mark.thorough
 def test_a_limit_costs_cross_range(limited_flight):
     free = fly_optimal(without_limits(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3)))
     assert free.peaks[0].surface_K > 1900.0

@@ -185,6 +185,7 @@ def test_reading_a_table_gives_what_was_set_in_this_instance_alone(fmus):
         host.drop(then)
 
 
+@pytest.mark.thorough
 def test_an_instance_and_its_state_take_less_than_4_KiB_a_point(vehicle, tmp_path):
     folder, made, _ = link_model(vehicle, tmp_path)
     program, source = tmp_path / "instances", ROOT / "benchmarks" / "c_peer" / "instances.c"

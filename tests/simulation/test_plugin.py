@@ -595,6 +595,7 @@ print(len(compiled.buffer))
 """
 
 
+@pytest.mark.thorough
 def test_nothing_is_compiled_after_the_reset() -> None:
     """A host in real time waits before its flight, not in its first frames.
 

@@ -42,6 +42,7 @@ def refused(*arguments: str) -> str:
     return str(result.exception)
 
 
+@pytest.mark.thorough
 def test_a_heated_plate_goes_from_a_logger_file_to_a_closed_loop_without_an_edit() -> None:
     """A plate with 6 % more heat capacity than the library's copper: every command runs, and finds the 6 %."""
     time_s = np.arange(0.0, 301.0, 5.0)

@@ -233,6 +233,7 @@ def test_a_limit_that_the_scenarios_own_flight_exceeds_is_raised_and_said_so() -
     assert "own limit" not in kept
 
 
+@pytest.mark.thorough
 def test_new_effects_are_found_checked_and_flown() -> None:
     """The checks run in a process of its own, as a person runs them: the folder of effects is read once."""
     for mode, variable in (("multiply", "mach"), ("add", "alpha_deg"), ("emittance", "wall_K")):

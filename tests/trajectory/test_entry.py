@@ -111,6 +111,7 @@ def test_an_equilibrium_glide_has_the_range_of_saenger():
 # ---- aerodynamics, atmosphere, winds -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @settings(max_examples=60, deadline=None)
 @given(st.floats(1.5, 27.0), st.floats(0.0, 50.0), st.floats(-11.7, 22.5), st.floats(0.65, 0.675), st.booleans())
 def test_the_compiled_trim_is_that_of_the_tables(mach, alpha, flap, cg, shift):
@@ -270,6 +271,7 @@ def test_the_step_does_not_matter(nominal):
         )
 
 
+@pytest.mark.thorough
 def test_the_point_mass_agrees_with_six_degrees_of_freedom():
     """Same guidance, tables and start; own kernel against JSBSim: altitude within 100 m at every speed, time 1 s."""
     stop = {"mach": 2.5}

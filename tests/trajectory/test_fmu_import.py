@@ -354,6 +354,7 @@ def test_an_fmu_of_many_variables_is_read_once_and_flown(
     assert read == [path, path]  # it may be another one
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_variable_with_many_aliases_is_flown_by_one_of_them(binary: Path, tmp_path: Path) -> None:
     aliases = "".join(f'<Alias name="height[{i}]"/>' for i in range(30_000))

@@ -475,6 +475,7 @@ HOSTILE_ENTRIES = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize(("entries", "expected"), HOSTILE_ENTRIES)
 def test_an_archive_made_to_do_harm_is_refused_before_anything_is_unpacked(

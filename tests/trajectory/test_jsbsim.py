@@ -266,6 +266,7 @@ def test_three_and_six_degrees_of_freedom_fly_the_same_entry(quiet_flight: Fligh
         assert a["axial_accel_g"] == approx(b["axial_accel_g"], rel=0.02)
 
 
+@pytest.mark.thorough
 def test_the_orbiter_flies_on_to_the_ground() -> None:
     landed = jsbsim.fly(entry(stop={"altitude_m": 0.0}, rate_hz=20.0), VEHICLE)
     c = landed.conditions
@@ -277,6 +278,7 @@ def test_the_orbiter_flies_on_to_the_ground() -> None:
 # Manoeuvres
 
 
+@pytest.mark.thorough
 def test_a_popu_is_followed_within_two_and_a_half_degrees(flight: Flight) -> None:
     w, c = window(flight, "popu"), flight.conditions
     assert c.at(w.start_s)["velocity_m_s"][0] == approx(6096.0, abs=1.0)

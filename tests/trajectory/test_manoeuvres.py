@@ -154,6 +154,7 @@ TRIGGERS = st.one_of(
 SCRIPTS = st.lists(st.builds(lambda a, b: a | b, SHAPES, TRIGGERS), min_size=1, max_size=4)
 
 
+@pytest.mark.thorough
 @settings(max_examples=60, deadline=None)
 @given(SCRIPTS, st.sampled_from([4.0, 20.0, 60.0]))
 def test_offsets_stay_within_amplitude_and_rate_for_any_script(manoeuvres, rate_hz):
