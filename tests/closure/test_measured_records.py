@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from sim_heating.closure.close import close_loop
+from sim_heating.closure.prior.changed_flight import shift_conditions
 from sim_heating.closure.prior.model_error import flight_error, heating_error_prior
 from sim_heating.closure.report import closure_json
 from sim_heating.closure.search.search import search_effects
+from sim_heating.closure.search.trials.told_error import told_error
+from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit, with_own_error
 from sim_heating.estimation.inference.error_likelihood import model_error
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.inputs.points import conditions_of_record
@@ -122,3 +125,15 @@ def test_a_flight_without_an_error_is_the_stated_one():
     before, after = (conditions_of_record(r) for r in (tile, error.record(np.zeros(len(error.directions)))))
     for name in ("h_ref_kg_m2_s", "H_r_J_kg", "p_surface_Pa"):
         np.testing.assert_allclose(after[name], before[name], rtol=1e-12)
+
+
+@pytest.mark.parametrize("later_s", [1.9, -2.6])
+def test_a_clock_within_its_uncertainty_is_an_error_of_the_flight(later_s):
+    """Eight-bit readings of a POPU, whose conditions were recorded by a clock that was off."""
+    record = load_record(RECORDS / "practice" / "p06")
+    conditions = record.declared.conditions.model_copy(update={"uncertainty": FlightUncertainty(time_shift_s=2.0)})
+    record = replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
+    trial = with_own_error(base_trial(declared_fit(shift_conditions(record, later_s))))
+    value, sigma = told_error(trial).flight["time_shift_s"]
+    assert value == pytest.approx(-later_s, abs=max(3.0 * sigma, 0.2))
+    assert sigma < 0.2

@@ -66,7 +66,7 @@ def flight_error(record: Record) -> SmoothFlightError | None:
         return None
     z, scale = record.conditions["altitude_m"], stated.density_scale_m
     error = SmoothFlightError(record, stated, np.arange(z.min(), z.max() + scale, scale))
-    return error if error.directions else None
+    return error if error.directions or error.has_one_clock else None
 
 
 def clock_prior(record: Record, agreement_s: float) -> Parameter:
