@@ -12,7 +12,7 @@ from benchmarks.verification.conduction import CARSLAW, A
 from benchmarks.verification.row import Row, within
 from benchmarks.verification.walls import even_mesh, flight, material, wall
 from sim_heating.base.parameters import Parameter
-from sim_heating.estimation.inference.conditions_noise import HeatingNoise
+from sim_heating.estimation.inference.model_error import HeatingNoise
 from sim_heating.estimation.inference.newton import Evaluation, maximise
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import load_record

@@ -8,8 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from sim_heating.closure.search.search import search_effects
+from sim_heating.closure.search.trials.trial_fit import base_trial, declared_fit
 from sim_heating.estimation.fit import FitResult, estimate, rms_normalised_residual
-from sim_heating.estimation.inference.conditions_noise import HeatingNoise, conditions_noise
+from sim_heating.estimation.inference.conditions_noise import conditions_noise
+from sim_heating.estimation.inference.model_error import HeatingNoise
 from sim_heating.inputs.record import FlightNoise, Record, load_record
 from tests.support.paths import PRACTICE, RECORDS
 
@@ -72,6 +75,14 @@ def test_stated_noise_explains_what_noise_of_the_sensors_does_not() -> None:
     assert abs(after - 1.0) < abs(before - 1.0)
     assert stated.fit.log_likelihood > without.fit.log_likelihood + 10.0
     assert stated.fit.converged
+
+
+@pytest.mark.thorough
+def test_stated_noise_of_the_conditions_is_no_missing_cause() -> None:
+    record = noisy(load_record(PRACTICE / "p06"))
+    found = search_effects(stating(record, noise=FlightNoise(alpha_deg=ALPHA_DEG)))
+    assert found.conclusion.finding == "none"
+    assert found.none.excess_chi2 < base_trial(declared_fit(record)).excess_chi2
 
 
 @pytest.mark.thorough

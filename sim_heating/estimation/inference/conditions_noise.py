@@ -18,57 +18,18 @@ d_i [s] the share of row i and phi_k the hat function of knot k. These values jo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
+from sim_heating.estimation.inference.model_error import HeatingNoise
 from sim_heating.estimation.inference.noise import LEAST_NOISE_K, noise_of_readings
 from sim_heating.estimation.record_fit import RecordFit
 from sim_heating.inputs.record import FlightNoise, Record
 from sim_heating.march.history import march_points
 
-MOST_KNOTS = 150
-"""Largest number of knots of the noise."""
 NEGLIGIBLE = 1e-3
 """Relative noise of the heating [-] below which it is none."""
-
-
-@dataclass(frozen=True, eq=False)
-class HeatingNoise:
-    """Relative white noise of the heating of a record.
-
-    time_s   : (row,) of the conditions [s];  relative : (row,) one standard deviation [-]
-    """
-
-    time_s: FloatArray
-    relative: FloatArray
-
-    @cached_property
-    def share_s(self) -> FloatArray:
-        """(row,) part of the time that each row stands for [s]: d of docs/theory/model_error.md, equation 10."""
-        edges = np.concatenate([self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]), self.time_s[-1:]])
-        return np.diff(edges)
-
-    def knots_s(self, first_s: float, last_s: float) -> FloatArray:
-        """(knot,) times between which it is linear [s], as far apart as the rows are, or farther.
-
-        Knots of docs/theory/model_error.md, equation 10.
-        """
-        row_s = float(np.median(np.diff(self.time_s)))
-        count = min(max(math.ceil((last_s - first_s) / row_s) + 1, 2), MOST_KNOTS)
-        return np.linspace(first_s, last_s, count)
-
-    def at_knots(self, knots_s: FloatArray) -> FloatArray:
-        """(knot,) standard deviations of independent values at the knots [-].
-
-        Source: docs/theory/model_error.md, equation 10.
-        """
-        hats = np.array([np.interp(self.time_s, knots_s, hat, 0.0, 0.0) for hat in np.eye(len(knots_s))])
-        width_s = hats @ self.share_s
-        variance = hats @ (self.relative * self.share_s) ** 2
-        return np.sqrt(np.divide(variance, width_s**2, out=np.zeros_like(variance), where=width_s > 0.0))
 
 
 def conditions_noise(record: Record) -> FlightNoise | None:

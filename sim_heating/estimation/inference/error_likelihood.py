@@ -13,13 +13,13 @@ from scipy.linalg import cho_solve, solve_triangular
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.kernels.block import LANES
 from sim_heating.estimation.inference.bounds import ChannelResiduals
-from sim_heating.estimation.inference.conditions_noise import HeatingNoise
 from sim_heating.estimation.inference.likelihood import ReadingIntervals, scores
 from sim_heating.estimation.inference.model_error import (
     CorrelatedNoise,
     ErrorSize,
     FlightError,
     HeatingErrorPrior,
+    HeatingNoise,
     ModelError,
 )
 from sim_heating.estimation.record_fit import PredictedSamples, RecordFit
@@ -77,7 +77,7 @@ def model_error(
     moved = np.moveaxis(T[1:] - T[0], 0, -1)
     return ModelError(
         knots, record_fit.sample_s, moved[..., :count] / STEP, moved[..., count:], flight, sigma, correlation_s,
-        _correlated_noise(record_fit), None if noise is None else _white_K(record_fit, values, noise),
+        _correlated_noise(record_fit), noise, None if noise is None else _white_K(record_fit, values, noise),
     )  # fmt: skip
 
 
@@ -91,8 +91,10 @@ def noise_error(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) 
     """
     samples = len(record_fit.sample_s)
     none = np.zeros((len(record_fit.record.sensors), samples, 0))
-    white_K = _white_K(record_fit, values, noise)
-    return ModelError(np.zeros(0), record_fit.sample_s, none, none, None, 0.0, 1.0, white_K=white_K)
+    return ModelError(
+        np.zeros(0), record_fit.sample_s, none, none, None, 0.0, 1.0,
+        heating_noise=noise, white_K=_white_K(record_fit, values, noise),
+    )  # fmt: skip
 
 
 def _white_K(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> FloatArray:

@@ -40,6 +40,8 @@ SIZES = (0.0025, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08, 0.11, 0.15, 0
 """Standard deviations of the heating's error [-] that its size is integrated over."""
 FLIGHT_PREFIX = "flight."
 """Beginning of the names of the errors of a flight, where these are unknowns of a fit."""
+MOST_NOISE_KNOTS = 150
+"""Largest number of knots of white noise of the heating."""
 TIMES = 4
 """Correlation times that it is integrated over, evenly spaced on a logarithmic scale."""
 
@@ -125,6 +127,42 @@ class CorrelatedNoise:
 
 
 @dataclass(frozen=True, eq=False)
+class HeatingNoise:
+    """Relative white noise of the heating of a record.
+
+    time_s   : (row,) of the conditions [s];  relative : (row,) one standard deviation [-]
+    """
+
+    time_s: FloatArray
+    relative: FloatArray
+
+    @cached_property
+    def share_s(self) -> FloatArray:
+        """(row,) part of the time that each row stands for [s]: d of docs/theory/model_error.md, equation 10."""
+        edges = np.concatenate([self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]), self.time_s[-1:]])
+        return np.diff(edges)
+
+    def knots_s(self, first_s: float, last_s: float) -> FloatArray:
+        """(knot,) times between which it is linear [s], as far apart as the rows are, or farther.
+
+        Knots of docs/theory/model_error.md, equation 10.
+        """
+        row_s = float(np.median(np.diff(self.time_s)))
+        count = min(max(math.ceil((last_s - first_s) / row_s) + 1, 2), MOST_NOISE_KNOTS)
+        return np.linspace(first_s, last_s, count)
+
+    def at_knots(self, knots_s: FloatArray) -> FloatArray:
+        """(knot,) standard deviations of independent values at the knots [-].
+
+        Source: docs/theory/model_error.md, equation 10.
+        """
+        hats = np.array([np.interp(self.time_s, knots_s, hat, 0.0, 0.0) for hat in np.eye(len(knots_s))])
+        width_s = hats @ self.share_s
+        variance = hats @ (self.relative * self.share_s) ** 2
+        return np.sqrt(np.divide(variance, width_s**2, out=np.zeros_like(variance), where=width_s > 0.0))
+
+
+@dataclass(frozen=True, eq=False)
 class ModelError:
     """The error of the model of one record.
 
@@ -135,8 +173,9 @@ class ModelError:
     flight     : the directions; None where the flight has no error
     sigma      : standard deviation of the heating's error [-];  correlation_s : its correlation time [s]
     noise      : of the sensors whose noise changes slowly, by their numbers
+    heating_noise : white noise of the heating, which the noise of the conditions gives; None without any
     white_K    : (sensor, sample, value) change of a reading for one standard deviation of each value of the heating's
-                 white noise, which the noise of the conditions gives [K]; None without any
+                 white noise [K]; None without any
 
     The unknowns u are those of the heating, of the flight, of the noise of each sensor and of the heating's white
     noise, in this order.
@@ -150,6 +189,7 @@ class ModelError:
     sigma: float
     correlation_s: float
     noise: Mapping[int, CorrelatedNoise] = field(default_factory=dict)
+    heating_noise: HeatingNoise | None = None
     white_K: FloatArray | None = None
 
     @property

@@ -31,7 +31,14 @@ from sim_heating.estimation.fit import (
     predict_fit,
     rms_normalised_residual,
 )
-from sim_heating.estimation.inference.error_likelihood import ErrorState, error_size, innovations, model_error
+from sim_heating.estimation.inference.conditions_noise import heating_noise
+from sim_heating.estimation.inference.error_likelihood import (
+    ErrorState,
+    error_size,
+    innovations,
+    model_error,
+    noise_error,
+)
 from sim_heating.estimation.inference.likelihood import log_likelihood
 from sim_heating.estimation.inference.model_error import ErrorSize, HeatingErrorPrior, ModelError
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
@@ -225,7 +232,7 @@ def base_trial(before: FitResult) -> TrialFit:
             part.sigma_K.update({i: max(n.white_K, least_sigma_K(sensors[i])) for i, n in error.noise.items()})
         return problem
 
-    error, sensors = _model_error(thinned, start), thin.sensors
+    error, sensors = _model_error(full, thinned, start), thin.sensors
     problem = problem_over(fitted)
     try:
         held_out_problem = problem_over(held_out) if np.any(held_out) else None
@@ -245,18 +252,21 @@ def base_trial(before: FitResult) -> TrialFit:
     return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
 
 
-def _model_error(problem: FitProblem, start: Mapping[str, float]) -> ModelError | None:
+def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> ModelError | None:
     """The error of the model of a record that states one or was measured; None for any other.
 
-    problem : the declared model over all samples;  start : its values by dotted name
+    full, thinned : the declared model over all samples, of the whole record, which has the noise of its conditions, and
+                    of the thinned one
+    start         : its values by dotted name
     """
-    part = problem.record_fits[0]
+    part = thinned.record_fits[0]
     prior = heating_error_prior(part.record)
-    if prior is None:
-        return None
     try:
-        values = start_values(problem, start)
-        return model_error(part, values, prior.relative, prior.middle_s, flight_error(part.record))
+        values = start_values(thinned, start)
+        noise = heating_noise(full.record_fits[0], start_values(full, start)) if part.record.has_flow else None
+        if prior is not None:
+            return model_error(part, values, prior.relative, prior.middle_s, flight_error(part.record), noise)
+        return None if noise is None else noise_error(part, values, noise)
     except RunError:  # a model so wrong that it cannot be marched everywhere
         return None
 
@@ -277,7 +287,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
     try:
         error = model_error(
             whole.record_fits[0], trial.fit.values, part.model_error.sigma, part.model_error.correlation_s,
-            part.model_error.flight,
+            part.model_error.flight, part.model_error.heating_noise,
         )  # fmt: skip
     except RunError:
         return trial
