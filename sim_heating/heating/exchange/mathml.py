@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
+from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -31,7 +32,7 @@ def _folded(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
 
 def _chained(relation: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """A relation that holds between each argument and the next."""
-    return lambda *a: reduce(np.logical_and, [relation(x, y) for x, y in zip(a, a[1:], strict=False)])
+    return lambda *a: reduce(np.logical_and, [relation(x, y) for x, y in pairwise(a)])
 
 
 def _minus(*a: Any) -> Any:
