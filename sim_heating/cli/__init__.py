@@ -42,6 +42,7 @@ COMMANDS = {
     "campaign": "campaign",
     "figures": "figures",
     "ratio-tables": "tables",
+    "table": "tables",
     "measured-records": "tables",
     "plan": "plan",
     "live": "live",
