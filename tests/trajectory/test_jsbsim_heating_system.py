@@ -51,8 +51,8 @@ def fly(folder, system: str, altitude_m: float, velocity_m_s: float, alpha_deg: 
     ("vehicle", "name", "altitude_m", "velocity_m_s", "alpha_deg"),
     [
         ("capsule", "FACE", 60e3, 6000.0, 20.0),
-        ("orbiter", "LOWER_MID", 70e3, 6500.0, 40.0),
-        ("orbiter", "BODYFLAP", 55e3, 4000.0, 35.0),
+        ("orbiter", "NOSECAP", 70e3, 6500.0, 40.0),
+        ("orbiter", "POD_LRSI", 45e3, 3000.0, 20.0),
     ],
 )
 def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
@@ -81,7 +81,7 @@ def test_jsbsim_gives_the_equilibrium_temperature_of_a_point(
     expected = equilibrium_temperature(ratio * float(h_ref[0]), float(H_r[0]), emissivity, kind)
     assert flown[f"heating/{name}/ratio"] == pytest.approx(ratio, rel=1e-4)
     assert flown[f"heating/{name}/equilibrium-K"] == pytest.approx(expected, abs=1.0)
-    assert expected > 600.0
+    assert expected > 400.0
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1), (3, 2, 1, 1, 1), (2, 3, 2, 1, 1), (2, 2, 3, 2, 1),

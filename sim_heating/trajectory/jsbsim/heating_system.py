@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES, Conditions
 from sim_heating.base.errors import InputError
-from sim_heating.heating.atmosphere import sutherland_viscosity, us76
+from sim_heating.heating.atmosphere import CP_AIR, sutherland_viscosity, us76
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
-from sim_heating.heating.reference.models import CP_AIR, reference_heating, reference_model
+from sim_heating.heating.reference.models import reference_heating, reference_model
 from sim_heating.thermal.faces import SIGMA
 
 AXES = ("row", "column", "table", "axis4", "axis5")
