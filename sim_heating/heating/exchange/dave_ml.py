@@ -130,8 +130,8 @@ class UngriddedTable:
             order = np.argsort(self.points[:, 0])
             return np.interp(x[0], self.points[order, 0], self.values[order])
         where = np.stack(np.broadcast_arrays(*x), axis=-1)
-        value = self._inside(where)
-        return np.where(np.isnan(value), self._beyond(where), value)
+        value, nearest = (f(where).reshape(where.shape[:-1]) for f in (self._inside, self._beyond))
+        return np.where(np.isnan(value), nearest, value)
 
 
 Table = GriddedTable | UngriddedTable
