@@ -66,6 +66,7 @@ EXAMPLES = {
     "campaign": "campaign scenarios/campaigns/sts2_sts4.toml --out out/campaign",
     "figures": "figures scenarios/records/practice/p06 --only 5-8 --out out/figures",
     "ratio-tables": "ratio-tables capsule",
+    "table": "table capsule/FACE --out out/face.dml",
     "measured-records": "measured-records scenarios/sts96.toml --out out/measured",
     "plan": "plan scenarios/studies/small_envelope.toml --out out/plan",
     "live": "live scenarios/live/popu_lines.toml --out out/live",
