@@ -67,7 +67,10 @@ class Variable:
     calculation: Expression | None = None
 
     def number(self, name: str) -> float | None:
-        """A numeric attribute; None where it is absent."""
+        """A numeric attribute in the unit of the variable, or [-]; None where it is absent.
+
+        Source: ANSI/AIAA S-119 (2011).
+        """
         text = self.attributes.get(name)
         return None if text is None else number_of(text, f"variableDef `{self.id}`, {name}")
 
@@ -90,7 +93,11 @@ class GriddedTable:
     values: FloatArray
 
     def at(self, x: Sequence[FloatArray], ends: Sequence[tuple[bool, bool]]) -> FloatArray:
-        """Values at points; ends : of each variable, whether the table goes on linearly below and above."""
+        """Values at points, multilinear, in the unit of the table, or [-].
+
+        x    : values of each variable;  ends : of each, whether the table goes on linearly below and above
+        Source: ANSI/AIAA S-119 (2011).
+        """
         cells = []
         for axis, xi, (below, above) in zip(self.axes, x, ends, strict=True):
             if len(axis) == 1:
@@ -125,7 +132,10 @@ class UngriddedTable:
         return NearestNDInterpolator(self.points, self.values, rescale=True)
 
     def at(self, x: Sequence[FloatArray], ends: Sequence[tuple[bool, bool]]) -> FloatArray:
-        """Values at points; beyond the points the value of the nearest one, whatever `ends` says."""
+        """Values at points, in the unit of the table, or [-]; beyond them that of the nearest, whatever `ends` says.
+
+        Source: ANSI/AIAA S-119 (2011).
+        """
         if self.points.shape[1] == 1:
             order = np.argsort(self.points[:, 0])
             return np.interp(x[0], self.points[order, 0], self.values[order])
@@ -154,7 +164,10 @@ class Function:
     description: str = ""
 
     def at(self, values: Mapping[str, ArrayLike]) -> FloatArray:
-        """The dependent variable."""
+        """The dependent variable, in its unit, or [-].
+
+        Source: ANSI/AIAA S-119 (2011).
+        """
         x = [
             np.clip(np.asarray(values[v], dtype=float), *limits)
             for v, limits in zip(self.variables, self.limits, strict=True)
@@ -252,8 +265,9 @@ class DaveModel:
         """Values of all variables.
 
         values  : of the inputs, by identifier; of other variables in place of their initial values
-        returns : by identifier, in the shape of the inputs
+        returns : by identifier, in the shape of the inputs, each in its unit, or [-]
         raises  : InputError that names an input without a value
+        Source: ANSI/AIAA S-119 (2011).
         """
         known: dict[str, Any] = {}
         for i in self._order:

@@ -62,9 +62,10 @@ def local_name(element: ET.Element) -> str:
 
 
 def number_of(text: str | None, what: str) -> float:
-    """A finite number.
+    """A finite number, in the unit of what it is of, or [-].
 
     raises : InputError that says what it is of
+    Source: ANSI/AIAA S-119 (2011).
     """
     try:
         value = float((text or "").strip())
