@@ -175,6 +175,8 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
       sim-heating table orbiter/BODYFLAP --out bodyflap.dml
       sim-heating table bodyflap.dml --out bodyflap.csv
       sim-heating table cfd.csv --vehicle capsule --out tables
+      sim-heating table orbiter/aero --out aero.dml             # CN, CA, Cm of a vehicle
+      sim-heating table aero.dml --out my_vehicle/aero          # and back, as its CSV files
     """
     from sim_heating.base.files import display_path, replaces_others
     from sim_heating.heating.exchange.ratio_formats import read_table, write_table
@@ -185,6 +187,18 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
         return
     name, _, point_name = source.rpartition("/")
     is_point = name and not Path(source).is_file() and not Path(source).suffix
+    if out is not None and is_point and point_name == "aero":
+        _export_aero(name, out, root)
+        return
+    if out is not None and out.name == "aero":
+        from sim_heating.trajectory.aero_exchange import import_aero
+
+        for path in sorted(out.glob("*.csv")):
+            if not replaces_others():
+                raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
+        for path in import_aero(source, out):
+            CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        return
     point = load_vehicle(name, root=root).control_point(point_name) if is_point else None
     read = read_table(source) if point is None else point.ratio
     if out is None:
@@ -202,6 +216,22 @@ def table(source: str, out: Path | None, vehicle: str | None, farthest: float, r
         _write_jsbsim_system(name, point_name, out, root)
     else:
         write_table(out, read)
+    report_files(None, [out])
+    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
+    """Write the aerodynamics of a vehicle as DAVE-ML."""
+    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.trajectory.aero import load_aero
+    from sim_heating.trajectory.aero_exchange import export_aero
+
+    if out.suffix.lower() != ".dml":
+        raise InputError(f"{display_path(out)}: aerodynamics are written as DAVE-ML; name a file that ends in .dml")
+    if out.exists() and not replaces_others():
+        raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
+    export_aero(load_aero(load_vehicle(vehicle, root=root).directory), out)
     report_files(None, [out])
     CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
 

@@ -261,6 +261,17 @@ class DaveModel:
                 problems.append(f"variables need each other in a circle: {' -> '.join(error.args[1])}")
         return problems
 
+    def nodes_of(self, identifier: str | None) -> FloatArray:
+        """All nodes that gridded tables have in a variable, in its unit, or [-]; 0 where none reads it.
+
+        Source: ANSI/AIAA S-119 (2011).
+        """
+        nodes: set[float] = set()
+        for f in self.functions:
+            for v, axis in zip(f.variables, f.table.axes if isinstance(f.table, GriddedTable) else (), strict=False):
+                nodes |= set(axis.tolist()) if v == identifier else set()
+        return np.array(sorted(nodes) or [0.0])
+
     def evaluate(self, values: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
         """Values of all variables.
 

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import DESCRIPTIONS, RATIO_VARIABLES, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import csv_text, display_path, raise_problems, write_text_atomic
@@ -128,7 +127,7 @@ def _read_dave_ml(path: Path) -> RatioTable:
         units = "" if i is None else model.variables[i].attributes.get("units", "")
         if i is not None and units != _units(name):
             raise InputError(f"{where}: variableDef `{i}` is in `{units}`; `{_units(name)}` is read")
-    axes = {name: _nodes(model, i) for name, i in inputs.items()}
+    axes = {name: model.nodes_of(i) for name, i in inputs.items()}
     if (count := int(np.prod([len(a) for a in axes.values()]))) > MOST_NODES:
         raise InputError(f"{where}: its tables have {count} nodes together; {MOST_NODES} are read")
     grid = dict(zip(RATIO_VARIABLES, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
@@ -148,15 +147,6 @@ def _variable_named(model: DaveModel, name: str, among: tuple[str, ...]) -> str 
     """Identifier of the variable with the name in the standard, or the identifier, of a column."""
     wanted = (STANDARD_NAMES[name], name)
     return next((i for i in among if i in wanted or model.variables[i].name in wanted), None)
-
-
-def _nodes(model: DaveModel, identifier: str | None) -> FloatArray:
-    """All nodes that tables have in an input; 0 where none reads it."""
-    nodes: set[float] = set()
-    for f in model.functions:
-        for v, axis in zip(f.variables, f.table.axes if isinstance(f.table, GriddedTable) else (), strict=False):
-            nodes |= set(axis.tolist()) if v == identifier else set()
-    return np.array(sorted(nodes) or [0.0])
 
 
 def _write_dave_ml(path: Path, table: RatioTable) -> None:
