@@ -88,7 +88,7 @@ def _nest(parent: ET.Element, nodes: Sequence[FloatArray], values: FloatArray) -
         ET.SubElement(parent, "tableData").text = _line(nodes[0], values)
         return
     if len(nodes) == 2:
-        ET.SubElement(parent, "tableData").text = _square(*nodes, values)
+        ET.SubElement(parent, "tableData").text = _square(nodes[0], nodes[1], values)
         return
     for i, node in enumerate(nodes[-1].tolist()):
         if len(nodes) == 3:
@@ -165,8 +165,8 @@ def jsbsim_system_text(
     at = f"heating/{name}"
 
     speed = _function(channel, f"{at}/velocity-m_s", _of("product", "velocities/vt-fps", M_FT))
-    density = _of("product", "atmosphere/rho-slugs_ft3", KG_M3_SLUG_FT3)
-    density = _function(channel, f"{at}/density-kg_m3", _of("max", density, 1e-12))
+    air = _of("product", "atmosphere/rho-slugs_ft3", KG_M3_SLUG_FT3)
+    density = _function(channel, f"{at}/density-kg_m3", _of("max", air, 1e-12))
     log_rho = _function(channel, f"{at}/log10-density", _of("log10", density))
     altitude = _function(channel, f"{at}/altitude-m", _of("product", "position/geod-alt-ft", M_FT))
     T_inf, _, rho = us76(ALTITUDES_M)
@@ -182,8 +182,8 @@ def jsbsim_system_text(
     h_ref = nd_table([SPEEDS_M_S, np.log10(rho)[::-1]], film[:, ::-1], [speed, log_rho])
     h_ref = _of("product", h_ref, _of("sqrt", density))
     h = _function(channel, f"{at}/film-kg_m2_s", _of("product", ratio, h_ref))
-    H_r = _of("sum", _of("product", 0.5, speed, speed), _of("product", CP_AIR, air_K))
-    H_r = _function(channel, f"{at}/recovery-J_kg", H_r)
+    total = _of("sum", _of("product", 0.5, speed, speed), _of("product", CP_AIR, air_K))
+    H_r = _function(channel, f"{at}/recovery-J_kg", total)
 
     wall_K = np.linspace(COLDEST_K, HOTTEST_K, 159)
     H_w = wall_enthalpy_grid(wall_enthalpy, wall_K, [WALL_PRESSURE_PA])[:, 0]
