@@ -155,3 +155,140 @@ def measured_records(scenario: Path, out: Path, root: Path | None) -> None:
     report_results({"records": paths})
     for path in paths:
         CONSOLE.print(display_path(path), soft_wrap=True)
+
+
+@click.command("table")
+@click.argument("source")
+@click.option("--out", type=PATH, help="file to write; its suffix is its format; without it the table is described")
+@click.option("--vehicle", help="with body points: the vehicle whose control points get tables; --out is then a folder")
+@click.option("--farthest", default=0.5, show_default=True, help="with --vehicle: most distance of a body point, m")
+@FORCE
+@ROOT
+def table(source: str, out: Path | None, vehicle: str | None, farthest: float, root: Path | None) -> None:
+    """Take a heating-ratio table from one file format to another.
+
+    SOURCE is a file, or VEHICLE/POINT. Formats go by the suffix: .csv, .dml (DAVE-ML, ANSI/AIAA S-119), .nc (netCDF),
+    and for output .xml: a system of JSBSim, which gives the radiative-equilibrium temperature of VEHICLE/POINT in any
+    script. With --vehicle, SOURCE is a CSV file of body points as a flow solver writes it, and --out a folder.
+
+    \b
+      sim-heating table orbiter/BODYFLAP --out bodyflap.dml
+      sim-heating table bodyflap.dml --out bodyflap.csv
+      sim-heating table cfd.csv --vehicle capsule --out tables
+      sim-heating table orbiter/aero --out aero.dml             # CN, CA, Cm of a vehicle
+      sim-heating table aero.dml --out my_vehicle/aero          # and back, as its CSV files
+    """
+    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.heating.exchange.ratio_formats import read_table, write_table
+    from sim_heating.inputs.vehicle import load_vehicle
+
+    if vehicle is not None:
+        _tables_of_body_points(Path(source), vehicle, out, farthest, root)
+        return
+    name, _, point_name = source.rpartition("/")
+    is_point = name and not Path(source).is_file() and not Path(source).suffix
+    if out is not None and is_point and point_name == "aero":
+        _export_aero(name, out, root)
+        return
+    if out is not None and out.name == "aero":
+        from sim_heating.trajectory.aero_exchange import import_aero
+
+        for path in sorted(out.glob("*.csv")):
+            if not replaces_others():
+                raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
+        for path in import_aero(source, out):
+            CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+        return
+    point = load_vehicle(name, root=root).control_point(point_name) if is_point else None
+    read = read_table(source) if point is None else point.ratio
+    if out is None:
+        shape = " x ".join(str(len(a)) for a in read.axes)
+        CONSOLE.print(f"{source}: {shape} nodes, ratio {read.ratio.min():.4g} to {read.ratio.max():.4g}")
+        report_results({"nodes": [len(a) for a in read.axes], "header": dict(read.header)})
+        return
+    if out.exists() and not replaces_others():
+        raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
+    if out.suffix.lower() == ".xml":
+        if point is None:
+            raise InputError(
+                f"{source}: a system of JSBSim needs the wall of a point; give VEHICLE/POINT as the source"
+            )
+        _write_jsbsim_system(name, point_name, out, root)
+    else:
+        write_table(out, read)
+    report_files(None, [out])
+    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _export_aero(vehicle: str, out: Path, root: Path | None) -> None:
+    """Write the aerodynamics of a vehicle as DAVE-ML."""
+    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.trajectory.aero import load_aero
+    from sim_heating.trajectory.aero_exchange import export_aero
+
+    if out.suffix.lower() != ".dml":
+        raise InputError(f"{display_path(out)}: aerodynamics are written as DAVE-ML; name a file that ends in .dml")
+    if out.exists() and not replaces_others():
+        raise InputError(f"{display_path(out)}: exists; choose another name, or --force replaces it")
+    export_aero(load_aero(load_vehicle(vehicle, root=root).directory), out)
+    report_files(None, [out])
+    CONSOLE.print(f"Wrote {display_path(out)}", soft_wrap=True)
+
+
+def _write_jsbsim_system(vehicle: str, point_name: str, out: Path, root: Path | None) -> None:
+    """Write the system of JSBSim of a control point.
+
+    raises : InputError where its ratio or its reference has no counterpart in JSBSim
+    """
+    from sim_heating.base.files import write_text_atomic
+    from sim_heating.inputs.points import wall_enthalpy_of
+    from sim_heating.inputs.vehicle import load_vehicle
+    from sim_heating.trajectory.jsbsim.heating_system import jsbsim_system_text
+
+    loaded = load_vehicle(vehicle, root=root)
+    point = loaded.control_point(point_name)
+    emissivity = point.construction.layer_materials()[0].emissivity
+    if emissivity is None:
+        raise InputError(f"{vehicle}/{point_name}: its outermost layer has no emissivity; give it one in its material")
+    text = jsbsim_system_text(
+        point_name,
+        point.ratio,
+        reference=loaded.heating.reference,
+        nose_radius_m=loaded.heating.nose_radius_m or 1.0,
+        reference_length_m=loaded.reference_length_m,
+        emissivity=emissivity,
+        wall_enthalpy=wall_enthalpy_of(loaded.heating.wall_enthalpy),
+        recovery=point.recovery.kind,
+        where=f"{vehicle}/{point_name}",
+    )
+    write_text_atomic(out, text)
+
+
+def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthest_m: float, root: Path | None) -> None:
+    """Write the tables of the control points of a vehicle from a file of body points."""
+    from sim_heating.base.files import display_path, replaces_others
+    from sim_heating.heating.exchange.body_points import tables_of_body_points
+    from sim_heating.heating.exchange.ratio_formats import write_table
+    from sim_heating.inputs.vehicle import load_vehicle
+
+    if out is None or out.suffix:
+        raise InputError("table --vehicle: give --out DIR, a folder for the tables of the control points")
+    loaded = load_vehicle(vehicle, root=root)
+    positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
+    made = tables_of_body_points(
+        source, positions, loaded.reference_length_m, farthest_m=farthest_m, reference=loaded.heating.reference
+    )
+    paths = [out / f"{name}.csv" for name in made]
+    for path in paths:
+        if path.exists() and not replaces_others():
+            raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
+    out.mkdir(parents=True, exist_ok=True)
+    for path, one in zip(paths, made.values(), strict=True):
+        write_table(path, one)
+        CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
+    report_files(None, paths)
+    far = [name for name in positions if name not in made]
+    if far:
+        CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
+    report_results({"control_points": list(made), "too_far": far})

@@ -30,7 +30,7 @@ from pydantic import Field, model_validator
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import Declared, check, display_path, raise_problems, read_toml, roots_of
-from sim_heating.heating.effects import user_effect_files
+from sim_heating.heating.effects import add_user_effects
 from sim_heating.inputs.scenario import Scenario, ScenarioEffect, ScenarioFile, make_scenario
 from sim_heating.inputs.vehicle import Vehicle, add_vehicle_files, load_vehicle, vehicle_place
 from sim_heating.planning.dispersion.spec import Dispersion
@@ -209,6 +209,5 @@ def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())
     add_vehicle_files(digest, base.vehicle.directory)
-    for path in user_effect_files():
-        digest.update(path.read_bytes())
+    add_user_effects(digest)
     return digest.hexdigest()[:HASH_LENGTH]

@@ -318,7 +318,7 @@ def test_an_effect_with_the_name_of_another_is_rejected_with_its_file(effects_fo
     (effects_folder / "again.py").write_text(SOURCE.replace("alpha-growth", "catalysis"))
     assert main(["validate", with_effect]) == 2
     message = capsys.readouterr().err
-    assert "again.py: the package already has an effect `catalysis`; give yours another name" in message
+    assert "again.py: the package sim-heating already has an effect `catalysis`; give yours another name" in message
 
 
 def test_the_example_peaks_at_its_mach_number_and_is_flown_by_its_scenario(monkeypatch):

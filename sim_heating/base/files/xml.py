@@ -13,10 +13,11 @@ DEEPEST = 100
 LARGEST_BYTES = 256 * 1024 * 1024
 
 
-def check_xml(content: bytes, root: str | None = None) -> None:
+def check_xml(content: bytes, root: str | None = None, *, names_standard: bool = False) -> None:
     """Check that XML is well formed, flat enough to be read, and has no document type.
 
-    root   : name of its first element; None for any
+    root           : name of its first element; None for any
+    names_standard : a document type that only names the one of a standard may stand there; nothing of it is read
     raises : InputError with the line, without the name of the file
     """
     parser = expat.ParserCreate()
@@ -34,7 +35,9 @@ def check_xml(content: bytes, root: str | None = None) -> None:
         nonlocal depth
         depth -= 1
 
-    def document_type(*_: object) -> None:
+    def document_type(_name: str, _system: str | None, _public: str | None, declares: int) -> None:
+        if names_standard and not declares:
+            return
         # Entities are defined there: one of a few lines becomes gigabytes, another one reads a file of this machine.
         raise InputError(f"line {parser.CurrentLineNumber}: a document type (<!DOCTYPE ...>) is not allowed; remove it")
 
@@ -46,8 +49,10 @@ def check_xml(content: bytes, root: str | None = None) -> None:
         raise InputError(f"line {error.lineno}: is not XML ({expat.ErrorString(error.code)})") from None
 
 
-def read_xml(path: Path, root: str | None = None, largest_bytes: int = LARGEST_BYTES) -> bytes:
-    """The bytes of an XML file that has passed `check_xml`.
+def read_xml(
+    path: Path, root: str | None = None, largest_bytes: int = LARGEST_BYTES, *, names_standard: bool = False
+) -> bytes:
+    """The bytes of an XML file that has passed `check_xml`, which takes `root` and `names_standard`.
 
     raises : InputError, one line, where it cannot be read, is too large or does not pass
     """
@@ -60,7 +65,7 @@ def read_xml(path: Path, root: str | None = None, largest_bytes: int = LARGEST_B
     if len(content) > largest_bytes:
         raise InputError(f"{name}: is larger than {largest_bytes / 2**20:.0f} MiB")
     try:
-        check_xml(content, root)
+        check_xml(content, root, names_standard=names_standard)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     return content

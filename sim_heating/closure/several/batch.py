@@ -25,7 +25,7 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.files.paths import real_path
 from sim_heating.base.parallel.batches import Job, run_batches
 from sim_heating.base.progress import Progress, no_progress
-from sim_heating.heating.effects import effects, user_effect_files
+from sim_heating.heating.effects import add_user_effects, effects
 from sim_heating.inputs.record import DECLARATION, distinct_names, load_record, record_digest
 
 SUMMARIES = JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
@@ -159,8 +159,7 @@ def program_digest(inputs: Sequence[str], settings: Sequence[str] = ()) -> str:
     A finished part is done again after an update of the program or of an effect, and not otherwise.
     """
     digest = hashlib.sha256("|".join([*inputs, package_version(), *sorted(effects()), *settings]).encode())
-    for path in user_effect_files():
-        digest.update(path.read_bytes())
+    add_user_effects(digest)
     return digest.hexdigest()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.files import display_path, file_digest
 from sim_heating.credibility.facts.contributors import declares_sigma, peak_uncertainty
@@ -18,6 +19,7 @@ from sim_heating.credibility.validation.own_cases import samples_of
 from sim_heating.credibility.validation.region import FLIGHT, Samples
 from sim_heating.inputs.points import point_of_vehicle
 from sim_heating.inputs.scenario import Scenario
+from sim_heating.inputs.vehicle import ControlPoint, Vehicle
 from sim_heating.march.history import PointHistory, peak
 from sim_heating.march.point import PointModel
 
@@ -81,6 +83,32 @@ def facts_of_study(
         conditions=tuple(conditions_of_scenario(scenario)),
         files={display_path(p): file_digest(p) for p in files if p.is_file()} | {f"vehicle {vehicle.name}": digest},
         samples=tuple(samples) or (Samples(FLIGHT, {}, np.zeros(0)),),
+        sigma=all(m.ratio is not None and m.ratio.sigma is not None for m in models),
+        folder=vehicle.directory,
+        reviewed=digest,
+    )
+
+
+def facts_of_model(
+    vehicle: Vehicle,
+    points: Sequence[ControlPoint],
+    models: Sequence[PointModel],
+    flown: Conditions,
+    surfaces_K: Sequence[FloatArray],
+) -> Facts:
+    """Facts about a model that a host will fly: of a reference flight, whose conditions are no measurement.
+
+    points, models : of the vehicle;  flown : conditions with mach and log10_re;  surfaces_K : of each point, (time,)
+    """
+    digest = digest_of(vehicle)
+    inputs = [i for p, m in zip(points, models, strict=True) for i in inputs_of_point(vehicle, p, m.effects)]
+    return Facts(
+        kind="run",
+        topics=frozenset(topics_of_points(vehicle, points, models)),
+        model=tuple(dict.fromkeys(inputs)),
+        conditions=(),
+        files={f"vehicle {vehicle.name}": digest},
+        samples=tuple(samples_of(flown, surface) for surface in surfaces_K),
         sigma=all(m.ratio is not None and m.ratio.sigma is not None for m in models),
         folder=vehicle.directory,
         reviewed=digest,

@@ -1,7 +1,8 @@
 """Effects that a declared model may lack: one file each, found by being in this folder.
 
-A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...). There
-are two kinds. An effect on the heating or on the emittance has a kernel
+A file of this folder, or of a folder named in SIM_HEATING_EFFECTS (a path list), defines EFFECT = Effect(...); so does
+a module that an installed package names as an entry point of the group `sim_heating.effects`. There are two kinds. An
+effect on the heating or on the emittance has a kernel
 
     f(B, c, p, wall_K) -> float
 
@@ -23,7 +24,7 @@ from sim_heating.heating.effects.definition import (
     combined_uses,
     model_parameter,
 )
-from sim_heating.heating.effects.registry import effect, effects, use, user_effect_files
+from sim_heating.heating.effects.registry import add_user_effects, effect, effects, use, user_effect_files
 
 __all__ = [
     "Effect",
@@ -31,6 +32,7 @@ __all__ = [
     "ModelParameter",
     "SearchStart",
     "Window",
+    "add_user_effects",
     "check_count",
     "combined_uses",
     "effect",

@@ -1,4 +1,8 @@
-"""All effects by name: those of this folder, and those of the folders that SIM_HEATING_EFFECTS names."""
+"""All effects by name: of this folder, of installed packages, and of the folders that SIM_HEATING_EFFECTS names.
+
+A package offers its effects as entry points of the group `sim_heating.effects` (Python packaging user guide, "Creating
+and discovering plugins"): each names a module that defines EFFECT, or an Effect in a module.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,11 @@ import pickle
 import pkgutil
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
+from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from sim_heating.base.errors import InputError
@@ -20,6 +26,8 @@ from sim_heating.base.files import suggestion
 from sim_heating.heating.effects.definition import Effect, EffectUse, Window, effect_within
 
 FOLDERS_VARIABLE = "SIM_HEATING_EFFECTS"
+GROUP = "sim_heating.effects"
+"""Group of the entry points of packages with effects."""
 PUBLIC = (
     "write `from sim_heating import Effect, Parameter, SearchStart, flight, njit` (docs/how_to/adding_an_effect.md)"
 )
@@ -31,28 +39,50 @@ RENAMED = {
 """Former arguments of Effect as they stand in Python's message, and what to write now."""
 
 
-def _from_file(path: Path) -> Effect | None:
-    """The effect that a file defines; None where it defines none, as a file that others import.
+def _loaded(label: str, load: Callable[[], Any], file: Path | None = None) -> Effect | None:
+    """The effect of a user's module; None where the module has none, as a file that others import.
 
-    raises : InputError with file and line where the file cannot be run, or where its EFFECT is not an Effect
+    label  : of the module in messages
+    load   : imports the module, or the Effect in it
+    file   : whose lines are named in messages; None for a package, of which the file where it failed is named
+    raises : InputError with the label where the module cannot be run, or where its EFFECT is not an Effect
     """
-    spec = importlib.util.spec_from_file_location(f"sim_heating_user_effects.{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"{path}: not a Python file; an effect is one")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # a kernel in numba's cache is found again by the name of its module
     try:
-        spec.loader.exec_module(module)
+        loaded = load()
     except InputError as error:
-        raise InputError(*(f"{path}: {p}" for p in error.problems)) from None
+        raise InputError(*(f"{label}: {p}" for p in error.problems)) from None
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a user's file does, sys.exit() included
-        raise InputError(f"{path}{_line(path, error)}: {type(error).__name__}: {error}{_remedy(error)}") from None
-    found = getattr(module, "EFFECT", None)
-    if found is not None and not isinstance(found, Effect):
-        raise InputError(f"{path}: EFFECT is a {type(found).__name__}; it must be an Effect")
-    return found
+        where = "" if file is None else _line(file, error)
+        raise InputError(f"{label}{where}: {type(error).__name__}: {error}{_remedy(error)}") from None
+    is_module = isinstance(loaded, ModuleType)
+    found = getattr(loaded, "EFFECT", None) if is_module else loaded
+    if isinstance(found, Effect) or (found is None and is_module and file is not None):
+        return found
+    name = "EFFECT" if is_module else "it"
+    raise InputError(f"{label}: {name} is a {type(found).__name__}; it must be an Effect")
+
+
+def _from_file(path: Path) -> Effect | None:
+    """The effect that a file defines, as `_loaded`."""
+    spec = importlib.util.spec_from_file_location(f"sim_heating_user_effects.{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path}: not a Python file; an effect is one")
+    module, loader = importlib.util.module_from_spec(spec), spec.loader
+    sys.modules[spec.name] = module  # a kernel in numba's cache is found again by the name of its module
+
+    def run() -> ModuleType:
+        loader.exec_module(module)
+        return module
+
+    return _loaded(str(path), run, path)
+
+
+def _label(entry: metadata.EntryPoint) -> str:
+    """Package and name of an entry point, for messages."""
+    package = "a package without a name" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+    return f"package {package}, entry point `{entry.name} = {entry.value}`"
 
 
 def _line(path: Path, error: BaseException) -> str:
@@ -93,30 +123,55 @@ def user_effect_files() -> tuple[Path, ...]:
 
 
 @cache
-def _all(files: tuple[Path, ...]) -> Mapping[str, Effect]:
+def _of_packages(search_path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
+    """Entry points of installed packages with effects, in the order of package and name.
+
+    search_path : where Python looks for packages, which the answer depends on
+    """
+    found = metadata.entry_points(group=GROUP)
+    # Of a package that is installed twice Python imports the first.
+    return tuple({_label(e): e for e in sorted(found, key=_label)}.values())
+
+
+@cache
+def _all(files: tuple[Path, ...], entries: tuple[metadata.EntryPoint, ...]) -> Mapping[str, Effect]:
     found = dict(_built_in())
-    defined_by = dict.fromkeys(found, "the package")
-    for path in files:
-        effect = _from_file(path)
+    defined_by = dict.fromkeys(found, "the package sim-heating")
+    sources = [(label := _label(entry), _loaded(label, entry.load)) for entry in entries]
+    sources += [(str(path), _from_file(path)) for path in files]
+    for label, effect in sources:
         if effect is None:
             continue
         name = effect.name
         if name in found:
-            raise InputError(f"{path}: {defined_by[name]} already has an effect `{name}`; give yours another name")
-        found[name], defined_by[name] = effect, str(path)
+            raise InputError(f"{label}: {defined_by[name]} already has an effect `{name}`; give yours another name")
+        found[name], defined_by[name] = effect, label
     return found
 
 
-def effects() -> Mapping[str, Effect]:
-    """All effects by name: the package's and those of the folders in SIM_HEATING_EFFECTS.
+def add_user_effects(digest: Any) -> None:
+    """Add what defines users' effects to a digest of hashlib: files, and modules of packages with their versions."""
+    for path in user_effect_files():
+        digest.update(path.read_bytes())
+    if entries := _of_packages(tuple(sys.path)):
+        effects()  # imports them, or says why not
+    for entry in entries:
+        digest.update(_label(entry).encode())
+        file = getattr(sys.modules.get(entry.module), "__file__", None)
+        digest.update(b"" if file is None else Path(file).read_bytes())
 
-    raises : InputError where a folder does not exist, a user's file defines no valid effect, or a name is taken already
+
+def effects() -> Mapping[str, Effect]:
+    """All effects by name: the package's, those of installed packages, and those of the folders in SIM_HEATING_EFFECTS.
+
+    raises : InputError where a folder does not exist, a user's file or package defines no valid effect, or a name is
+             taken already
 
     >>> import sim_heating as sh
     >>> [p.name for p in sh.effects()["gap-flow"].parameters]
     ['gap_fraction', 'gap_depth_m']
     """
-    return _all(user_effect_files())
+    return _all(user_effect_files(), _of_packages(tuple(sys.path)))
 
 
 def effect(name: str) -> Effect:
@@ -128,7 +183,7 @@ def effect(name: str) -> Effect:
     known = own if name in (own := _built_in()) else effects()
     if name not in known:
         folders = os.environ.get(FOLDERS_VARIABLE) or "not set: set it to the folder of your file"
-        where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders})"
+        where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders}, and from packages)"
         raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{where}")
     return known[name]
 

@@ -109,7 +109,15 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
     raises  : InputError with row and column: not a number, a value outside the limits of its column, a negative sigma,
               an unknown column, a repeated or missing node; nodes, ratios or sigma in another unit
     """
-    table = _table_of(Path(path), read_text(path))
+    return table_of_text(Path(path), read_text(path))
+
+
+def table_of_text(path: Path, text: str) -> RatioTable:
+    """The table in the text of a CSV file, made from a file of another format; checks and errors as `read_ratio_table`.
+
+    path : of that file, for messages
+    """
+    table = _table_of(path, text)
     tell(_remarks(table, display_path(path)))
     return table
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -23,6 +23,7 @@ from sim_heating.simulation.fmu_export.parts.description import description
 from sim_heating.simulation.fmu_export.parts.image import Image
 from sim_heating.simulation.fmu_export.parts.library import TARGETS, CompilationUnit, Target, shared_library
 from sim_heating.simulation.fmu_export.parts.sampled_maps import map_files
+from sim_heating.simulation.fmu_export.traceability import Traceability
 
 
 def native_platform() -> str:
@@ -62,8 +63,10 @@ def export_fmu(
     require_replaceable(out)
     platforms = platforms or [native_platform()]
     targets = targets_of(platforms, fmi)
-    model = heating_model(vehicle, control_points, targets, columns=columns, input_timing=input_timing)
-    write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress)
+    loaded = load_vehicle(vehicle)
+    model = heating_model(loaded, control_points, targets, columns=columns, input_timing=input_timing)
+    about = Traceability(loaded, control_points, columns=columns).files()
+    write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress, about)
     return model.image
 
 
@@ -108,14 +111,15 @@ def write_fmu(
     fmi: int,
     platforms: Sequence[str],
     progress: Progress = no_progress,
+    about: Mapping[str, bytes] | None = None,
 ) -> None:
     """Write an image and the libraries of its functions as an FMU.
 
-    units, fmi, platforms, progress : as `fmu_bytes` takes them
+    units, fmi, platforms, progress, about : as `fmu_bytes` takes them
     raises : InputError where `out` is a file that is not an unmodified export
     """
     require_replaceable(out)
-    write_archive(out, fmu_bytes(image, units, fmi, platforms, progress))
+    write_archive(out, fmu_bytes(image, units, fmi, platforms, progress, about))
 
 
 def fmu_bytes(
@@ -124,11 +128,13 @@ def fmu_bytes(
     fmi: int,
     platforms: Sequence[str],
     progress: Progress = no_progress,
+    about: Mapping[str, bytes] | None = None,
 ) -> bytes:
     """The FMU of an image and the libraries of its functions.
 
     units    : as `library` takes them
     progress : called with the fraction done and a line of text
+    about    : further files, as `Traceability.files`
     """
     targets = targets_of(platforms, fmi)
     # The token follows from the content, so that equal models are recognised as equal by a host.
@@ -142,7 +148,7 @@ def fmu_bytes(
         folder = target.fmi2 if fmi == 2 else target.fmi3
         path = shared_library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = path.read_bytes()
-    return archive_bytes(files)
+    return archive_bytes(files | dict(about or {}))
 
 
 def write_archive(out: Path, data: bytes) -> None:

@@ -5,6 +5,7 @@
     resources/heating.fmu           the heating of a vehicle, FMI 2.0
     resources/trajectory.ssv        start values of the scalar parameters of each, which a user may edit; enumerations,
     resources/heating.ssv           paths of tables and arrays are left to the FMUs
+    resources/heating.srmd          what the heating can be trusted for (SSP Traceability)
 
 Every output of the trajectory goes to the input of the heating of the same name and unit. An input that no output has,
 such as a lamp's flux, keeps the start value of the FMU.
@@ -44,6 +45,7 @@ from sim_heating.simulation.fmu_export.parts.description import (
 )
 from sim_heating.simulation.fmu_export.parts.image import Image, Kind, Role, Variable
 from sim_heating.simulation.fmu_export.parts.library import TIMING, TIMING_INTEGER
+from sim_heating.simulation.fmu_export.traceability import Traceability
 from sim_heating.trajectory import entry3dof
 from sim_heating.trajectory.spec import TrajectorySpec
 
@@ -117,10 +119,16 @@ def export_ssp(
     flown = entry3dof.fly(spec, vehicle)
     system = System(trajectory, model.image, _connections(trajectory, model.image), float(flown.conditions.time_s[-1]))
     files = {"SystemStructure.ssd": _structure(system, title or vehicle.title)}
-    parts = ((TRAJECTORY, trajectory, ENTRY_UNITS), (HEATING, model.image, heating_units(model.effects)))
-    for name, image, units in parts:
-        files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress)
+    about = Traceability(vehicle, control_points)
+    parts = (
+        (TRAJECTORY, trajectory, ENTRY_UNITS, {}),
+        (HEATING, model.image, heating_units(model.effects), about.files()),
+    )
+    for name, image, units, more in parts:
+        files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress, more)
         files[f"resources/{name}.ssv"] = _parameter_values(image)
+    heating = files[f"resources/{HEATING}.fmu"]
+    files[f"resources/{HEATING}.srmd"] = about.of_file(f"{HEATING}.fmu", heating)
     write_archive(Path(out), archive_bytes(files))
     return system
 
