@@ -31,6 +31,28 @@ FORMAT = "command/1"
 JSON_OPTION, QUIET_OPTION = "--json", "--quiet"
 
 
+OUT_OPTION = "--out"
+CHANGES_NO_RESULT = (JSON_OPTION, QUIET_OPTION, "--force", "--verbose", "-v", "-vv")
+"""Options that leave the results as they are."""
+
+
+def repeatable(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """A command as its results state it, without options that change no result, and the folder of its results.
+
+    >>> from sim_heating.cli.output import repeatable
+    >>> repeatable(["run", "popu_mach20", "--out", "out/popu", "--json"])
+    (['run', 'popu_mach20'], 'out/popu')
+    """
+    kept, out, options = [], None, iter(arguments)
+    for option in options:
+        name, equals, value = option.partition("=")
+        if name == OUT_OPTION:
+            out = value if equals else next(options, None)
+        elif option not in CHANGES_NO_RESULT:
+            kept.append(option)
+    return kept, out
+
+
 class CommandReport:
     """What the command that runs has reported so far.
 

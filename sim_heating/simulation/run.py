@@ -125,7 +125,11 @@ class RunResult:
         sensors = {name: vehicle.control_point(name).sensors for name in self.points}
         about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
         histories = [p.history for p in self.points.values()]
-        return histories_dataset(with_reference_heating(self), histories, sensors, self.limits, about)
+        film = {
+            name: np.array([self.points[h.name].conditions[name] for h in histories])
+            for name in ("h_ref_kg_m2_s", "H_r_J_kg")
+        }
+        return histories_dataset(self.flight.conditions, histories, sensors, self.limits, about, film)
 
     def facts(self) -> Facts:
         """Facts from which the credibility of the result follows."""
