@@ -45,7 +45,7 @@ def stating_command(arguments: list[str] | None, out: str | None) -> Iterator[No
 
 
 def running_command() -> dict[str, Any] | None:
-    """The command that runs, as `arguments` and the folder `out` of its results; None where Python calls the program."""
+    """The command that runs: `arguments`, and the folder `out` of its results; None where Python calls the program."""
     stated = os.environ.get(COMMAND)
     return None if stated is None else dict(json.loads(stated))
 

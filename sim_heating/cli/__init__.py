@@ -11,6 +11,7 @@ import os
 import sys
 import warnings
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
@@ -49,6 +50,8 @@ COMMANDS = {
     "credibility": "credibility",
     "fmu": "fmu",
     "completion": "completion",
+    "examples": "examples",
+    "reproduce": "reproduce",
 }
 """Command -> module of this folder that defines it; the order is that of the help text."""
 
@@ -73,6 +76,8 @@ EXAMPLES = {
     "new": "new record --csv temperatures.csv --layer 'LI-900 51 mm' --out out/record",
     "credibility": "credibility add scenarios/records/sts96_468",
     "completion": "completion bash",
+    "examples": "examples --out .",
+    "reproduce": "reproduce out/popu",
 }
 """Command -> the example of its help; commands that state their own are absent."""
 
@@ -81,6 +86,14 @@ COMPLETED = (
     "record", "records", "scenario", "study", "campaign_file", "path", "paths", "vehicle", "vehicles", "flights"
 )  # fmt: skip
 """Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
+
+
+TAKES_EXAMPLES = (
+    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "flights", "link", "replay"
+)  # fmt: skip
+"""Names of the arguments and options that a shipped example may be named by."""
+WITHOUT_EXAMPLES = ("new", "credibility", "update-tables", "examples", "reproduce")
+"""Commands that write into what they are given, or take no example."""
 
 
 class LazyGroup(HelpfulGroup):
@@ -101,6 +114,8 @@ class LazyGroup(HelpfulGroup):
         assert isinstance(command, click.Command)
         if command.epilog is None and cmd_name in EXAMPLES:
             command.epilog = f"Example: sim-heating {EXAMPLES[cmd_name]}"
+        if cmd_name not in WITHOUT_EXAMPLES:
+            _with_examples(command)
         return with_common_options(_with_completion(command))
 
 
@@ -123,6 +138,17 @@ def _complete_paths(context: click.Context, parameter: click.Parameter, incomple
     from sim_heating.cli.completion import complete_paths
 
     return complete_paths(context, parameter, incomplete)
+
+
+def _with_examples(command: click.Command) -> None:
+    """Let the paths of a command, and of those below it, name shipped examples."""
+    from sim_heating.cli.examples import ExamplePath
+
+    for parameter in command.params:
+        if parameter.name in TAKES_EXAMPLES and isinstance(parameter.type, click.Path):
+            parameter.type = ExamplePath(path_type=Path)
+    for below in command.commands.values() if isinstance(command, click.Group) else ():
+        _with_examples(below)
 
 
 def _with_completion(command: click.Command) -> click.Command:

@@ -124,6 +124,42 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
     return Table(title, columns, rows)
 
 
+def rmse_table(title: str, rmse_K: Mapping[str, float]) -> Table:
+    """RMSE of a run against measured histories [K], a row a control point."""
+    columns = [Column("control point"), Column("RMSE against measured", "rmse_K", ".1f", "K")]
+    return Table(title, columns, [list(row) for row in rmse_K.items()])
+
+
+def limits_in_words(summary: Mapping[str, Any]) -> str:
+    """Which points of a run pass their temperature limits, and by how much, in one line.
+
+    summary : as `run.summary` gives it
+
+    >>> from sim_heating.simulation.results import limits_in_words
+    >>> points = {"NOSE": {"surface_margin_K": -12.0, "bondline_margin_K": 80.0}, "FIN": {"surface_margin_K": 9.0}}
+    >>> limits_in_words({"control_points": points})
+    '1 of 2 points with limits passes them: NOSE (surface by 12 K)'
+    """
+    margins = {
+        name: {what: point.get(f"{what}_margin_K") for what in ("surface", "bondline")}
+        for name, point in summary["control_points"].items()
+    }
+    limited = {name: {k: m for k, m in found.items() if m is not None} for name, found in margins.items()}
+    limited = {name: found for name, found in limited.items() if found}
+    passed = {name: {k: -m for k, m in found.items() if m < 0.0} for name, found in limited.items()}
+    lines = [
+        f"{name} ({', '.join(f'{what} by {excess:.0f} K' for what, excess in found.items())})"
+        for name, found in passed.items()
+        if found
+    ]
+    if not limited:
+        return "No point has a temperature limit"
+    if not lines:
+        return f"All {len(limited)} points with limits keep them" if len(limited) > 1 else "The point keeps its limits"
+    verb = "passes" if len(lines) == 1 else "pass"
+    return f"{len(lines)} of {len(limited)} points with limits {verb} them: {', '.join(lines)}"
+
+
 def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     """Errors of declared models against measured temperatures, a row a record.
 

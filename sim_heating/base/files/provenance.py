@@ -51,7 +51,7 @@ class Origin:
             "inputs": {input_name(path): input_digest(path) for path in self.inputs},
             "seed": self.seed,
             "versions": versions(),
-            "platform": f"{platform.system()} {platform.machine()}",
+            "platform": system(),
         }
 
 
@@ -104,6 +104,11 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def system() -> str:
+    """Operating system and kind of processor."""
+    return f"{platform.system()} {platform.machine()}"
 
 
 def input_name(path: Path) -> str:

@@ -8,6 +8,7 @@ It is a guard against accidents and edits by hand, not a signature.
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import warnings
@@ -33,6 +34,7 @@ from sim_heating.base.files.transaction import (
     staged,
 )
 
+LOG = logging.getLogger(__name__)
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
 MARKER_FORMAT = "sim_heating-output/2"
@@ -226,7 +228,9 @@ def output_directory(
             _write_marker(folder, command)
             old = _results_to_replace(target, command, files_below(folder))
             foreign = _others(target, command, old)
+            count = len(files_below(folder))
             commit(target, old)
+        LOG.info("%s: wrote %d files into %s", command, count, display_path(target))
         if foreign:
             _warn_of_replaced(target, foreign, command)
 
