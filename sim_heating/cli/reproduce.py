@@ -154,11 +154,7 @@ def _file_differences(before: Path, after: Path) -> Iterator[str]:
         return
     if before.read_bytes() == after.read_bytes():
         return
-    count = 0
-    for count, line in enumerate(_contents_differences(before, after), start=1):
-        yield line
-    if not count:
-        yield "has other bytes"
+    yield from list(_contents_differences(before, after)) or ["has other bytes"]
 
 
 def _contents_differences(before: Path, after: Path) -> Iterator[str]:

@@ -70,7 +70,7 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
     _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
     CONSOLE.print(limits_in_words(found))
     _print_run_warnings(found)
-    print_outputs(out, names, found)
+    print_outputs(out, names, "summary.json")
 
 
 def _print_with_margins(table: Table) -> None:
@@ -329,5 +329,4 @@ def predict(
             print_warning(f"{name}: {found['beyond_reference']}")
     for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
         CONSOLE.print(line)
-    results = next(iter(summaries.values())) if len(summaries) == 1 else {"records": summaries}
-    print_outputs(out, map(str, names), results)
+    print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})

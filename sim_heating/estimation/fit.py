@@ -330,8 +330,8 @@ def estimate(
 
     records   : flight records or their directories, one or several
     parameters : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them and
-                the tables can hold them; under a lamp, without any flow, emittance and the conductivity and heat capacity
-                of each layer, as far as the records inform them. `default` among them stands for these
+                the tables can hold them; under a lamp, without any flow, emittance and the conductivity and heat
+                capacity of each layer, as far as the records inform them. `default` among them stands for these
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
     effects   : effects in addition to the declared model, their parameters estimated where `parameters` includes them
     fixed     : name -> value of a parameter that is not estimated, in place of the declared one

@@ -46,7 +46,7 @@ MEANINGS = {
     "conductivity of the hot layer is too large",
     PRIOR: "usually it takes up another error of the model: keep the declared value by --fix and let close-loop look "
     "for the cause; or the prior is narrower than what is known",
-    CORRELATION: "the readings identify combinations of these and none alone: fix one, give it a prior, or "
+    CORRELATION: "the readings identify a combination of these and none alone: fix one, give it a prior, or "
     "measure what tells them apart",
     BOUND: "the readings ask for more than the bound allows, and it has no sigma; usually another cause is at work",
     NOISE: "RMSE and noise floor agree whatever the model lacks: let close-loop look, or declare noise_sigma_K",
