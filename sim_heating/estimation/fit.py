@@ -17,6 +17,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.base.report.table import Column, Table
 from sim_heating.credibility.facts.of_records import (
     MODEL_ERROR_RATIO,
     held_out,
@@ -91,6 +93,8 @@ DEFAULT = "default"
 WITHOUT_NOISE = "profile of `{}`: is of a fit without process noise; leave one of the two out"
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
+REPORTED_CORRELATION = 0.5
+"""Magnitude of a correlation [-] above which the text of a fit states it."""
 NOISE_ROUNDS = 4
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
@@ -223,18 +227,25 @@ class FitResult:
 
     def report(self) -> str:
         """The fit as text: how it ended, values with bounds, correlations, what was not estimated, warnings."""
-        from sim_heating.estimation.report.remarks import further_warnings
-        from sim_heating.estimation.report.report import estimate_contents, estimate_table
-
-        found = estimate_contents(self)
+        columns = [
+            Column("parameter"), Column("value", format=".5g"), Column("sigma", format=".2g"),
+            Column("unit", is_text=True),
+        ]  # fmt: skip
+        units = [u.parameter.unit for u in self.problem.unknowns]
+        rows = [[n, *p, unit] for (n, p), unit in zip(self.parameters.items(), units, strict=True)]
+        rho = self.correlation
         lines = [
             repr(self).partition(":")[0].lstrip("<"),
             f"{self.message}; {self.n} readings, log likelihood {self.fit.log_likelihood:.2f}, "
             f"AIC {self.aic:.2f}, BIC {self.bic:.2f}",
-            *estimate_table("estimate", found).lines(),
+            *Table("estimate", columns, rows).lines(),
+            *(
+                f"correlation of {a} and {b}: {rho[i, j]:+.3f}"
+                for (i, a), (j, b) in combinations(enumerate(self.labels), 2)
+                if abs(rho[i, j]) > REPORTED_CORRELATION
+            ),
             *(f"{name}: not estimated, {why}" for name, why in self.not_estimated.items()),
-            *(remark.in_words for remark in found.remarks),
-            *further_warnings(self.warnings, found.remarks),
+            *(f"warning: {line}" for line in self.warnings),
         ]
         return "\n".join(lines)
 
