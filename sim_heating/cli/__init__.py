@@ -92,8 +92,10 @@ TAKES_EXAMPLES = (
     "record", "records", "scenario", "study", "campaign_file", "path", "paths", "flights", "link", "replay"
 )  # fmt: skip
 """Names of the arguments and options that a shipped example may be named by."""
-WITHOUT_EXAMPLES = ("new", "credibility", "update-tables", "examples", "reproduce")
-"""Commands that write into what they are given, or take no example."""
+WITHOUT_EXAMPLES = ("new", "update-tables", "examples", "reproduce")
+"""Commands that take no example."""
+CHANGED_BY = {"credibility": {"path"}}
+"""Command -> names of arguments whose files it changes: no shipped example."""
 
 
 class LazyGroup(HelpfulGroup):
@@ -115,7 +117,7 @@ class LazyGroup(HelpfulGroup):
         if command.epilog is None and cmd_name in EXAMPLES:
             command.epilog = f"Example: sim-heating {EXAMPLES[cmd_name]}"
         if cmd_name not in WITHOUT_EXAMPLES:
-            _with_examples(command)
+            _with_examples(command, set(TAKES_EXAMPLES) - CHANGED_BY.get(cmd_name, set()))
         return with_common_options(_with_completion(command))
 
 
@@ -140,15 +142,15 @@ def _complete_paths(context: click.Context, parameter: click.Parameter, incomple
     return complete_paths(context, parameter, incomplete)
 
 
-def _with_examples(command: click.Command) -> None:
-    """Let the paths of a command, and of those below it, name shipped examples."""
+def _with_examples(command: click.Command, names: set[str]) -> None:
+    """Let arguments and options of these names, of a command and of those below it, name shipped examples."""
     from sim_heating.cli.examples import ExamplePath
 
     for parameter in command.params:
-        if parameter.name in TAKES_EXAMPLES and isinstance(parameter.type, click.Path):
+        if parameter.name in names and isinstance(parameter.type, click.Path):
             parameter.type = ExamplePath(path_type=Path)
     for below in command.commands.values() if isinstance(command, click.Group) else ():
-        _with_examples(below)
+        _with_examples(below, names)
 
 
 def _with_completion(command: click.Command) -> click.Command:
