@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shutil
 from pathlib import Path
 
@@ -38,9 +39,9 @@ def test_a_prediction_repeated_has_the_same_bytes(home: Path, capsys: pytest.Cap
 def test_a_changed_input_and_what_it_changes_are_named(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
     record = home / "p06" / "record.toml"
-    text = record.read_text()
-    assert "initial_K = 290.0" in text
-    record.write_text(text.replace("initial_K = 290.0", "initial_K = 300.0"))
+    changed = re.sub(r"(?m)^initial_K = .*$", "initial_K = 320.0", text := record.read_text())
+    assert changed != text
+    record.write_text(changed)
     capsys.readouterr()
     assert main(["reproduce", "out/summary.json"]) == 1
     printed = capsys.readouterr().out
