@@ -176,13 +176,13 @@ def _contents_differences(before: Path, after: Path) -> Iterator[str]:
     elif before.suffix == ".csv":
         import pandas as pd
 
-        a, b = (pd.read_csv(path, comment="#") for path in (before, after))
-        for name in sorted({*a.columns, *b.columns}):
-            if name not in a or name not in b or len(a) != len(b):
+        then, now = (pd.read_csv(path, comment="#") for path in (before, after))
+        for name in sorted({*then.columns, *now.columns}):
+            if name not in then or name not in now or len(then) != len(now):
                 yield f"column {name}: other rows"
-            elif not a[name].equals(b[name]):
+            elif not then[name].equals(now[name]):
                 try:
-                    yield f"column {name}: by up to {np.nanmax(np.abs(a[name] - b[name])):.3g}"
+                    yield f"column {name}: by up to {np.nanmax(np.abs(then[name] - now[name])):.3g}"
                 except TypeError:
                     yield f"column {name}"
 
@@ -190,7 +190,7 @@ def _contents_differences(before: Path, after: Path) -> Iterator[str]:
 def _entries(key: str, before: Any, after: Any) -> Iterator[str]:
     """Entries of two JSON values that differ, with both values."""
     if isinstance(before, dict) and isinstance(after, dict):
-        for name in sorted({*before, *after}):
+        for name in {**before, **after}:  # in the order of the file
             yield from _entries(f"{key}.{name}".lstrip("."), before.get(name), after.get(name))
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for i, pair in enumerate(zip(before, after, strict=True)):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import sim_heating as sh
 from sim_heating.estimation.fit import FitResult
+from sim_heating.estimation.report.remarks import CORRELATION, remarks
 from tests.support.paths import PRACTICE
 
 NAMES = ["ratio.scale", "ratio.d_alpha"]
@@ -39,6 +42,17 @@ def test_text_table_and_notebook_show_every_parameter(fit: FitResult) -> None:
     for name in NAMES:
         assert name in fit.report()
         assert name in fit._repr_html_()
+
+
+def test_many_correlated_pairs_are_one_remark(fit: FitResult) -> None:
+    """Three parameters of correlation 0.99: three pairs, one line."""
+    three = sh.estimate(PRACTICE / "p06", [*NAMES, "ratio.d_elevon"])
+    rho = np.full((3, 3), 0.99) + 0.01 * np.eye(3)
+    sigma = three.bounds.sigma
+    bounds = replace(three.bounds, covariance=rho * np.outer(sigma, sigma))
+    (remark,) = [r for r in remarks(replace(three, bounds=bounds)) if r.kind == CORRELATION]
+    assert remark.parameters == list(three.labels)
+    assert remark.message.startswith("3 pairs have a correlation beyond 0.95: ratio.scale and ratio.d_alpha +0.990, ")
 
 
 def test_names_are_still_taken_with_a_warning(fit: FitResult) -> None:
