@@ -13,6 +13,7 @@ Names are imported when they are first used, so that `import sim_heating` costs 
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -110,6 +111,8 @@ _HOME = {
     "RunError": "base.errors",
 }
 """Public name -> module that defines it."""
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent until a program asks for what is logged
 
 __all__ = [*_HOME, "__version__"]
 

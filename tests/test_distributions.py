@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.help_examples import failures
 from tests.support.paths import ROOT
 
 INSIDE = ("aircraft_data", "scenarios", "fmu")
@@ -92,3 +93,30 @@ def test_a_default_installation_has_neither_planning_nor_tools_of_development():
     requirements = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
     names = {re.split(r"[<>=; ]", requirement)[0].lower() for requirement in requirements}
     assert not names & {"distributed", "dask", "casadi", "pyarrow", "mypy", "ruff", "pytest", "cantera", "sphinx"}
+
+
+@pytest.fixture(scope="module")
+def installed(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment of a process that has the wheel, and no checkout."""
+    with zipfile.ZipFile(built[".whl"]) as wheel:
+        wheel.extractall(folder := tmp_path_factory.mktemp("site"))
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
+def test_examples_by_name_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
+    """In an empty folder, without a compiled kernel."""
+    for arguments in (["validate", "popu_mach20", "practice/p08"], ["examples", "--out", "mine"]):
+        command = [sys.executable, "-m", "sim_heating", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=installed, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "mine" / "scenarios" / "popu_mach20.toml").is_file()
+
+
+def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
+    with zipfile.ZipFile(built[".whl"]) as wheel:
+        assert "sim_heating/py.typed" in wheel.namelist()
+
+
+@pytest.mark.thorough
+def test_the_example_of_every_help_text_runs_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
+    assert failures(tmp_path, environment=installed) == []

@@ -1,8 +1,9 @@
-"""Long work: reports of its progress, and the signals that end it."""
+"""Long work: the command that runs, reports of its progress, and the signals that end it."""
 
 from __future__ import annotations
 
 import _thread
+import json
 import os
 import signal
 import sys
@@ -19,6 +20,34 @@ Progress = Callable[[float, str], None]
 
 def no_progress(_: float, __: str) -> None:
     """Progress that is not reported."""
+
+
+COMMAND = "SIM_HEATING_COMMAND"
+"""Environment variable that holds the command that runs: processes that it starts inherit it."""
+
+
+@contextmanager
+def stating_command(arguments: list[str] | None, out: str | None) -> Iterator[None]:
+    """Within the block, results state this command as their origin.
+
+    arguments : of the command, without the folder of its results and without what changes no result
+    out       : folder of its results; None where it has none
+    """
+    before = os.environ.pop(COMMAND, None)
+    if arguments is not None and out is not None:
+        os.environ[COMMAND] = json.dumps({"arguments": arguments, "out": os.path.realpath(out)})
+    try:
+        yield
+    finally:
+        os.environ.pop(COMMAND, None)
+        if before is not None:
+            os.environ[COMMAND] = before
+
+
+def running_command() -> dict[str, Any] | None:
+    """The command that runs: `arguments`, and the folder `out` of its results; None where Python calls the program."""
+    stated = os.environ.get(COMMAND)
+    return None if stated is None else dict(json.loads(stated))
 
 
 ENDING_SIGNALS = tuple(getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n))

@@ -11,17 +11,19 @@ import os
 import sys
 import warnings
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
 from sim_heating.base.errors import InputError, RunError, one_line
-from sim_heating.base.progress import EndingSignals
+from sim_heating.base.progress import EndingSignals, stating_command
 from sim_heating.cli.console import ERRORS, HelpfulGroup, show_warning, silent_console
 from sim_heating.cli.output import (
     CommandReport,
     name_command,
+    repeatable,
     reporting,
     with_common_options,
 )
@@ -49,6 +51,8 @@ COMMANDS = {
     "credibility": "credibility",
     "fmu": "fmu",
     "completion": "completion",
+    "examples": "examples",
+    "reproduce": "reproduce",
 }
 """Command -> module of this folder that defines it; the order is that of the help text."""
 
@@ -74,6 +78,8 @@ EXAMPLES = {
     "new": "new record --csv temperatures.csv --layer 'LI-900 51 mm' --out out/record",
     "credibility": "credibility add scenarios/records/sts96_468",
     "completion": "completion bash",
+    "examples": "examples --out .",
+    "reproduce": "reproduce out/popu",
 }
 """Command -> the example of its help; commands that state their own are absent."""
 
@@ -82,6 +88,16 @@ COMPLETED = (
     "record", "records", "scenario", "study", "campaign_file", "path", "paths", "vehicle", "vehicles", "flights"
 )  # fmt: skip
 """Names of the arguments and options that tab completion offers records, scenarios or vehicles for."""
+
+
+TAKES_EXAMPLES = (
+    "record", "records", "scenario", "study", "campaign_file", "path", "paths", "flights", "link", "replay"
+)  # fmt: skip
+"""Names of the arguments and options that a shipped example may be named by."""
+WITHOUT_EXAMPLES = ("new", "update-tables", "examples", "reproduce")
+"""Commands that take no example."""
+CHANGED_BY = {"credibility": {"path"}}
+"""Command -> names of arguments whose files it changes: no shipped example."""
 
 
 class LazyGroup(HelpfulGroup):
@@ -102,6 +118,8 @@ class LazyGroup(HelpfulGroup):
         assert isinstance(command, click.Command)
         if command.epilog is None and cmd_name in EXAMPLES:
             command.epilog = f"Example: sim-heating {EXAMPLES[cmd_name]}"
+        if cmd_name not in WITHOUT_EXAMPLES:
+            _with_examples(command, set(TAKES_EXAMPLES) - CHANGED_BY.get(cmd_name, set()))
         return with_common_options(_with_completion(command))
 
 
@@ -124,6 +142,17 @@ def _complete_paths(context: click.Context, parameter: click.Parameter, incomple
     from sim_heating.cli.completion import complete_paths
 
     return complete_paths(context, parameter, incomplete)
+
+
+def _with_examples(command: click.Command, names: set[str]) -> None:
+    """Let arguments and options of these names, of a command and of those below it, name shipped examples."""
+    from sim_heating.cli.examples import ExamplePath
+
+    for parameter in command.params:
+        if parameter.name in names and isinstance(parameter.type, click.Path):
+            parameter.type = ExamplePath(path_type=Path)
+    for below in command.commands.values() if isinstance(command, click.Group) else ():
+        _with_examples(below, names)
 
 
 def _with_completion(command: click.Command) -> click.Command:
@@ -149,7 +178,8 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     with reporting(given) as report:
         try:
             try:
-                with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet):
+                with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet), \
+                        stating_command(*repeatable(given)):
                     status = _status(given, report, signals)
                 signals.ignore()
             except KeyboardInterrupt:  # between the command and its answer

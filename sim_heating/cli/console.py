@@ -224,16 +224,23 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
 
     results : the JSON file among them that holds the results, or results, for --json
     """
-    names = [n for n in names if not Path(n).name.startswith(".")]
+    names = [n for name in names for n in _files_below(out, name)]
     report_files(out, names)
     report_results(out / results if isinstance(results, str) else results)
     pictures = [n for n in names if n.endswith(".png")]
     files = sorted((n for n in names if not n.endswith(".png")), key=lambda n: (n != "report.html", "/" in n))
-    shown = files if len(files) <= 6 else [*files[:6], f"... {len(files)} files in all"]
+    shown = files if len(files) <= 6 else [*files[:6], f"... {len(names)} files in all, {len(pictures)} of them plots"]
     CONSOLE.print(f"Wrote {out}: {', '.join(shown)}")
     if pictures:
         CONSOLE.print(f"Plots: {', '.join(pictures)}")
     _print_credibility(out / results if isinstance(results, str) else results)
+
+
+def _files_below(out: Path, name: str) -> list[str]:
+    """Names of the files that a name among results stands for: its own, or those of a folder; without hidden ones."""
+    place = out / name
+    files = sorted(p for p in place.rglob("*") if p.is_file()) if place.is_dir() else [place]
+    return [p.relative_to(out).as_posix() for p in files if not p.name.startswith(".")]
 
 
 def _print_credibility(results: Path | Mapping[str, Any]) -> None:

@@ -17,6 +17,7 @@ A number that is not finite is null. Progress, warnings and errors go to standar
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import sys
@@ -29,6 +30,28 @@ import click
 
 FORMAT = "command/1"
 JSON_OPTION, QUIET_OPTION = "--json", "--quiet"
+
+
+OUT_OPTION = "--out"
+CHANGES_NO_RESULT = (JSON_OPTION, QUIET_OPTION, "--force", "--verbose", "-v", "-vv")
+"""Options that leave the results as they are."""
+
+
+def repeatable(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """A command as its results state it, without options that change no result, and the folder of its results.
+
+    >>> from sim_heating.cli.output import repeatable
+    >>> repeatable(["run", "popu_mach20", "--out", "out/popu", "--json"])
+    (['run', 'popu_mach20'], 'out/popu')
+    """
+    kept, out, options = [], None, iter(arguments)
+    for option in options:
+        name, equals, value = option.partition("=")
+        if name == OUT_OPTION:
+            out = value if equals else next(options, None)
+        elif option not in CHANGES_NO_RESULT:
+            kept.append(option)
+    return kept, out
 
 
 class CommandReport:
@@ -156,12 +179,37 @@ def name_command(context: click.Context | None) -> None:
         _current.command = context.command_path.partition(" ")[2]
 
 
+LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
+"""Levels of the logger `sim_heating` by the number of -v."""
+
+
+def _log_to_standard_error(context: click.Context, _: click.Parameter, count: int) -> None:
+    """With -v, print what the program logs to standard error until the command ends; with -vv, its details too."""
+    if not count:
+        return
+    logger, handler = logging.getLogger("sim_heating"), logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(LEVELS[min(count, len(LEVELS) - 1)])
+
+    def restore() -> None:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+    context.call_on_close(restore)
+
+
 COMMON_OPTIONS = (
     click.Option(
         [JSON_OPTION], is_flag=True, is_eager=True, expose_value=False, callback=_enter_name,
         help="print one JSON object with status, files and results in place of text",
     ),
     click.Option([QUIET_OPTION], is_flag=True, expose_value=False, help="print only warnings and errors"),
+    click.Option(
+        ["-v", "--verbose"], count=True, expose_value=False, callback=_log_to_standard_error,
+        help="log what is read, fitted and written to standard error; -vv: in detail",
+    ),
 )  # fmt: skip
 """Options that the group and all its commands take. They are found in the arguments, as wrong usage is reported too."""
 

@@ -46,7 +46,7 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
     """Fly a scenario: trajectory, heating, temperatures, plots."""
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
-    from sim_heating.simulation.results import run_table
+    from sim_heating.simulation.results import limits_in_words, run_table
     from sim_heating.simulation.run import (
         files_of,
         fly_beside,
@@ -68,8 +68,9 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
         names = write_run(result, out, points=plot_points, progress=progress)
     found = summary(result)
     _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
+    CONSOLE.print(limits_in_words(found))
     _print_run_warnings(found)
-    print_outputs(out, names, found)
+    print_outputs(out, names, "summary.json")
 
 
 def _print_with_margins(table: Table) -> None:
@@ -161,7 +162,7 @@ def demo(out: Path) -> None:
     from sim_heating.base.files import require_writable
     from sim_heating.inputs.scenario import load_scenario
     from sim_heating.simulation import run, synthesize
-    from sim_heating.simulation.results import run_table
+    from sim_heating.simulation.results import limits_in_words, rmse_table, run_table
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     popu = with_installed_source(popu)
@@ -178,7 +179,9 @@ def demo(out: Path) -> None:
         rmse_K, more = compared()
     names += [f"sts96/{n}" for n in more]
     found = run.summary(flown)
-    _print_with_margins(run_table(f"{popu.title}; RMSE of '{sts96.title}'", found, rmse_K))
+    _print_with_margins(run_table(popu.title, found, {}))
+    CONSOLE.print(limits_in_words(found))
+    print_table(rmse_table(sts96.title, rmse_K))
     _print_run_warnings(found)
     print_outputs(out, names, {"popu": found, "sts96": {"rmse_K": rmse_K}})
 
@@ -326,5 +329,4 @@ def predict(
             print_warning(f"{name}: {found['beyond_reference']}")
     for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
         CONSOLE.print(line)
-    results = next(iter(summaries.values())) if len(summaries) == 1 else {"records": summaries}
-    print_outputs(out, map(str, names), results)
+    print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError, RunError, or_left_out
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parallel.processes import in_processes
@@ -72,6 +74,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+LOG = logging.getLogger(__name__)
 COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
@@ -126,22 +129,26 @@ class ClosedLoop:
         return self.fitted.plot()
 
 
+@renamed_argument("names", "parameters")
 def close_loop(
-    record: Record | str | os.PathLike[str], names: Sequence[str] | None = None, *, progress: Progress = no_progress
+    record: Record | str | os.PathLike[str],
+    parameters: Sequence[str] | None = None,
+    *,
+    progress: Progress = no_progress,
 ) -> ClosedLoop:
     """Identify the effect that the declared model of a record lacks, add it, refit.
 
-    record   : a flight record, or its directory
-    names    : dotted names of the declared model's parameters that are fitted before anything is searched for; by
-               default magnitude and derivatives, and none where the record has no reference heating
-    progress : called with the fraction done, from 0 to 1, and a line of text
-    returns  : the effects found, the last fit with its bounds, errors before and after
-    raises   : InputError where its clocks are in two units or readings are too few, or for a name that the model
-               does not have; InputError or RunError where not even the declared model can be fitted
+    record     : a flight record, or its directory
+    parameters : dotted names of the declared model's parameters that are fitted before anything is searched for; by
+                 default magnitude and derivatives, and none where the record has no reference heating
+    progress   : called with the fraction done, from 0 to 1, and a line of text
+    returns    : the effects found, the last fit with its bounds, errors before and after
+    raises     : InputError where its clocks are in two units or readings are too few, or for a name that the model
+                 does not have; InputError or RunError where not even the declared model can be fitted
 
     >>> import sim_heating as sh
     >>> sh.close_loop("scenarios/records/practice/p08")
-    <ClosedLoop of p08: impingement-onset, RMSE 1.67 K before, 1.29 K after>
+    <ClosedLoop of p08: found: impingement-onset, RMSE 1.67 K before, 1.29 K after>
     """
     record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))
@@ -154,7 +161,7 @@ def close_loop(
     record, outliers = without_outliers(record)
     record, of_noise = with_noise(record)
     notes = [*outlier_lines(outliers, {record.name: record}), *of_noise]
-    result = _stated(search_effects(record, names, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
+    result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [
         partial(_refitted, result), partial(_residual_after, result.before), partial(_before, result),
@@ -162,6 +169,7 @@ def close_loop(
     (fitted, after, residual_after), residual, before = in_processes(tasks)
     compared = before, before if result.compared is result.none else after
     report = _closure(result, fitted, compared, (residual, residual_after), notes)
+    LOG.info("%r", report)
     samples = _samples(result, len(outliers))
     report = replace(report, samples=samples, warnings=[*_few_samples(samples), *report.warnings])
     return ClosedLoop(result, fitted, report)

@@ -193,7 +193,8 @@ class Closure:
         errors = (p.segment_errors()["fit"]["rmse_K"] for p in (self.before, self.after))
         fault = f", {self.faults[0].kind}" if self.faults else ""
         before, after = (f"{e:.2f} K" for e in errors)
-        return f"<Closure of {self.record.name}: {self.named}{fault}, RMSE {before} before, {after} after>"
+        finding = f"{self.statement.in_short()}{fault}"
+        return f"<Closure of {self.record.name}: {finding}, RMSE {before} before, {after} after>"
 
 
 def closure_json(found: Closure) -> dict[str, Any]:

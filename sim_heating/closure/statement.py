@@ -186,6 +186,15 @@ class Statement:
 
         return " + ".join(" or ".join(shown(name, names) for name in names) for names in self.alternatives)
 
+    def in_short(self) -> str:
+        """The finding in a word, and what it names.
+
+        >>> from sim_heating.closure.statement import Statement
+        >>> Statement("partly", [["transition", "gap-flow"]]).in_short()
+        'partly: transition or gap-flow'
+        """
+        return f"{self.finding}: {self.named}" if self.named else self.finding
+
     def in_words(self) -> str:
         """The finding in a few words."""
         if self.finding == FOUND:

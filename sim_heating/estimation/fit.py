@@ -11,20 +11,25 @@ docs/theory/estimation_statistics.md.
 
 from __future__ import annotations
 
+import html
+import logging
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
+from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
+from sim_heating.base.report.table import Column, Table
 from sim_heating.credibility.facts.of_records import (
     MODEL_ERROR_RATIO,
     held_out,
@@ -78,20 +83,31 @@ from sim_heating.simulation.predict import Prediction
 from sim_heating.simulation.predict import predict as predict_record
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
 
+LOG = logging.getLogger(__name__)
 DEFAULT = "default"
 """Stands for the default parameters among the names of parameters."""
 WITHOUT_NOISE = "profile of `{}`: is of a fit without process noise; leave one of the two out"
 FEWEST_SAMPLES = 3
 """Least number of sample times in a fit."""
+REPORTED_CORRELATION = 0.5
+"""Magnitude of a correlation [-] above which the text of a fit states it."""
 NOISE_ROUNDS = 4
 NOISE_CHANGE = 0.01
 """Relative change below which noise has converged."""
 NO_ERROR = np.zeros(0)
 MAGNITUDES_TRIED = np.geomspace(0.002, 2.0, 8)
 """Ratios tried as the start of a fit that has no table to start from."""
+
+
+class EstimatedValue(NamedTuple):
+    """Value and standard deviation of an estimated parameter, each in its unit."""
+
+    value: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,10 +180,91 @@ class FitResult:
         return fitted, held
 
     @property
-    def parameters(self) -> dict[str, tuple[float, float]]:
+    def parameters(self) -> dict[str, EstimatedValue]:
         """Value and standard deviation of each estimated parameter, in the unit of the parameter."""
         pairs = zip(self.fit.values.tolist(), self.bounds.sigma.tolist(), strict=True)
-        return dict(zip(self.labels, pairs, strict=True))
+        return {label: EstimatedValue(*pair) for label, pair in zip(self.labels, pairs, strict=True)}
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(parameter, parameter) covariance of the estimates, each in its unit, corrected for coloured residuals.
+
+        Source: docs/theory/estimation_statistics.md, equation 22.
+        """
+        return self.bounds.covariance
+
+    @property
+    def success(self) -> bool:
+        """Whether the search converged."""
+        return self.fit.converged
+
+    @property
+    def message(self) -> str:
+        """How the search ended."""
+        return self.fit.status.value
+
+    @property
+    def n(self) -> int:
+        """Number of readings that were fitted."""
+        errors = [p.segment_errors()["fit"] for p in self.after]
+        return sum(int(e["n"]) for e in errors if e)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, 2 k - 2 ln L [-], of k estimated parameters; less is better.
+
+        Source: H. Akaike, IEEE Trans. Automatic Control AC-19 (1974) 716-723.
+        """
+        return 2.0 * len(self.labels) - 2.0 * self.fit.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's information criterion, k ln n - 2 ln L [-], of n fitted readings; less is better.
+
+        Source: G. Schwarz, Annals of Statistics 6 (1978) 461-464.
+        """
+        return len(self.labels) * float(np.log(self.n)) - 2.0 * self.fit.log_likelihood
+
+    def report(self) -> str:
+        """The fit as text: how it ended, values with bounds, correlations, what was not estimated, warnings."""
+        columns = [
+            Column("parameter"), Column("value", format=".5g"), Column("sigma", format=".2g"),
+            Column("unit", is_text=True),
+        ]  # fmt: skip
+        units = [u.parameter.unit for u in self.problem.unknowns]
+        rows = [[n, *p, unit] for (n, p), unit in zip(self.parameters.items(), units, strict=True)]
+        rho = self.correlation
+        lines = [
+            repr(self).partition(":")[0].lstrip("<"),
+            f"{self.message}; {self.n} readings, log likelihood {self.fit.log_likelihood:.2f}, "
+            f"AIC {self.aic:.2f}, BIC {self.bic:.2f}",
+            *Table("estimate", columns, rows).lines(),
+            *(
+                f"correlation of {a} and {b}: {rho[i, j]:+.3f}"
+                for (i, a), (j, b) in combinations(enumerate(self.labels), 2)
+                if abs(rho[i, j]) > REPORTED_CORRELATION
+            ),
+            *(f"{name}: not estimated, {why}" for name, why in self.not_estimated.items()),
+            *(f"warning: {line}" for line in self.warnings),
+        ]
+        return "\n".join(lines)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Value, standard deviation and unit of each parameter, a row each."""
+        import pandas as pd  # slow to import
+
+        data = {
+            "value": self.fit.values,
+            "sigma": self.bounds.sigma,
+            "unit": [u.parameter.unit for u in self.problem.unknowns],
+        }
+        return pd.DataFrame(data, index=pd.Index(self.labels, name="parameter"))
+
+    def _repr_html_(self) -> str:
+        """The table of parameters in a notebook, below how the search ended."""
+        return f"<p>{html.escape(repr(self).partition(':')[0].lstrip('<'))}: {html.escape(self.message)}</p>" + str(
+            self.to_dataframe().to_html()
+        )
 
     def to_xarray(self) -> xr.Dataset:
         """Values, standard deviations and correlations of the parameters, each in its unit."""
@@ -223,9 +320,10 @@ class FitResult:
         return self.problem.innovations(self.fit.values)
 
 
+@renamed_argument("names", "parameters")
 def estimate(
     records: Record | str | os.PathLike[str] | Sequence[Record | str | os.PathLike[str]],
-    names: Sequence[str] | None = None,
+    parameters: Sequence[str] | None = None,
     *,
     reference: Mapping[str, float] | None = None,
     effects: Sequence[EffectUse] = (),
@@ -242,11 +340,11 @@ def estimate(
     """Fit parameters to records, jointly: maximum a posteriori, by Newton's method.
 
     records   : flight records or their directories, one or several
-    names     : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them and the
-                tables can hold them; under a lamp, without any flow, emittance and the conductivity and heat capacity
-                of each layer, as far as the records inform them. `default` among the names stands for these
+    parameters : dotted names; by default magnitude [-] and five derivatives, as far as the records identify them and
+                the tables can hold them; under a lamp, without any flow, emittance and the conductivity and heat
+                capacity of each layer, as far as the records inform them. `default` among them stands for these
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the records' own
-    effects   : effects in addition to the declared model, their parameters estimated where `names` includes them
+    effects   : effects in addition to the declared model, their parameters estimated where `parameters` includes them
     fixed     : name -> value of a parameter that is not estimated, in place of the declared one
     priors    : name -> mean and standard deviation of another prior, infinite for a flat one; or a whole Parameter
     bounds    : name -> least and greatest value
@@ -271,7 +369,8 @@ def estimate(
     >>> fit = sh.estimate("scenarios/records/practice/p06", ["ratio.scale", "ratio.d_alpha"])
     >>> fit
     <FitResult of p06: ratio.scale=0.0563... +- 0.003, ratio.d_alpha=9.35...e-05 +- 7e-05; converged>
-    >>> value, sigma = fit.parameters["ratio.scale"]
+    >>> fit.parameters["ratio.scale"].sigma < 0.01, fit.success
+    (True, True)
     """
     if profiles and process_noise is not None:
         raise InputError(WITHOUT_NOISE.format(profiles[0]))
@@ -296,7 +395,7 @@ def estimate(
         ties=ties,
         starts=starts,
     )
-    wanted, omitted, optional = _wanted(names, loaded, options)
+    wanted, omitted, optional = _wanted(parameters, loaded, options)
     condition = joint_reference(loaded, reference)
     remaining = _remaining_names(wanted, omitted, loaded)
     options = _without(options, set(omitted), Owners(loaded))
@@ -320,6 +419,7 @@ def estimate(
     wanted_profiles = problem.owners.labels(profiles)
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
     found = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
+    LOG.info("%r in %d iterations", found, fit.iterations)
     return replace(found, profiles={name: found.profile(name) for name in wanted_profiles}) if profiles else found
 
 
@@ -555,6 +655,7 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
 
     def report(at: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
+        LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, at)
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
     unknown_noise = any(

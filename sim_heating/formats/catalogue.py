@@ -278,6 +278,7 @@ FORMATS: tuple[FileFormat, ...] = (
             "remarks": "estimates that nature does not have, or that mean less than their sigma or errors say: `kind`, "
             "`parameters`, `message`, `meaning`",
             "program": "name and version of the program",
+            "provenance": "origin: `command`, `inputs` with their digests, `seed`, `versions`, `platform`",
             "credibility": "self-assessment: the level of each factor with its reason, and what it was computed from",
         },
     ),

@@ -124,7 +124,11 @@ def plan(
     expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
     # One thread for linear algebra: its split among threads changes last digits, and results are to be the same bytes
     # on any number of cores.
-    with output_directory(out, "plan", expected=expected, inputs=study.files) as folder, one_thread():
+    seed = None if study.declared.dispersion is None else study.declared.dispersion.seed
+    with (
+        output_directory(out, "plan", expected=expected, inputs=study.files, seed=seed) as folder,
+        one_thread(),
+    ):
         if engine.scheduler is not None:
             require_scheduler(engine.scheduler)
         for i, (name, part) in enumerate(parts.items()):

@@ -15,7 +15,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
-from sim_heating.base.files import write_csv
+from sim_heating.base.files import provenance_attributes, write_csv
 from sim_heating.base.files.package import package_version
 from sim_heating.base.report.table import Column, Table
 from sim_heating.march.history import PointHistory
@@ -35,7 +35,30 @@ UNITS = {
 }  # fmt: skip
 """Units of conditions and fluxes in the spelling of the CF conventions."""
 
+TIME_ATTRIBUTES = {"units": "s", "standard_name": "time", "long_name": "time from the start of the flight"}
 LONG_NAMES = {
+    "altitude_m": "geometric altitude",
+    "velocity_m_s": "speed relative to the air",
+    "mach": "speed over the local speed of sound",
+    "alpha_deg": "angle of attack",
+    "beta_deg": "angle of sideslip",
+    "log10_re": "base-10 logarithm of the Reynolds number on the reference length",
+    "elevon_deg": "elevon deflection, positive trailing edge down",
+    "bodyflap_deg": "body flap deflection, positive trailing edge down",
+    "rho_kg_m3": "density of the free stream",
+    "T_inf_K": "temperature of the free stream",
+    "p_inf_Pa": "pressure of the free stream",
+    "h_ref_kg_m2_s": "reference film coefficient, enthalpy based",
+    "H_r_J_kg": "recovery enthalpy",
+    "q_add_W_m2": "known additional absorbed heat flux",
+    "jets": "firing of reaction jets, 0 to 1",
+    "bank_deg": "bank angle about the velocity",
+    "gamma_deg": "flight-path angle above the horizon",
+    "heading_deg": "azimuth of the velocity",
+    "latitude_deg": "geodetic latitude",
+    "longitude_deg": "longitude, positive east",
+    "qbar_Pa": "dynamic pressure",
+    "axial_accel_g": "acceleration along the body axis over that of gravity",
     "surface_K": "temperature of the outer surface",
     "bondline_K": "temperature at the outer face of the last layer",
     "ratio": "heating ratio with all corrections and effects",
@@ -101,6 +124,42 @@ def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float
     return Table(title, columns, rows)
 
 
+def rmse_table(title: str, rmse_K: Mapping[str, float]) -> Table:
+    """RMSE of a run against measured histories [K], a row a control point."""
+    columns = [Column("control point"), Column("RMSE against measured", "rmse_K", ".1f", "K")]
+    return Table(title, columns, [list(row) for row in rmse_K.items()])
+
+
+def limits_in_words(summary: Mapping[str, Any]) -> str:
+    """Which points of a run pass their temperature limits, and by how much, in one line.
+
+    summary : as `run.summary` gives it
+
+    >>> from sim_heating.simulation.results import limits_in_words
+    >>> points = {"NOSE": {"surface_margin_K": -12.0, "bondline_margin_K": 80.0}, "FIN": {"surface_margin_K": 9.0}}
+    >>> limits_in_words({"control_points": points})
+    '1 of 2 points with limits passes them: NOSE (surface by 12 K)'
+    """
+    margins = {
+        name: {what: point.get(f"{what}_margin_K") for what in ("surface", "bondline")}
+        for name, point in summary["control_points"].items()
+    }
+    limited = {name: {k: m for k, m in found.items() if m is not None} for name, found in margins.items()}
+    limited = {name: found for name, found in limited.items() if found}
+    passed = {name: {k: -m for k, m in found.items() if m < 0.0} for name, found in limited.items()}
+    lines = [
+        f"{name} ({', '.join(f'{what} by {excess:.0f} K' for what, excess in found.items())})"
+        for name, found in passed.items()
+        if found
+    ]
+    if not limited:
+        return "No point has a temperature limit"
+    if not lines:
+        return f"All {len(limited)} points with limits keep them" if len(limited) > 1 else "The point keeps its limits"
+    verb = "passes" if len(lines) == 1 else "pass"
+    return f"{len(lines)} of {len(limited)} points with limits {verb} them: {', '.join(lines)}"
+
+
 def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     """Errors of declared models against measured temperatures, a row a record.
 
@@ -126,12 +185,14 @@ def histories_dataset(
     sensors: Mapping[str, Sequence[Sensor]],
     limits: Mapping[str, Mapping[str, float | None]],
     attributes: Mapping[str, str],
+    film: Mapping[str, FloatArray],
 ) -> xr.Dataset:
-    """All histories of a flight as one data set, with units and long names.
+    """All histories of a flight as one data set, with units, long names and its origin.
 
     flown      : conditions on the points' times
     sensors    : sensors of each point by its name;  limits : its `surface_K` and `bondline_K` [K]
     attributes : of the data set: title, vehicle, ...
+    film       : reference heating, `h_ref_kg_m2_s` and `H_r_J_kg`, (control point, time) each
     """
     import xarray as xr  # slow to import, and wanted only where results are written
 
@@ -152,18 +213,21 @@ def histories_dataset(
         np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
         _attributes("sensor_K"),
     )
-    data |= {name: ("time", flown[name], _attributes(name)) for name in flown.names if name != "time_s"}
+    data |= {name: ("time", flown[name], _attributes(name)) for name in flown.names if name not in ("time_s", *film)}
+    data |= {name: (per_point, values, _attributes(name)) for name, values in film.items()}
     coordinates = {
-        "time": ("time", flown.time_s, {"units": "s", "long_name": "time from the start of the flight"}),
-        "control_point": [p.name for p in points],
-        "sensor": names,
-        "sensor_control_point": ("sensor", [p.name for p in points for _ in sensors[p.name]]),
-    }
-    history = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}"}
-    return xr.Dataset(data, coordinates, {**attributes, **history})
+        "time": ("time", flown.time_s, TIME_ATTRIBUTES),
+        "control_point": ("control_point", [p.name for p in points], {"long_name": "name of the control point"}),
+        "sensor": ("sensor", names, {"long_name": "name of the sensor"}),
+        "sensor_control_point": (
+            "sensor", [p.name for p in points for _ in sensors[p.name]], {"long_name": "control point of the sensor"}
+        ),
+    }  # fmt: skip
+    origin = {"Conventions": "CF-1.10", "source": f"sim-heating {package_version()}", **provenance_attributes()}
+    return xr.Dataset(data, coordinates, {**attributes, **origin})
 
 
 def _attributes(name: str) -> dict[str, str]:
     of_point = next((unit for column, unit in UNITS.items() if name.endswith(f"_{column}")), None)
     unit = UNITS.get(name, of_point or ("K" if name.endswith("_K") else "1"))
-    return {"units": unit} | ({"long_name": LONG_NAMES[name]} if name in LONG_NAMES else {})
+    return {"units": unit, "long_name": LONG_NAMES.get(name, name.replace("_", " "))}

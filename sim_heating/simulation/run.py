@@ -31,6 +31,7 @@ from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.history import PointHistory, march_points, point_summary, table_excursions
 from sim_heating.march.mesh_choice import choose_meshes
 from sim_heating.march.point import PointModel
+from sim_heating.simulation.hdf5_times import without_times
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.results import histories_dataset, run_table, write_heating_csv, write_temperatures_csv
 from sim_heating.trajectory import entry3dof, recorded
@@ -125,7 +126,11 @@ class RunResult:
         sensors = {name: vehicle.control_point(name).sensors for name in self.points}
         about = {"title": self.scenario.title, "vehicle": vehicle.name, "vehicle_revision": vehicle.revision}
         histories = [p.history for p in self.points.values()]
-        return histories_dataset(with_reference_heating(self), histories, sensors, self.limits, about)
+        film = {
+            name: np.array([self.points[h.name].conditions[name] for h in histories])
+            for name in ("h_ref_kg_m2_s", "H_r_J_kg")
+        }
+        return histories_dataset(self.flight.conditions, histories, sensors, self.limits, about, film)
 
     def facts(self) -> Facts:
         """Facts from which the credibility of the result follows."""
@@ -508,7 +513,7 @@ def _netcdf(dataset: xr.Dataset) -> bytes:
 
     file = netCDF4.Dataset(HISTORIES, "w", memory=65536)
     dataset.dump_to_store(NetCDF4DataStore(file))
-    return bytes(file.close())
+    return without_times(bytes(file.close()))
 
 
 def _drawings(result: RunResult, folder: Path, points: Sequence[str] | None = None) -> list[Callable[[], object]]:

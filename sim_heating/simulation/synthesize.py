@@ -355,7 +355,11 @@ def write_records(
 
     scenario = load_scenario(scenario)
     comment = f"Synthetic: {scenario.title}. Made by sim-heating synthesize."
-    with output_directory(out, "synthesize", inputs=scenario.files) as folder, ExitStack() as parts:
+    seed = scenario.declared.measurements.seed
+    with (
+        output_directory(out, "synthesize", inputs=scenario.files, seed=seed) as folder,
+        ExitStack() as parts,
+    ):
         texts = []
         for name, record in records.items():
             own = parts.enter_context(record_directory(folder if len(records) == 1 else folder / name))

@@ -14,12 +14,14 @@ from sim_heating.base.files.csv_table import (
     read_csv_columns,
     write_csv,
 )
-from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import display_path, file_digest, text_digest
+from sim_heating.base.files.provenance import PROVENANCE, provenance_attributes, with_provenance
 from sim_heating.base.files.results import (
+    DIGEST,
     MARKER,
     OR_FORCE,
     all_files_written,
+    digest_matches,
     files_written,
     json_text,
     output_directory,
@@ -28,6 +30,7 @@ from sim_heating.base.files.results import (
     replacing_others,
     require_writable,
     results_digest,
+    with_digest,
     write_json,
     write_own_files,
 )
@@ -58,12 +61,12 @@ from sim_heating.base.files.toml import (
 from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle
 
 __all__ = [
-    "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
-    "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_columns", "csv_text",
-    "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys",
-    "nearest_name", "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns",
-    "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "replaces_others",
-    "replacing_others", "require_exclusive", "require_writable", "results_digest", "roots_of", "settle",
-    "suggestion", "text_bytes", "text_digest", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
-    "write_text_atomic",
+    "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "PROVENANCE", "Convertible", "CsvTable", "Declared", "Extensible",
+    "FileOfFolder", "LocatedError", "Location", "Roots", "all_files_written", "celsius_rule", "check", "csv_columns",
+    "csv_text", "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "json_text",
+    "known_keys", "nearest_name", "output_directory", "path_below", "plain_number", "provenance_attributes",
+    "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict",
+    "repeated_name", "replace_files", "replaces_others", "replacing_others", "require_exclusive", "require_writable",
+    "results_digest", "roots_of", "settle", "suggestion", "text_bytes", "text_digest", "toml_text", "with_digest",
+    "with_provenance", "write_csv", "write_json", "write_own_files", "write_text_atomic",
 ]  # fmt: skip

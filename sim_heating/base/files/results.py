@@ -1,8 +1,14 @@
-"""JSON files, and output directories that hold either all files of a run or none of them."""
+"""JSON files, and output directories that hold either all files of a run or none of them.
+
+A JSON file may carry the digest of its own content, so that a reader notices any later change. The digest depends on
+the content alone: not on the order of keys, on blanks and line ends, nor on whether a whole number has a decimal point.
+It is a guard against accidents and edits by hand, not a signature.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import warnings
@@ -15,6 +21,7 @@ import numpy as np
 
 from sim_heating.base.errors import InputError, LeftOutWarning, RunError
 from sim_heating.base.files.paths import display_path, file_digest, has_digest, real_path, text_digest
+from sim_heating.base.files.provenance import results_from, with_provenance
 from sim_heating.base.files.text import abbreviated, as_builtin, read_text, write_text_atomic
 from sim_heating.base.files.transaction import (
     NEW,
@@ -27,6 +34,7 @@ from sim_heating.base.files.transaction import (
     staged,
 )
 
+LOG = logging.getLogger(__name__)
 MARKER = ".sim_heating.json"
 """File of an output directory that lists the files this program wrote there, with their digests."""
 MARKER_FORMAT = "sim_heating-output/2"
@@ -59,6 +67,8 @@ def replaces_others() -> bool:
     return bool(os.environ.get(REPLACE_OTHERS))
 
 
+DIGEST = "digest"
+"""Key of the digest in a file."""
 LEFT_OUT = "left_out"
 """Key of a JSON object that lists its numbers that are not finite, which stand as null in it."""
 
@@ -87,8 +97,38 @@ def finite_json(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
-    """Write results as JSON, whole or not at all; None and numbers that are not finite become null (finite_json)."""
-    write_text_atomic(path, json_text(finite_json(data)))
+    """Write results as JSON, whole or not at all; None and numbers that are not finite become null (finite_json).
+
+    Results that state their format carry their origin as `provenance`, those with a digest where they have it already.
+    """
+    write_text_atomic(path, json_text(finite_json(data if DIGEST in data else with_provenance(data))))
+
+
+def content_digest(data: Mapping[str, Any]) -> str:
+    """`sha256:...` of a JSON object, its own digest aside.
+
+    The bytes behind it: JSON with sorted keys, no blanks, every number as a floating-point one, ASCII with escapes.
+    """
+    content = json.loads(json.dumps({k: v for k, v in data.items() if k != DIGEST}), parse_int=float)
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return text_digest(text)
+
+
+def with_digest(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The data as plain values, with the digest of their content as the last key.
+
+    raises : RunError naming the entry where a number is not finite
+    """
+    plain = json.loads(json_text(data))
+    return {**{k: v for k, v in plain.items() if k != DIGEST}, DIGEST: content_digest(plain)}
+
+
+def digest_matches(data: Mapping[str, Any]) -> bool:
+    """Whether the digest that a JSON object carries is that of its content; False where it carries none."""
+    try:
+        return data.get(DIGEST) == content_digest(data)
+    except RecursionError:  # nested more deeply than anything that is written with a digest
+        return False
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -154,6 +194,7 @@ def output_directory(
     *,
     expected: Iterable[str] = (),
     inputs: Iterable[str | os.PathLike[str] | None] = (),
+    seed: int | None = None,
 ) -> Iterator[Path]:
     """A directory for results that appear all together when the block succeeds, and not at all when it fails.
 
@@ -170,6 +211,7 @@ def output_directory(
     command  : what writes; only its own results are replaced
     expected : names of the results; other people's files of these names are reported before the work begins
     inputs   : files and directories that the results are made from; None, and what does not exist, is passed over
+    seed     : of the random numbers that the results hang on
     raises   : InputError before the work where the place cannot be used, holds other results, or is, contains or lies
                in an input; and after it where a result would overwrite a file that this program did not write
     """
@@ -177,15 +219,18 @@ def output_directory(
         with _part_of_results(Path(path), command) as folder:
             yield folder
         return
+    inputs = tuple(inputs)
     _refuse_inputs(real_path(path), inputs)
-    with exclusive(path) as target:
+    with exclusive(path) as target, results_from(target, inputs, seed):
         _results_to_replace(target, command, expected)
         with staged(target) as folder:
             yield folder
             _write_marker(folder, command)
             old = _results_to_replace(target, command, files_below(folder))
             foreign = _others(target, command, old)
+            count = len(files_below(folder))
             commit(target, old)
+        LOG.info("%s: wrote %d files into %s", command, count, display_path(target))
         if foreign:
             _warn_of_replaced(target, foreign, command)
 

@@ -102,6 +102,18 @@ class Table:
         values = {c.key: [row[i] for row in self.rows] for i, c in enumerate(self.layout)}
         return {k: np.array([math.nan if x is None else x for x in v]) for k, v in values.items()}
 
+    def lines(self) -> list[str]:
+        """The table as lines of text, one a row below the heads; columns are padded to one width."""
+        rows = [[c.head for c in self.layout], *self.texts]
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        return [
+            "  ".join(
+                cell.ljust(width) if c.is_text else cell.rjust(width)
+                for cell, width, c in zip(row, widths, self.layout, strict=True)
+            ).rstrip()
+            for row in rows
+        ]
+
     def csv(self, formats: Mapping[str, str] | str | None = None, header: Mapping[str, object] | None = None) -> str:
         """The table as CSV text; formats and header as `csv_text` takes them."""
         return csv_text(self.columns_by_key(), formats, header)

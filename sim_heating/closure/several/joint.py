@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import AT
@@ -85,9 +86,10 @@ class JointClosedLoop:
         return residuals_figure(self.report)
 
 
+@renamed_argument("names", "parameters")
 def close_loops(
     records: Sequence[Record | str | os.PathLike[str]],
-    names: Sequence[str] | None = None,
+    parameters: Sequence[str] | None = None,
     *,
     progress: Progress = no_progress,
 ) -> JointClosedLoop:
@@ -98,17 +100,17 @@ def close_loops(
     own. Records may be of one control point, or of neighbouring points of one vehicle: these have only parameters of
     the flow in common (several/common_parameters.py).
 
-    records  : two flight records or more, or their directories
-    names    : dotted names that each declared model is fitted with, as `close_loop` takes them
-    progress : called with the fraction done, from 0 to 1, and a line of text
-    returns  : the finding, what each record adds to it, the last fit with its bounds, temperatures [K] before and after
-    raises   : InputError for a single record, two of one name, records of different vehicles, or ratios of one point
+    records    : two flight records or more, or their directories
+    parameters : dotted names that each declared model is fitted with, as `close_loop` takes them
+    progress   : called with the fraction done, from 0 to 1, and a line of text
+    returns    : the finding, what each record adds to it, the last fit with its bounds, temperatures [K] before, after
+    raises     : InputError for a single record, two of one name, records of different vehicles, or ratios of one point
                over different reference heatings; InputError, RunError where the declared model of one cannot be fitted
 
     >>> import sim_heating as sh
     >>> flown = sh.synthesize("benchmarks/flights/sts2.toml")
     >>> sh.close_loops([flown["V07T9975"], flown["V07T9976"]])
-    <JointClosedLoop of V07T9975, V07T9976: impingement-onset + coating-thickness or heat-capacity, RMSE 2.16 K ...>
+    <JointClosedLoop of V07T9975, V07T9976: one of: impingement-onset + coating-thickness or heat-capacity, ...>
     """
     loaded = load_records(records)
     if len(loaded) < 2:
@@ -126,7 +128,7 @@ def close_loops(
         def report(fraction: float, text: str, k: int = k, name: str = record.name) -> None:
             progress(ALONE * (k + fraction) / len(loaded), f"{name}: {text}")
 
-        loops.append(close_loop(record, names, progress=report))
+        loops.append(close_loop(record, parameters, progress=report))
     return join(loops, progress=lambda f, text: progress(ALONE + (1.0 - ALONE) * f, text))
 
 

@@ -98,7 +98,7 @@ class JointClosure:
     def __repr__(self) -> str:
         before, after = (self.pooled(p)["fit"]["rmse_K"] for p in ([c.before for c in self.closures], self.after))
         errors = f"RMSE {before:.2f} K before, {after:.2f} K after"
-        return f"<JointClosedLoop of {', '.join(self.names)}: {self.named}, {errors}>"
+        return f"<JointClosedLoop of {', '.join(self.names)}: {self.statement.in_short()}, {errors}>"
 
     def in_words(self) -> str:
         """The finding in a few words, with the records that have it where not all do."""

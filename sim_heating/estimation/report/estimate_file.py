@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -33,6 +33,7 @@ from sim_heating.base.files import (
     read_json,
     suggestion,
     with_digest,
+    with_provenance,
     write_json,
 )
 from sim_heating.base.limits import limit_message, out_of_range
@@ -218,6 +219,7 @@ class Estimate(Extensible):
     inputs              : record -> hash of its files, `record_digest`
     effects             : those of the fitted model, in addition to what the records declare
     program             : name and version
+    provenance          : command, inputs with their digests, seed, versions, platform
     record_names        : of each record, as in the names of its parameters; None: those of the directories
     remarks             : on estimates that nature does not have, or that mean less than their sigma says
     finding             : of the closed loop whose best model this is the fit of; None for an estimate by itself
@@ -245,6 +247,7 @@ class Estimate(Extensible):
     inputs: dict[str, str] = Field(default={})
     effects: list[FittedEffect] = Field(default=[])
     program: str | None = None
+    provenance: dict[str, Any] | None = None
     record_names: list[str] | None = None
     remarks: list[Remark] = Field(default=[])
     finding: str | None = None
@@ -392,10 +395,11 @@ def write_estimate(path: str | os.PathLike[str], estimate: Estimate) -> None:
     """Write an estimate with its digest, atomically; it reads back equal. Empty optional keys are omitted."""
     data = estimate.model_dump()
     data["parameters"] = {n: {k: v for k, v in p.items() if v is not None} for n, p in data["parameters"].items()}
-    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "fixed", "ties",
-                "record_names", "remarks", "finding")  # fmt: skip
+    optional = ("control_point", "vehicle", "segments", "excursions", "inputs", "effects", "program", "provenance",
+                "fixed", "ties", "record_names", "remarks", "finding")  # fmt: skip
     data["effects"] = [{k: v for k, v in e.items() if v is not None} for e in data["effects"]]
-    write_json(path, with_digest({k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}))
+    data = {k: v for k, v in data.items() if k not in optional or v not in (None, {}, [])}
+    write_json(path, with_digest(with_provenance(data)))
 
 
 def excursions(conditions: Sequence[FloatArray]) -> dict[str, Excursion]:

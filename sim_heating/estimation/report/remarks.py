@@ -25,6 +25,8 @@ FAR_FROM_PRIOR = 3.0
 """Distance of an estimate from the mean of its prior, in sigmas of the prior, above which it is remarked."""
 CORRELATED = 0.95
 """Magnitude of a correlation [-] above which it is remarked."""
+SHOWN_PAIRS = 4
+"""Correlated pairs that a remark names; of the others it gives the number."""
 ROUNDING = 1e-3
 """Excess of an emittance over 1 [-] that is not remarked."""
 MISFIT = 1.15
@@ -44,7 +46,7 @@ MEANINGS = {
     "conductivity of the hot layer is too large",
     PRIOR: "usually it takes up another error of the model: keep the declared value by --fix and let close-loop look "
     "for the cause; or the prior is narrower than what is known",
-    CORRELATION: "the readings identify a combination of the two and neither alone: fix one, give it a prior, or "
+    CORRELATION: "the readings identify a combination of these and none alone: fix one, give it a prior, or "
     "measure what tells them apart",
     BOUND: "the readings ask for more than the bound allows, and it has no sigma; usually another cause is at work",
     NOISE: "RMSE and noise floor agree whatever the model lacks: let close-loop look, or declare noise_sigma_K",
@@ -166,9 +168,16 @@ def _correlations(fitted: FitResult) -> Iterator[Remark]:
     """Values of a curve are left out: they belong together, and their level is that of the magnitude."""
     rho, labels = fitted.correlation, fitted.labels
     single = [k for k, name in enumerate(labels) if not name.startswith(f"{EFFECT_PREFIX}{ADDED_CURVE}.")]
-    for i, j in sorted((p for p in combinations(single, 2) if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p])):
+    pairs = sorted((p for p in combinations(single, 2) if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p]))
+    if len(pairs) == 1:
+        (i, j) = pairs[0]
         found = f"{labels[i]} and {labels[j]} have a correlation of {rho[i, j]:+.3f}"
         yield _remark(CORRELATION, [labels[i], labels[j]], found)
+    elif pairs:
+        listed = ", ".join(f"{labels[i]} and {labels[j]} {rho[i, j]:+.3f}" for i, j in pairs[:SHOWN_PAIRS])
+        more = f", and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        found = f"{len(pairs)} pairs have a correlation beyond {CORRELATED:g}: {listed}{more}"
+        yield _remark(CORRELATION, list(dict.fromkeys(labels[k] for pair in pairs for k in pair)), found)
 
 
 def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:

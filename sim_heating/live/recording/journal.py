@@ -36,8 +36,8 @@ from filelock import FileLock, Timeout
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path
-from sim_heating.base.files.digest import DIGEST, digest_matches, with_digest
 from sim_heating.base.files.paths import make_durable, os_error_reason
+from sim_heating.base.files.results import DIGEST, digest_matches, with_digest
 from sim_heating.live.recording.same_link import differences
 from sim_heating.live.types import too_long
 

@@ -1,0 +1,81 @@
+"""A result states what made it, and the command that made it gives the same bytes again."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from sim_heating.base.files import read_json
+from sim_heating.cli import main
+from tests.support.gliding import gliding
+from tests.support.json_output import run_json
+from tests.support.paths import PRACTICE
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(PRACTICE / "p06", tmp_path / "p06")
+    return tmp_path
+
+
+def test_a_prediction_repeated_has_the_same_bytes(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
+    block = read_json("out/summary.json")["provenance"]
+    assert block["command"] == ["predict", "p06"]
+    assert set(block["inputs"]) == {"p06"}
+    assert {"sim-heating", "python", "numpy"} <= set(block["versions"])
+    found = run_json(capsys, "reproduce", "out")
+    assert found["results"]["differences"] == []
+    assert found["results"]["same"] == found["results"]["files"] >= 5
+
+
+def test_a_changed_input_and_what_it_changes_are_named(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", "p06", "--out", "out", "--quiet"]) == 0
+    record = home / "p06" / "record.toml"
+    changed = re.sub(r"(?m)^initial_K = .*$", "initial_K = 320.0", text := record.read_text())
+    assert changed != text
+    record.write_text(changed)
+    capsys.readouterr()
+    assert main(["reproduce", "out/summary.json"]) == 1
+    printed = capsys.readouterr().out
+    assert "input p06: was changed since" in printed
+    assert "summary.json: fit.rmse_K: " in printed
+
+
+def test_a_result_written_from_python_states_no_command(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import sim_heating as sh
+
+    sh.write_prediction(sh.predict("p06"), "out")
+    assert read_json("out/summary.json")["provenance"]["command"] is None
+    assert main(["reproduce", "out"]) == 2
+    assert "written from Python, and states no command" in capsys.readouterr().err
+
+
+@pytest.mark.thorough
+def test_a_run_repeated_has_the_same_bytes_and_netcdf(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("glide.toml").write_text(gliding(60.0, "V09T9527", "LEE_UPPER"))
+    assert main(["run", "glide.toml", "--out", "out", "--quiet"]) == 0
+    with xr.open_dataset("out/flight.nc", decode_timedelta=False) as data:
+        assert data.attrs["history"].endswith("sim-heating run glide.toml")
+        assert json.loads(data.attrs["provenance"]) == read_json("out/summary.json")["provenance"]
+        assert data["time"].units == "s"
+        assert data["H_r_J_kg"].dims == ("control_point", "time")
+        assert all("long_name" in data[name].attrs for name in data.variables)
+    capsys.readouterr()
+    found = run_json(capsys, "reproduce", "out/flight.nc")["results"]
+    assert (found["same"], found["differences"]) == (1, [])
+    found = run_json(capsys, "reproduce", "out")["results"]
+    assert found["same"] == found["files"]
+
+
+def test_v_logs_what_is_written_to_standard_error(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["predict", "p06", "--out", "out", "-v"]) == 0
+    assert "INFO sim_heating.base.files.results: predict: wrote" in capsys.readouterr().err
+    assert not [h for h in logging.getLogger("sim_heating").handlers if not isinstance(h, logging.NullHandler)]
