@@ -23,7 +23,7 @@ that stands out of those before and after it. Records, trajectories and links ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -249,10 +249,22 @@ def reynolds_problems(table: CsvTable) -> list[str]:
     return [f"{found[0]}: implies a reference length of {found[1]:.3g} m; {hint}"]
 
 
-def _unit_reynolds(table: CsvTable) -> tuple[FloatArray, BoolArray]:
+def _unit_reynolds(table: CsvTable | Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
     """Reynolds number of 1 m, rho V / mu(T) [1/m], and the rows with which a Reynolds number implies a length."""
     unit = table["rho_kg_m3"] * table["velocity_m_s"] / viscosity(np.maximum(table["T_inf_K"], 1.0))
     return unit, (unit > 1e-2) & (table["log10_re"] > -3.0)
+
+
+def implied_length_m(columns: Mapping[str, FloatArray]) -> float | None:
+    """Median reference length L = Re mu(T) / (rho V) that Reynolds numbers imply [m]; None where nothing implies one.
+
+    columns : flight conditions, name -> (row,) in the unit that the name ends in
+    Source: docs/theory/equations_reference_heating.md, equation 3.
+    """
+    if not {"log10_re", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(columns):
+        return None
+    unit, used = _unit_reynolds(columns)
+    return float(np.median(10.0 ** columns["log10_re"][used] / unit[used])) if np.any(used) else None
 
 
 def profile_problems(table: CsvTable) -> list[str]:

@@ -132,7 +132,7 @@ def read_flight(
     wanted = {*required, "rho_kg_m3"}
     with error_context(display_path(path)):
         derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
-    columns, of_pressure = _with_pressure(derived.columns, required, pressure)
+    columns, of_pressure = with_pressure(derived.columns, required, pressure)
     _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
     notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
@@ -152,10 +152,16 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
     return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)
 
 
-def _with_pressure(
+def with_pressure(
     columns: Mapping[str, FloatArray], required: Collection[str], model: PressureModel | None
 ) -> tuple[dict[str, FloatArray], list[str]]:
-    """Conditions with the surface pressure [Pa] of a model, where it is required and absent, and a note of it."""
+    """Conditions with the surface pressure of a model, where it is required and absent, and a note of it.
+
+    columns  : name -> (row,) in the unit that the name ends in
+    required : columns that have to be there
+    model    : of the surface pressure [Pa]; None for none
+    returns  : the columns, `p_surface_Pa` among them where it follows, and one line for that
+    """
     absent = "p_surface_Pa" in required and "p_surface_Pa" not in columns
     needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
     if not absent or model is None or (needed and needed != {"alpha_deg"}):
