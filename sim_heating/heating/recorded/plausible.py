@@ -586,7 +586,8 @@ def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor:
     step           : least difference that stands out, or factor
     is_factor      : the values are positive, and differ by factors
 
-    At the ends the two nearest samples are continued. Scatter is the median deviation from those lines.
+    At the ends the two nearest samples are continued, or the nearest one holds. Scatter is the median deviation from
+    those lines.
     """
     bad = np.zeros(len(values), dtype=bool)
     if len(values) < 5:
@@ -596,6 +597,8 @@ def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor:
     before[0], after[0], before[-1], after[-1] = 1, 2, len(x) - 3, len(x) - 2
     span = time_s[after] - time_s[before]
     off = np.abs(x - x[before] - (x[after] - x[before]) * (time_s - time_s[before]) / span)
+    for end, beside in ((0, 1), (-1, -2)):  # a lamp that is yet to be switched on holds its value
+        off[end] = min(off[end], abs(x[end] - x[beside]))
     allowed = np.log(step) if is_factor else step
     change = np.abs(x[after] - x[before])
     return off > allowed + CHANGE * (change + 4.0 * float(np.median(off)))
