@@ -364,7 +364,7 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
     file = display_path(path)
     header: dict[str, list[str]] = {}
     ends = [k for k, (_, line) in enumerate(numbered) if line.startswith("***End_of_Header***")]
-    if not ends:
+    if not ends or any(line.startswith("Channels") for _, line in numbered[ends[-1] :]):
         raise InputError(f"{file}: the header of the LabVIEW file does not end; it may have been cut off")
     sign = {"comma": ","}.get(
         next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t"
