@@ -442,7 +442,8 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
     if _has(table, "H_r_J_kg"):
         T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
         total = 0.5 * V**2 + CP_AIR * T
-        for used, possible in ((V > 1000.0, ENTHALPIES), (V <= SLOWEST_M_S, None)):
+        still = (V <= SLOWEST_M_S) & (table["H_r_J_kg"] <= MOST_ENTHALPY_J_KG)  # that of a lamp is of no flow
+        for used, possible in ((V > 1000.0, ENTHALPIES), (still, None)):
             yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
     if _has(table, "h_ref_kg_m2_s"):
         h = table["h_ref_kg_m2_s"]

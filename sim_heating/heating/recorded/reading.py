@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
-from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
 from sim_heating.heating.recorded.derive import derived_conditions
-from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
+from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.heating.surface_pressure import (
@@ -44,12 +44,14 @@ class FlightTable:
     notes    : one line for each field that was renamed or converted, and for each derivation
     assumed  : those of the notes that are assumptions: a time whose unit is not stated
     has_model_density : whether the density needs the standard atmosphere, which lowers the confidence of conditions
+    fields   : column -> name of the field in the file
     """
 
     table: CsvTable
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     has_model_density: bool = False
+    fields: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -130,8 +132,10 @@ def read_flight(
     found, assumed = _with_time(found)
     raise_problems([*_misspelt(found, required), *_empty_cells(found, found.columns)])
     wanted = {*required, "rho_kg_m3"}
-    with error_context(display_path(path)):
+    try:
         derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
+    except InputError as error:
+        raise InputError(*(_of_row(found, line) for line in error.problems)) from None
     columns, of_pressure = with_pressure(derived.columns, required, pressure)
     _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
@@ -141,7 +145,17 @@ def read_flight(
     if found.unused:
         notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
-    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model)
+    fields_of = {column: f.name for column, f in found.fields.items()}
+    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
+
+
+def _of_row(found: FlightFields, line: str) -> str:
+    """A line about a sample of a column, with the row and the field of the file."""
+    part = re.fullmatch(r"(\w+), sample (\d+): (.*)", line)
+    if part is None:
+        return f"{display_path(found.path)}: {line}"
+    name = found.fields[part[1]].name if part[1] in found.fields else part[1]
+    return f"{display_path(found.path)}, row {found.lines[int(part[2]) - 1]}, column {name}: {part[3]}"
 
 
 def local_pressure(local_angle_deg: float | None) -> PressureModel:
@@ -213,7 +227,9 @@ def _refuse_lacking(
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
     absent = [column for column in needed if column not in asked and column not in follows]
     units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
-    what = " and ".join(text for text in (units, ", ".join(absent)) if text)
+    empty = {f.column: name for name in found.empty if (f := field_of_name(name)) is not None}
+    named = [f"{c} (`{empty[c]}` holds no numbers)" if c in empty else c for c in absent]
+    what = " and ".join(text for text in (units, ", ".join(named)) if text)
     raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
 
 
