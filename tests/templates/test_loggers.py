@@ -279,6 +279,31 @@ def test_the_flux_of_another_file_is_on_the_clock_of_the_readings() -> None:
 # Readings that are none ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("code", ["999", "9999.9", "-999.9", "99999"])
+def test_a_row_of_nines_far_off_its_neighbours_is_a_lost_sample(code: str) -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * k},{code if k == 7 else f'{20.0 + k:.2f}'}" for k in range(61)])
+    with pytest.warns(UserWarning, match=rf"row 9, column TC1: {code} .*left out"):
+        found = read_measured_csv(Path("t.csv"))
+    assert np.flatnonzero(np.isnan(found.of_kind(TEMPERATURE)[0].values)).tolist() == [7]
+
+
+def test_a_counter_by_name_with_temperatures_in_its_cells_holds_temperatures() -> None:
+    rows(
+        "Reading,Sample,Start Time",
+        [f"{k + 1},{20.0 + k:.1f} °C,{s:%m/%d/%Y %I:%M:%S %p}" for k, s in enumerate(STAMPS)],
+    )
+    found = read_measured_csv(Path("t.csv"))
+    assert (span_s(found), *range_K(found)) == pytest.approx((120.0, 293.15, 353.15))
+
+
+def test_readings_that_begin_at_320_are_of_no_room_and_their_unit_is_asked() -> None:
+    rows("Time (s),TC1", [f"{2 * k},{320.0 + k}" for k in range(61)])
+    with pytest.raises(
+        InputError, match="column TC1: begins at 322, in no unit that is known; state it, --temperature"
+    ):
+        read_measured_csv(Path("t.csv"))
+
+
 def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
     path = rows("Time (s),TC1 (C)", ["0,20", "2,777", "4,21", "6,9.9E37", "8,22"])
     T = read_measured_csv(path, lost=(777.0,)).of_kind(TEMPERATURE)[0].si
