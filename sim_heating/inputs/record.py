@@ -70,7 +70,6 @@ from sim_heating.heating.recorded.plausible import (
 from sim_heating.heating.recorded.reading import local_pressure, lowered_confidence, read_flight
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
-from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
 from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems
 
@@ -807,20 +806,16 @@ def _conditions_of_file(
         return read_csv_columns(path, required, optional), declared
     heating, needed = declared.heating, tuple(dict.fromkeys((*required, *(("rho_kg_m3",) if stated else ()))))
     fields = {name: ConditionField(constant=value) for name, value in constants.items()}
-    flown = read_flight(path, needed, fields=fields, pressure=declared_pressure(heating))
+    pressure = None
+    if heating.reference in STAGNATION or heating.local_angle_deg is not None:
+        pressure = local_pressure(heating.local_angle_deg)
+    flown = read_flight(path, needed, fields=fields, pressure=pressure)
     warnings.warn(f"{display_path(path)}: {'; '.join(flown.notes)}", stacklevel=4)
     table = replace(flown.table, columns={n: v for n, v in flown.table.columns.items() if n not in constants})
     if not flown.has_model_density:
         return table, declared
     lower = declared.conditions.model_copy(update={"confidence": lowered_confidence(declared.conditions.confidence)})
     return table, declared.model_copy(update={"conditions": lower})
-
-
-def declared_pressure(heating: Heating) -> PressureModel | None:
-    """Model of the surface pressure that a record's heating declares; None where it states no place on a body."""
-    if heating.reference in STAGNATION or heating.local_angle_deg is not None:
-        return local_pressure(heating.local_angle_deg)
-    return None
 
 
 def _depends_on_surface(name: str, heating: Heating, tables: Sequence[RatioTable | None]) -> bool:

@@ -198,6 +198,22 @@ def test_air_mach_reynolds_and_surface_pressure_follow_along_a_record():
     for name, limit in (("T_inf_K", 0.01), ("p_inf_Pa", 0.01), ("mach", 0.01), ("log10_re", 2e-3)):
         derived = np.array([f.values[name] for f in frames])
         assert derived == pytest.approx(flown[name][::20], rel=limit, abs=1e-4), name
+    # by the median part of the rise at a stagnation point, which turns with the angle of attack
+    p = np.array([f.values["p_surface_Pa"] for f in frames])
+    assert np.median(p / flown["p_surface_Pa"][::20]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_sideslip_that_a_record_has_nowhere_is_not_needed_and_alpha_is():
+    followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
+    flown = {n: v for n, v in load_record(RECORDS / "sts96_480").conditions.columns.items() if n != "beta_deg"}
+    rows = [{n: float(v[k]) for n, v in flown.items()} for k in range(0, 100, 10)]
+    mapping = FieldMapping(followed)
+    assert {f.values["beta_deg"] for f in frames_of(mapping, rows)} == {0.0}
+    assert "beta_deg not sent: beta_deg as in the whole record" in mapping.take_notes()
+    without = FieldMapping(followed)
+    assert frames_of(without, [{n: v for n, v in r.items() if n != "alpha_deg"} for r in rows * 5]) == []
+    (line,) = without.never_sent()
+    assert line.startswith("field `alpha_deg` (alpha_deg) is not sent")
 
 
 def test_fields_are_found_by_their_names_and_units_as_in_files():

@@ -454,6 +454,7 @@ def test_a_workbook_of_several_sheets_asks_which() -> None:
     [
         ("Time (s);TC1 (C)\n0;20,5\n2;21,5\n4;22.5\n", "do not have one decimal sign"),
         ("Time (s),TC1 (C)\n0,20.5\n2,21.5 30.5\n4,22.5\n", "row 3, column TC1: `21.5 30.5` is no number"),
+        ("Time (s);TC1 (C)\n0;20,5\n2;NaN 30\n4;22,5\n", "row 3, column TC1: `NaN 30` is no number"),
         (
             "Time (s),TC1 (C),TC2 (C)\n0,20.5\n2,21.5\n4,22.5\n",
             "row 1: 3 names (`Time (s), TC1 (C), TC2 (C)`) for 2 cells",

@@ -32,6 +32,8 @@ LOWER = {"A": "B", "B": "C", "C": "C"}
 """Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
 NEARLY = 0.85
 """Similarity of names from which one is the other, misspelt."""
+FLYING_M_S = 300.0
+"""Speed [m/s] from which surface pressures tell of a place on a body."""
 SMALL_KM, SMALL_KM_S = 400.0, 20.0
 """Largest altitude and speed that a message proposes km and km/s for."""
 
@@ -166,6 +168,19 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
     return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)
 
 
+def implied_pressure(flown: Conditions) -> PressureModel | None:
+    """Model of the surface pressure that the columns of a flight imply: the median part of the rise at a stagnation
+    point; None where there is no such column, or nothing flies."""
+    if not {"p_surface_Pa", "p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(flown.names):
+        return None
+    used = flown["velocity_m_s"] > FLYING_M_S
+    if not np.any(used):
+        return None
+    rise = surface_pressure(local_pressure(None), flown) - flown["p_inf_Pa"]
+    part = float(np.median(((flown["p_surface_Pa"] - flown["p_inf_Pa"]) / rise)[used]))
+    return FractionOfStagnation(model="fraction-of-stagnation", fraction=min(max(part, 0.0), 1.0))
+
+
 def with_pressure(
     columns: Mapping[str, FloatArray], required: Collection[str], model: PressureModel | None
 ) -> tuple[dict[str, FloatArray], list[str]]:
@@ -187,6 +202,8 @@ def with_pressure(
     flown = Conditions({**angles, **columns, **rows})
     if isinstance(model, ModifiedNewtonian):
         note = f"p_surface_Pa by modified Newtonian theory at {model.inclination_deg:g} deg to the x axis"
+    elif model.fraction < 1.0:
+        note = f"p_surface_Pa by {model.fraction:.3g} of the rise at a stagnation point"
     else:
         note = "p_surface_Pa of the stagnation point, behind a normal shock"
     return {**columns, "p_surface_Pa": surface_pressure(model, flown)}, [note]

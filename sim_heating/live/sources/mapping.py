@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_problems, suggestion
 from sim_heating.base.files.text import abbreviated
@@ -38,8 +39,9 @@ from sim_heating.heating.recorded.fields import (
     unit_of_name,
 )
 from sim_heating.heating.recorded.plausible import implied_length_m
-from sim_heating.heating.recorded.reading import with_pressure
-from sim_heating.inputs.record import declared_pressure
+from sim_heating.heating.recorded.reading import implied_pressure, local_pressure, with_pressure
+from sim_heating.heating.surface_pressure import PressureModel
+from sim_heating.inputs.record import Record
 from sim_heating.live.spec import Link, SensorField
 from sim_heating.live.types import Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
@@ -48,6 +50,8 @@ GRACE_MESSAGES = 50
 """Messages after which a field that never came is reported."""
 ABSENT_AFTER_S, ABSENT_TIMES = 2.0, 3
 """Flight time [s], and number of times with conditions, after which a column that did not come is absent."""
+HELD = ("beta_deg", *SURFACES, "jets")
+"""Columns that are as in the whole record, where they change there nowhere and are not sent."""
 SOURCES = ("q_Pa", "qbar_Pa", "p_inf_Pa", "T_inf_K", "mach", "velocity_m_s", "altitude_m", "rho_kg_m3")
 """Columns from which others follow, also where a frame does not need them."""
 
@@ -143,7 +147,9 @@ class ConditionFields:
         self._seen: set[str] = set()
         record = next((link.records[name] for name in link.names if link.records), None)
         self._length_m = None if record is None else implied_length_m(record.conditions.columns)
-        self._pressure = None if record is None else declared_pressure(record.declared.heating)
+        self._pressure = None if record is None else _pressure_of(record)
+        flown = {} if record is None else record.conditions.columns
+        self._of_record = {n: float(flown[n][0]) for n in HELD if n in flown and np.ptp(flown[n]) == 0.0}
 
     @property
     def fields(self) -> dict[str, str]:
@@ -255,10 +261,12 @@ class ConditionFields:
 
     def _follow(self, known: Mapping[str, float], wanted: Collection[str]) -> DerivedConditions:
         """The columns of one time with those that follow from them, as of a row of a file."""
-        row = {name: np.array([value]) for name, value in {**known, **self._constants}.items()}
+        held = {n: v for n, v in self._of_record.items() if n in wanted}
+        row = {name: np.array([value]) for name, value in {**held, **known, **self._constants}.items()}
         found = derived_conditions(row, length_m=self._length_m, wanted={*wanted, "rho_kg_m3"})
         columns, of_pressure = with_pressure(found.columns, wanted, self._pressure)
-        return DerivedConditions(columns, (*found.notes, *of_pressure), found.of_model)
+        of_record = [f"{', '.join(held)} as in the whole record"] if held else []
+        return DerivedConditions(columns, (*of_record, *found.notes, *of_pressure), found.of_model)
 
 
 class FieldMapping:
@@ -341,10 +349,11 @@ class FieldMapping:
         """One line for each mapped field that none of the first messages had; once, and empty before that many came."""
         if self._messages < GRACE_MESSAGES or self._held:
             return []
+        lacking = self._conditions.lacking(self._sent)
         return [
             f"field `{name}` ({what}) is not sent{self._hint(name, what)}"
             for name, what in self.fields.items()
-            if name not in self._seen
+            if name not in self._seen and (name in lacking or name not in self._conditions.fields)
         ]
 
     def _hint(self, name: str, what: str) -> str:
@@ -457,6 +466,12 @@ class FieldMapping:
                 continue
             readings.append(Reading(at_s - self._skew_s, w.point, w.sensor.name, T))
         return readings, problems
+
+
+def _pressure_of(record: Record) -> PressureModel | None:
+    """Model of the surface pressure of a record: at its declared angle, else as its column has it."""
+    angle = record.declared.heating.local_angle_deg
+    return implied_pressure(record.conditions) if angle is None else local_pressure(angle)
 
 
 def clock_skew_s(link: Link) -> float:
