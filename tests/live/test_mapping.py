@@ -254,3 +254,12 @@ def test_a_density_that_comes_after_all_is_used():
     frames = frames_of(mapping, rows)
     assert [f.values["rho_kg_m3"] == 5e-5 for f in frames] == [k > 9 for k in range(15)]
     assert mapping.take_notes()[-1] == "`rho_kg_m3` is sent: rho_kg_m3 is no longer derived"
+
+
+def test_columns_that_act_on_nothing_are_kept_where_they_are_sent_and_not_needed():
+    followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
+    flown = load_record(RECORDS / "sts96_480").conditions.columns
+    rows = [{n: float(v[k]) for n, v in flown.items()} for k in range(0, 60, 10)]
+    bare = [{n: v for n, v in r.items() if n not in ("gamma_deg", "qbar_Pa", "axial_accel_g")} for r in rows]
+    assert [set(f.values) for f in frames_of(FieldMapping(followed), bare)] == [set(bare[0]) - {"time_s"}] * 6
+    assert [set(f.values) for f in frames_of(FieldMapping(followed), rows)] == [set(rows[0]) - {"time_s"}] * 6

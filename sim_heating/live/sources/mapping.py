@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim_heating.base.conditions import SURFACES
+from sim_heating.base.conditions import ACCOMPANYING, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_problems, suggestion
 from sim_heating.base.files.text import abbreviated
@@ -139,8 +139,9 @@ class ConditionFields:
         self.is_settled = False
         self.has_model_density = False
         self._read = {c.column: c for c in columns}
-        self._needed, self._sources = tuple(self._read), tuple[str, ...]()
         self._own = frozenset(self._read) - set(link.declared.conditions)
+        self._needed = tuple(n for n in self._read if n not in ACCOMPANYING or n not in self._own)
+        self._sources: tuple[str, ...] = ()
         self._taken, self._constants = frozenset(taken), constants
         has_only_q = "q_Pa" in self._read and "rho_kg_m3" not in {*self._read, *constants}
         self._derived: tuple[str, ...] = ("rho_kg_m3",) if has_only_q else ()
@@ -218,8 +219,9 @@ class ConditionFields:
         if not set(absent) <= set(found.columns):
             return False
         self.is_settled, self._derived = True, tuple(dict.fromkeys((*self._derived, *absent)))
-        self._sources = tuple(n for n in self._read if absent and n in latest and n not in self._needed)
-        self._read = {n: self._read[n] for n in (*self._needed, *self._sources)}
+        also = [n for n in self._read if n not in self._needed]
+        self._sources = tuple(n for n in also if absent and n in latest and n in SOURCES)
+        self._read = {n: c for n, c in self._read.items() if n not in also or n in (*self._sources, *ACCOMPANYING)}
         if absent:
             stated = {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(latest)
             self.has_model_density = bool(found.of_model) and not stated
@@ -232,7 +234,8 @@ class ConditionFields:
 
         raises : InputError where a column does not follow, as a density at a speed of 0
         """
-        values = {n: v for n, v in known.items() if n in self._needed or n == "q_Pa"} | self._constants
+        also = ("q_Pa", *(n for n in ACCOMPANYING if n in self._own))
+        values = {n: v for n, v in known.items() if n in self._needed or n in also} | self._constants
         if not self._derived:
             return values
         V, q = values.get("velocity_m_s", 1.0), values.get("q_Pa", 1.0)
@@ -421,7 +424,8 @@ class FieldMapping:
         self._latest |= given
         self._open = waiting
         if self._conditions.has_all(waiting.values):
-            frames += [self._frame(g.time_s, g.values) for g in (*self._released(), waiting)]
+            known = _Gathered(time_s, self._latest | waiting.values)  # with what accompanies them
+            frames += [self._frame(g.time_s, g.values) for g in (*self._released(), known)]
             self._open = None
             self._conditions.settle(self._latest)  # nothing is absent
         return frames
