@@ -170,7 +170,7 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
 
 def implied_pressure(flown: Conditions) -> PressureModel | None:
     """Model of the surface pressure that the columns of a flight imply: the median part of the rise at a stagnation
-    point; None where there is no such column, or nothing flies."""
+    point; None where there is no such column, or nothing flies. Source: docs/theory/equations.md, equation 31."""
     if not {"p_surface_Pa", "p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(flown.names):
         return None
     used = flown["velocity_m_s"] > FLYING_M_S
@@ -190,6 +190,7 @@ def with_pressure(
     required : columns that have to be there
     model    : of the surface pressure [Pa]; None for none
     returns  : the columns, `p_surface_Pa` among them where it follows, and one line for that
+    Source: docs/theory/equations.md, equations 30 and 31.
     """
     absent = "p_surface_Pa" in required and "p_surface_Pa" not in columns
     needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
