@@ -229,6 +229,16 @@ def test_fields_are_found_by_their_names_and_units_as_in_files():
     assert "altitude_m from `Altitude (ft)`, in ft" in mapping.take_notes()
 
 
+def test_a_time_is_found_by_its_name_and_unit_where_a_link_names_none():
+    values = {n: v for n, v in FRAME.items() if n != "time_s"}
+    mapping = FieldMapping(link())
+    frames = frames_of(mapping, [values | {"Time (ms)": 2000.0 * k} for k in range(3)])
+    assert [f.time_s for f in frames] == [0.0, 2.0, 4.0]
+    assert mapping.take_notes() == ["time_s from `Time (ms)`, in ms"]
+    with pytest.raises(InputError, match="time field `t_s` is missing"):
+        FieldMapping(link(time={"field": "t_s"})).apply(message(**values, **{"Time (ms)": 0.0}))
+
+
 def test_a_field_without_a_unit_is_not_taken_and_its_name_is_said():
     mapping = FieldMapping(link())
     sent = {n: v for n, v in FRAME.items() if n != "altitude_m"} | {"alt": 240000.0}

@@ -43,7 +43,7 @@ from sim_heating.heating.recorded.reading import implied_pressure, local_pressur
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.record import Record
 from sim_heating.live.spec import Link, SensorField
-from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.live.types import TIME, Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
 
 GRACE_MESSAGES = 50
@@ -371,6 +371,8 @@ class FieldMapping:
         source : name of the source, for the message
         raises : InputError with one line a field
         """
+        if self._time not in names:
+            self._find_time(dict.fromkeys(names, 0.0))
         lacking = self._conditions.lacking(names)
         raise_problems(
             [
@@ -389,9 +391,21 @@ class FieldMapping:
             self._seen |= set(self._sent) & set(self.fields)
 
     def _time_of(self, values: Mapping[str, float | str], name: str) -> float:
+        if name not in values and name == self._time:
+            name = self._find_time(values)
         if name not in values:
             raise InputError(f"time field `{name}` is missing; the message has {_names(values)}")
         return self._seconds(_number(values[name], name) - self._zero)
+
+    def _find_time(self, values: Mapping[str, float | str]) -> str:
+        """The time field; of a link that names none, the one that is a time by its name and unit."""
+        named = [f for n in values if (f := field_of_name(n)) is not None and f.column == TIME and f.unit]
+        if len(named) != 1 or "time" in self.link.declared.model_fields_set:
+            return self._time
+        (found,) = named
+        self._time, self._seconds = found.name, found.convert
+        self._conditions.notes.append(f"{TIME} from `{found.name}`, in {found.unit}")
+        return self._time
 
     def _frames(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Frame], list[str]]:
         try:
