@@ -12,6 +12,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.recorded.fields import column_unit
 from sim_heating.inputs.record import load_record
+from sim_heating.live.recording.to_record import Stretch, records_of
 from sim_heating.live.sources.mapping import GRACE_MESSAGES, FieldMapping
 from sim_heating.live.spec import make_link
 from sim_heating.live.types import Frame, Message, Reading
@@ -273,3 +274,22 @@ def test_columns_that_act_on_nothing_are_kept_where_they_are_sent_and_not_needed
     bare = [{n: v for n, v in r.items() if n not in ("gamma_deg", "qbar_Pa", "axial_accel_g")} for r in rows]
     assert [set(f.values) for f in frames_of(FieldMapping(followed), bare)] == [set(bare[0]) - {"time_s"}] * 6
     assert [set(f.values) for f in frames_of(FieldMapping(followed), rows)] == [set(rows[0]) - {"time_s"}] * 6
+
+
+def test_what_a_source_is_known_to_send_is_checked_with_what_follows_from_it():
+    names = [n for n in FRAME if n != "rho_kg_m3"]
+    FieldMapping(link()).check_sent(names, "the packets")
+    with pytest.raises(InputError) as refused:
+        FieldMapping(link()).check_sent([n for n in names if n not in ("alpha_deg", "altitude_m")], "the packets")
+    assert [line.split("`")[1] for line in refused.value.problems] == ["altitude_m", "alpha_deg", "rho_kg_m3"]
+
+
+def test_a_record_of_a_link_without_density_has_the_confidence_of_a_model():
+    followed = link(estimate={"start": "declared"})
+    rows = [{n: v for n, v in FRAME.items() if n != "rho_kg_m3"} | {"time_s": float(k)} for k in range(5)]
+    mapping, stretch = FieldMapping(followed), Stretch()
+    for row in rows:
+        stretch.add_all(mapping.apply(message(**row, V09T9527_K=600.0)))
+    record = records_of(followed, stretch)["V09T9527"]
+    assert record.declared.conditions.confidence == "C"
+    assert record.conditions["rho_kg_m3"] == pytest.approx(us76(np.full(5, 74e3))[2])
