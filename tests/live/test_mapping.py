@@ -264,6 +264,8 @@ def test_a_density_that_comes_after_all_is_used():
     rows = [rest | {"time_s": float(k)} | ({"rho_kg_m3": 5e-5} if k > 9 else {}) for k in range(15)]
     frames = frames_of(mapping, rows)
     assert [f.values["rho_kg_m3"] == 5e-5 for f in frames] == [k > 9 for k in range(15)]
+    assert [f.has_model_density for f in frames] == [k <= 9 for k in range(15)]
+    assert mapping.has_model_density  # in a part of the flight
     assert mapping.take_notes()[-1] == "`rho_kg_m3` is sent: rho_kg_m3 is no longer derived"
 
 

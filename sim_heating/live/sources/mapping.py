@@ -157,6 +157,11 @@ class ConditionFields:
         """Field that has to come -> its column."""
         return {self._read[name].field: name for name in self._needed if name not in self._derived}
 
+    @property
+    def is_of_model(self) -> bool:
+        """Whether the density of a frame is now of the standard atmosphere; `has_model_density`, whether one was."""
+        return self.has_model_density and "rho_kg_m3" in self._derived
+
     def see(self, names: Collection[str]) -> None:
         """Take the names of fields that are sent: what comes by itself is no longer derived.
 
@@ -467,7 +472,7 @@ class FieldMapping:
             values = self._conditions.whole(known)
         except InputError as error:
             raise InputError(f"{error}; no frame at {time_s:g} s") from None
-        return Frame(time_s, values, self._conditions.has_model_density)
+        return Frame(time_s, values, self._conditions.is_of_model)
 
     def _readings(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Reading], list[str]]:
         readings: list[Reading] = []
