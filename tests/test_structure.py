@@ -78,3 +78,21 @@ def test_modules_that_texts_name_exist():
             if name not in modules() and path.name != "test_user_effect.py":  # which imports what is gone, to be told
                 wrong.append(f"{path.relative_to(ROOT)}: {name}")
     assert not wrong, "\n".join(wrong)
+
+
+LOCAL_TIME = re.compile(
+    r"datetime\.now\(\)|\.today\(|fromtimestamp\((?!.*UTC)|localtime|mktime|[^_s]ctime\(|asctime|tz_localize|utcnow"
+)
+"""Calls whose result depends on the time zone of the machine."""
+DAY_OF_REVIEW = ("cli/credibility.py", "datetime.date.today(")
+"""The day that a reviewer signs at is that of the place where he is."""
+
+
+def test_only_the_day_of_a_review_depends_on_the_time_zone():
+    found = [
+        (path.relative_to(PACKAGE).as_posix(), line)
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if LOCAL_TIME.search(line)
+    ]
+    assert [(name, DAY_OF_REVIEW[1] in line) for name, line in found] == [(DAY_OF_REVIEW[0], True)]

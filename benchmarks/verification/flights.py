@@ -16,10 +16,14 @@ from sim_heating.cli import cli
 from sim_heating.heating.atmosphere import CP_AIR, R_AIR
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField
+from sim_heating.heating.recorded.plausible import implied_length_m
 from sim_heating.heating.recorded.reading import local_pressure, read_flight
 from sim_heating.heating.recorded.sounding import read_sounding
 from sim_heating.heating.reference.models import reference_heating
 from sim_heating.inputs.record import load_record
+from sim_heating.live.sources.mapping import FieldMapping
+from sim_heating.live.spec import make_link
+from sim_heating.live.types import Frame, Message
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "tests" / "data" / "flights"
 COLUMNS = (
@@ -79,8 +83,41 @@ def rows() -> list[Row]:
         within(0.01, "flux on a wall of 300 K, sphere of 0.3 m at 26 km and 2300 m/s",
                1.7415e-4 * math.sqrt(0.0331 / 0.3) * 2300.0**3, _cold_wall(flown), "W/m2",
                "Sutton and Graves 1971, k sqrt(rho / r) V^3", "enthalpy of the wall and of the air at rest"),
+        *_of_a_link(),
         Row("readings that rise by 5 K/s from 300 K, start of the wall", 300.0, _start(), 1e-9, "K", "first reading",
             "the reading itself"),
+    ]  # fmt: skip
+
+
+def _of_a_link() -> list[Row]:
+    """Frames of a link on a record whose messages state altitude, speed and angle of attack alone, in feet."""
+    record = FLIGHTS.parents[2] / "scenarios" / "records" / "sts96_480"
+    followed = make_link({"format": "link/1", "records": [str(record)]}, record / "link.toml")
+    mapping = FieldMapping(followed)
+    named = {"Altitude (ft)": 30e3 / 0.3048, "vel_ft_s": 2e3 / 0.3048, "AoA (deg)": 40.0}
+    kept = ("beta_deg", "elevon_deg", "bodyflap_deg", "jets", "h_ref_kg_m2_s", "H_r_J_kg", "T_surroundings_K")
+    rest = {n: float(load_record(record).conditions[n][0]) for n in kept}
+    frames = [
+        sample.values
+        for k in range(4)
+        for sample in mapping.apply(Message(0.0, b"", {"time_s": float(k), **named, **rest}))
+        if isinstance(sample, Frame)
+    ]
+    air = (("T_inf_K", 226.509, "K"), ("p_inf_Pa", 1197.0, "Pa"), ("rho_kg_m3", 1.8410e-2, "kg/m3"))
+    a, mu = 301.71, 1.4753e-5
+    length = implied_length_m(load_record(record).conditions.columns)
+    assert length is not None  # the record has a Reynolds number
+    rows = [
+        within(1e-4, f"link without {name}, at 30 km in ft", value, frames[0][name], unit,
+               "US76, Table I, 30,000 m", "digits of the table")
+        for name, value, unit in air
+    ]  # fmt: skip
+    return [
+        *rows,
+        within(1e-4, "link without mach, 2000 m/s at 30 km", 2e3 / a, frames[0]["mach"], "", "US76, Table III",
+               "digits of the table"),
+        Row("link without log10_re, 2000 m/s at 30 km", math.log10(1.8410e-2 * 2e3 * length / mu),
+            frames[0]["log10_re"], 1e-4, "", "US76, Tables I and III, the record's length", "digits of the tables"),
     ]  # fmt: skip
 
 

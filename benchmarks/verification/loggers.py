@@ -25,6 +25,7 @@ READ = {
     "minutes_seconds_ms.csv": (120.0, 293.15, 397.55), "iso_basic.csv": (120.0, 293.1, 397.65),
     "unit_in_cells.csv": (120.0, 293.15, 397.55), "midnight_clock.csv": (120.0, 293.15, 397.55),
     "trailer.csv": (120.0, 293.15, 397.55), "long_format.csv": (120.0, 293.1, 397.65),
+    "excel97.xls": (120.0, 293.15, 395.15),
 }  # fmt: skip
 """File -> span [s], lowest and highest reading of its first sensor [K]."""
 

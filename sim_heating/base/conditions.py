@@ -76,6 +76,9 @@ EXTRAS = ("bank_deg", "gamma_deg", "heading_deg", "latitude_deg", "longitude_deg
 """Columns that a source adds to FRAME in each row. `axial_accel_g`: sensed acceleration along the body axis, positive
 aft, CA qbar S / (m g0). Bank, path angle and heading are those of the velocity relative to the air."""
 
+ACCOMPANYING = (*EXTRAS, "qbar_Pa")
+"""Columns of a record that nothing of its heating follows from; a link on it takes them where they are sent."""
+
 LINE_TOLERANCE = {
     "velocity_m_s": 0.0, "alpha_deg": 0.02, "beta_deg": 0.02, "elevon_deg": 0.05, "bodyflap_deg": 0.05,
     "rho_kg_m3": 0.0, "jets": 0.02,

@@ -67,6 +67,7 @@ from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import effects
 from sim_heating.heating.effects.added_curve import ADDED_CURVE
 from sim_heating.heating.effects.curve import FIRST, LABELS, UNITS, VALUES, CurveBand
+from sim_heating.inputs.averaged_record import averaged_record
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.simulation.predict import Prediction
 
@@ -146,6 +147,8 @@ def close_loop(
     raises     : InputError where its clocks are in two units or readings are too few, or for a name that the model
                  does not have; InputError or RunError where not even the declared model can be fitted
 
+    Of a record with very many readings neighbours are averaged, as `estimate` does, and a warning says so.
+
     >>> import sim_heating as sh
     >>> sh.close_loop("scenarios/records/practice/p08")
     <ClosedLoop of p08: found: impingement-onset, RMSE 1.67 K before, 1.29 K after>
@@ -159,8 +162,11 @@ def close_loop(
     if of_clock is not None:
         raise InputError(of_clock.message)
     record, outliers = without_outliers(record)
+    record, averaged = averaged_record(record)
+    for line in averaged:
+        progress(0.0, line)
     record, of_noise = with_noise(record)
-    notes = [*outlier_lines(outliers, {record.name: record}), *of_noise]
+    notes = [*averaged, *outlier_lines(outliers, {record.name: record}), *of_noise]
     result = _stated(search_effects(record, parameters, progress=lambda f, text: progress(SEARCH_FRACTION * f, text)))
     progress(SEARCH_FRACTION, "refitting with the effects found; residual as heating")
     tasks: list[Callable[[], Any]] = [

@@ -464,6 +464,8 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     checked, notes = without_stuck_sensors(load_record(record))
     checked, outliers = without_outliers(checked)
     notes += outlier_lines(outliers, {checked.name: checked})
+    checked, averaged = averaged_record(checked)
+    notes = [*averaged, *notes]
     problem = FitProblem([checked], (), joint_reference([checked]))
     _check_samples(problem)
     nothing = np.zeros(0)

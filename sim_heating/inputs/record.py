@@ -60,6 +60,7 @@ from sim_heating.heating.ratio.table import (
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
 from sim_heating.heating.recorded.plausible import (
+    MOST_ENTHALPY_J_KG,
     implausible_values,
     implied_radius_m,
     standing_out,
@@ -193,6 +194,11 @@ class ConditionsFile(FileReference):
         """Values that hold at all times, by column, each in the unit that its name ends in."""
         named = self.model_dump(exclude={"file", "source", "confidence", "uncertainty", "noise"}, exclude_none=True)
         return {name: float(value) for name, value in named.items()}
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """As of all declarations; without a flow, an enthalpy above that of any stands for a lamp."""
+        is_lamp = self.velocity_m_s == 0.0 and (self.H_r_J_kg or 0.0) > MOST_ENTHALPY_J_KG
+        return [(place, text) for place, text in super().unusual() if not is_lamp or place != ("H_r_J_kg",)]
 
 
 class ConstantHeat(Declared):

@@ -253,6 +253,8 @@ class LinkEngine:
             return
         try:
             samples = self.mapping.apply(message, self._damaged_part)
+            for line in self.mapping.take_notes():
+                self.remarks.add(line)
         except InputError as error:
             self.counts["damaged"] += 1
             self.remarks.add(f"damaged: {error.problems[0]}")

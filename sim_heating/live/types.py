@@ -47,10 +47,12 @@ class Frame:
     time_s : flight time [s]
     values : column of flight conditions -> value in the unit that its name ends in, finite; those of
              `base.conditions.FRAME` for a vehicle in flight, those of the record's conditions for a test on the ground
+    has_model_density : whether the density is of the standard atmosphere, and not of the day
     """
 
     time_s: float
     values: Mapping[str, float]
+    has_model_density: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ REMARK = r"(?i)utc.*|gmt.*|z|[a-z]{2,4}t|local.*|[dhmsy:/ .,\-]{4,}(ms|am/pm)?|t
 """What stands in brackets and is no unit: time zones, layouts of clocks, how samples were reduced."""
 RAW = r"(?i)(.+?)[_ ]((?:[muµ]v|volts?|[mk]?ohms?|ma|counts?|cts|raw|adc|bits?|deg))"
 """Pattern of a name that ends in the unit of a signal, which is no temperature yet."""
-ROOM_K, ROOM_C = (275.0, 320.0), (5.0, 40.0)
+ROOM_K, ROOM_C = (278.15, 313.15), (5.0, 40.0)
 """First readings that are taken for those of a room, in K and in degC, where no unit is stated."""
 UNIX_S = (9.4e8, 4.1e9)
 """Times of the years 2000 to 2099 in seconds since 1970; in ms, us and ns by their sizes."""
@@ -444,9 +444,9 @@ def _column(head: _Head) -> CsvColumn:
     note = f"; {lost} lost samples{' (' + ', '.join(words) + ')' if words else ''}" if lost else ""
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
-    if re.fullmatch(COUNTER, name):
-        return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
     by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
+    if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
+        return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
     kind = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
     if by_unit is not None and not (by_unit == TIME and kind == TEMPERATURE):
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)

@@ -10,7 +10,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +70,28 @@ FLUX_EXAMPLE = "20kW/m2"
 
 
 @dataclass(frozen=True)
+class Source:
+    """The file of a person that a table of a record is made from, for messages.
+
+    path  : of the file
+    rows  : (row,) line of each row in it
+    names : column of the table -> its name in the file; another one is of this name
+    """
+
+    path: Path
+    rows: Sequence[int]
+    names: Mapping[str, str]
+
+    def shown(self, line: str, made: str) -> str:
+        """A line about the table that is made, with the file, the row and the column that the person has."""
+        found = re.fullmatch(r"(?:, row (\d+))?, column (\S+?): (.*)", line.removeprefix(made), re.DOTALL)
+        if not line.startswith(made) or found is None or int(found[1] or 2) - 2 >= len(self.rows):
+            return line
+        row = "" if found[1] is None else f", row {self.rows[int(found[1]) - 2]}"
+        return f"{display_path(self.path)}{row}, column {self.names.get(found[2], found[2])}: {found[3]}"
+
+
+@dataclass(frozen=True)
 class Heat:
     """What heats the wall, in columns and constants of the conditions.
 
@@ -79,6 +101,7 @@ class Heat:
     note      : in words
     notes     : what was converted and derived
     uncertainty : of a flight whose density is not of the day; its confidence is then C
+    source    : file of a flight whose rows those of the columns are; None where they are of no file
     """
 
     columns: Mapping[str, FloatArray]
@@ -87,6 +110,7 @@ class Heat:
     note: str
     notes: tuple[str, ...] = ()
     uncertainty: FlightUncertainty | None = None
+    source: Source | None = None
 
 
 @dataclass(frozen=True)
@@ -339,7 +363,8 @@ def flown_heat(
             "(--atmosphere FILE for a sounding of the day)"
         )
     note = f"flight of {display_path(path)}"
-    return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty)
+    source = Source(path, [int(i) for i in flown.table.lines], flown.fields)
+    return Heat(columns, constants, reference or "columns", note, tuple(notes), uncertainty, source)
 
 
 # The record ----------------------------------------------------------------------------------------------------------
@@ -409,9 +434,10 @@ def write_new_record(
     )
     readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
     inputs = [measured.path, *([] if given.ratio_table is None else [given.ratio_table])]
+    sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": given.heat.source}
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
-        said_of_options(out), said_of_readings(measured, out), shown_at(folder, out),
+        said_of_options(out), said_of_sources(sources, out), shown_at(folder, out),
     ):  # fmt: skip
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
@@ -480,22 +506,38 @@ def _of_option(line: str, declaration: str) -> str:
     return line
 
 
+def source_of_readings(measured: MeasuredCsv) -> Source:
+    """The file of the readings, by the columns of the record that is made from it."""
+    return Source(measured.path, measured.rows, {_column_name(c.name): c.name for c in measured.columns})
+
+
 @contextmanager
-def said_of_readings(measured: MeasuredCsv, out: str | os.PathLike[str]) -> Iterator[None]:
-    """Errors about readings that were not written, with the file, the row and the column that the user has."""
-    try:
-        yield
-    except InputError as error:
-        made = f"{display_path(Path(out) / 'thermocouples.csv')}, row "
-        raise InputError(*(_of_reading(line, made, measured) for line in error.problems)) from None
+def said_of_sources(sources: Mapping[str, Source | None], out: str | os.PathLike[str]) -> Iterator[None]:
+    """Errors and warnings about tables that are made from files, with the file, row and column that the person has.
 
+    sources : name of a table in the record -> the file that it is made from
+    """
 
-def _of_reading(line: str, made: str, measured: MeasuredCsv) -> str:
-    found = re.fullmatch(r"(\d+), column (\S+?): (.*)", line.removeprefix(made)) if line.startswith(made) else None
-    if found is None or int(found[1]) - 2 >= len(measured.rows):
+    def shown(line: str) -> str:
+        for name, source in sources.items():
+            if source is not None:
+                line = source.shown(line, display_path(Path(out) / name))
         return line
-    columns = {_column_name(c.name): c.name for c in measured.columns}
-    return f"{measured.line(int(found[1]) - 2)}, column {columns.get(found[2], found[2])}: {found[3]}"
+
+    with _told_as(shown):
+        yield
+
+
+@contextmanager
+def _told_as(shown: Callable[[str], str]) -> Iterator[None]:
+    """Errors and warnings in other words."""
+    with warnings.catch_warnings(record=True) as told:
+        try:
+            yield
+        except InputError as error:
+            raise InputError(*map(shown, error.problems)) from None
+    for warning in told:
+        warnings.warn(shown(str(warning.message)), warning.category, stacklevel=4)
 
 
 def _column_name(name: str) -> str:
@@ -506,12 +548,10 @@ def _column_name(name: str) -> str:
 
 @contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
-    """Errors about files of a directory in the making, with the paths that they will have."""
-    try:
+    """Errors and warnings about files of a directory in the making, with the paths that they will have."""
+    made, shown = display_path(folder), display_path(Path(out))
+    with _told_as(lambda line: line.replace(made, shown)):
         yield
-    except InputError as error:
-        made, shown = display_path(folder), display_path(Path(out))
-        raise InputError(*(line.replace(made, shown) for line in error.problems)) from None
 
 
 def _of_reference(given: RecordInput) -> dict[str, Any]:
@@ -652,7 +692,7 @@ def like_record(
     }
     times = measured.of_kind(TIME)[0].si
     readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
-    with said_of_readings(measured, out):
+    with said_of_sources({"thermocouples.csv": source_of_readings(measured)}, out):
         record = make_record(
             declared.model_copy(update=update), model.conditions, readings, model.ratio_table, out, model.turbulent
         )

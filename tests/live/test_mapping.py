@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
+import numpy as np
 import pytest
 
 from sim_heating.base.errors import InputError
+from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.recorded.fields import column_unit
+from sim_heating.inputs.record import load_record
+from sim_heating.live.recording.to_record import Stretch, records_of
 from sim_heating.live.sources.mapping import GRACE_MESSAGES, FieldMapping
+from sim_heating.live.spec import make_link
 from sim_heating.live.types import Frame, Message, Reading
-from tests.live.links import FRAME, link
+from tests.live.links import FRAME, PLACE, link
+from tests.support.paths import RECORDS
 
 
 def message(**values: float | str) -> Message:
@@ -150,3 +157,141 @@ def test_every_column_of_flight_conditions_has_a_unit_that_converts_to_itself():
     assert [column_unit(c) for c in ("velocity_m_s", "h_ref_kg_m2_s", "q_add_W_m2", "log10_re", "jets")] == [
         "m/s", "kg/(m2.s)", "W/m2", "", ""
     ]  # fmt: skip
+
+
+# What follows from what is sent ---------------------------------------------------------------------------------------
+
+
+def frames_of(mapping: FieldMapping, rows: Iterable[Mapping[str, float]]) -> list[Frame]:
+    """Frames of messages of flight conditions."""
+    return [s for row in rows for s in mapping.apply(message(**row)) if isinstance(s, Frame)]
+
+
+def test_a_density_that_is_not_sent_is_that_of_the_standard_atmosphere():
+    mapping = FieldMapping(link())
+    sent = [{n: v for n, v in FRAME.items() if n != "rho_kg_m3"} | {"time_s": float(k)} for k in range(6)]
+    frames = frames_of(mapping, sent)
+    assert [f.time_s for f in frames] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]  # none is lost while it is waited for
+    assert {f.values["rho_kg_m3"] for f in frames} == {float(us76(74e3)[2])}
+    assert all(f.has_model_density for f in frames)
+    (note,) = mapping.take_notes()
+    assert note.startswith("rho_kg_m3 not sent: rho_kg_m3 of the standard atmosphere at altitude_m; confidence")
+
+
+@pytest.mark.parametrize("q", ["q_Pa", "qbar (psf)"])
+def test_a_dynamic_pressure_gives_the_density_that_is_not_sent(q):
+    mapping = FieldMapping(link())
+    sent = {n: v for n, v in FRAME.items() if n != "rho_kg_m3"} | {q: 20.0}
+    frames = frames_of(mapping, [sent | {"time_s": float(k)} for k in range(4)])
+    pascal = 20.0 * (47.880259 if "psf" in q else 1.0)
+    assert frames[-1].values["rho_kg_m3"] == pytest.approx(2.0 * pascal / 6800.0**2)
+    assert not frames[-1].has_model_density
+
+
+def test_air_mach_reynolds_and_surface_pressure_follow_along_a_record():
+    record = load_record(RECORDS / "sts96_480")
+    gone = ("T_inf_K", "p_inf_Pa", "mach", "log10_re", "p_surface_Pa")
+    flown = record.conditions.columns
+    rows = [{n: float(v[k]) for n, v in flown.items() if n not in gone} for k in range(0, len(record.conditions), 20)]
+    followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
+    frames = frames_of(FieldMapping(followed), rows)
+    assert len(frames) == len(rows)
+    for name, limit in (("T_inf_K", 0.01), ("p_inf_Pa", 0.01), ("mach", 0.01), ("log10_re", 2e-3)):
+        derived = np.array([f.values[name] for f in frames])
+        assert derived == pytest.approx(flown[name][::20], rel=limit, abs=1e-4), name
+    # by the median part of the rise at a stagnation point, which turns with the angle of attack
+    p = np.array([f.values["p_surface_Pa"] for f in frames])
+    assert np.median(p / flown["p_surface_Pa"][::20]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_sideslip_that_a_record_has_nowhere_is_not_needed_and_alpha_is():
+    followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
+    flown = {n: v for n, v in load_record(RECORDS / "sts96_480").conditions.columns.items() if n != "beta_deg"}
+    rows = [{n: float(v[k]) for n, v in flown.items()} for k in range(0, 100, 10)]
+    mapping = FieldMapping(followed)
+    assert {f.values["beta_deg"] for f in frames_of(mapping, rows)} == {0.0}
+    assert "beta_deg not sent: beta_deg as in the whole record" in mapping.take_notes()
+    without = FieldMapping(followed)
+    assert frames_of(without, [{n: v for n, v in r.items() if n != "alpha_deg"} for r in rows * 5]) == []
+    (line,) = without.never_sent()
+    assert line.startswith("field `alpha_deg` (alpha_deg) is not sent")
+
+
+def test_fields_are_found_by_their_names_and_units_as_in_files():
+    values = {"Altitude (ft)": 240000.0, "vel_ft_s": 20000.0, "rho [slug/ft3]": 1e-7, "AoA (rad)": 0.7}
+    rest = {n: FRAME[n] for n in ("beta_deg", "elevon_deg", "bodyflap_deg")}
+    mapping = FieldMapping(link())
+    frame, *_ = frames_of(mapping, [{"time_s": float(k)} | values | rest for k in range(4)])
+    assert frame.time_s == 0.0
+    assert frame.values["altitude_m"] == pytest.approx(73152.0)
+    assert frame.values["velocity_m_s"] == pytest.approx(6096.0)
+    assert frame.values["rho_kg_m3"] == pytest.approx(515.3788184e-7)
+    assert frame.values["alpha_deg"] == pytest.approx(math.degrees(0.7))
+    assert "altitude_m from `Altitude (ft)`, in ft" in mapping.take_notes()
+
+
+def test_a_time_is_found_by_its_name_and_unit_where_a_link_names_none():
+    values = {n: v for n, v in FRAME.items() if n != "time_s"}
+    mapping = FieldMapping(link())
+    frames = frames_of(mapping, [values | {"Time (ms)": 2000.0 * k} for k in range(3)])
+    assert [f.time_s for f in frames] == [0.0, 2.0, 4.0]
+    assert mapping.take_notes() == ["time_s from `Time (ms)`, in ms"]
+    with pytest.raises(InputError, match="time field `t_s` is missing"):
+        FieldMapping(link(time={"field": "t_s"})).apply(message(**values, **{"Time (ms)": 0.0}))
+
+
+def test_a_field_without_a_unit_is_not_taken_and_its_name_is_said():
+    mapping = FieldMapping(link())
+    sent = {n: v for n, v in FRAME.items() if n != "altitude_m"} | {"alt": 240000.0}
+    assert frames_of(mapping, [sent | {"time_s": float(k)} for k in range(GRACE_MESSAGES)]) == []
+    (line,) = mapping.never_sent()
+    assert line == (
+        "field `altitude_m` (altitude_m) is not sent; `alt` states no unit: name it with its unit in [conditions]"
+    )
+
+
+def test_a_density_of_a_slower_rate_is_waited_for_and_not_derived():
+    rest = {n: v for n, v in FRAME.items() if n not in ("rho_kg_m3", "time_s")}
+    rows = [{"time_s": 0.1 * k, **rest, **({"rho_kg_m3": 5e-5} if k % 10 == 7 else {})} for k in range(40)]
+    frames = frames_of(FieldMapping(link()), rows)
+    assert {f.values["rho_kg_m3"] for f in frames} == {5e-5}
+    assert [f.time_s for f in frames] == pytest.approx([0.1 * k for k in range(7, 39)])
+
+
+def test_a_density_that_comes_after_all_is_used():
+    mapping = FieldMapping(link())
+    rest = {n: v for n, v in FRAME.items() if n != "rho_kg_m3"}
+    rows = [rest | {"time_s": float(k)} | ({"rho_kg_m3": 5e-5} if k > 9 else {}) for k in range(15)]
+    frames = frames_of(mapping, rows)
+    assert [f.values["rho_kg_m3"] == 5e-5 for f in frames] == [k > 9 for k in range(15)]
+    assert [f.has_model_density for f in frames] == [k <= 9 for k in range(15)]
+    assert mapping.has_model_density  # in a part of the flight
+    assert mapping.take_notes()[-1] == "`rho_kg_m3` is sent: rho_kg_m3 is no longer derived"
+
+
+def test_columns_that_act_on_nothing_are_kept_where_they_are_sent_and_not_needed():
+    followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
+    flown = load_record(RECORDS / "sts96_480").conditions.columns
+    rows = [{n: float(v[k]) for n, v in flown.items()} for k in range(0, 60, 10)]
+    bare = [{n: v for n, v in r.items() if n not in ("gamma_deg", "qbar_Pa", "axial_accel_g")} for r in rows]
+    assert [set(f.values) for f in frames_of(FieldMapping(followed), bare)] == [set(bare[0]) - {"time_s"}] * 6
+    assert [set(f.values) for f in frames_of(FieldMapping(followed), rows)] == [set(rows[0]) - {"time_s"}] * 6
+
+
+def test_what_a_source_is_known_to_send_is_checked_with_what_follows_from_it():
+    names = [n for n in FRAME if n != "rho_kg_m3"]
+    FieldMapping(link()).check_sent(names, "the packets")
+    with pytest.raises(InputError) as refused:
+        FieldMapping(link()).check_sent([n for n in names if n not in ("alpha_deg", "altitude_m")], "the packets")
+    assert [line.split("`")[1] for line in refused.value.problems] == ["altitude_m", "alpha_deg", "rho_kg_m3"]
+
+
+def test_a_record_of_a_link_without_density_has_the_confidence_of_a_model():
+    followed = link(estimate={"start": "declared"})
+    rows = [{n: v for n, v in FRAME.items() if n != "rho_kg_m3"} | {"time_s": float(k)} for k in range(5)]
+    mapping, stretch = FieldMapping(followed), Stretch()
+    for row in rows:
+        stretch.add_all(mapping.apply(message(**row, V09T9527_K=600.0)))
+    record = records_of(followed, stretch)["V09T9527"]
+    assert record.declared.conditions.confidence == "C"
+    assert record.conditions["rho_kg_m3"] == pytest.approx(us76(np.full(5, 74e3))[2])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import time
 import warnings
-from collections.abc import Iterator
-from datetime import datetime, timedelta
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +73,19 @@ def test_what_two_layouts_fit_is_asked_with_the_option_that_answers(name: str) -
     found = read_measured_csv(LOGGERS / name, **answer)  # type: ignore[arg-type]
     assert span_s(found) == pytest.approx(span)
     assert found.of_kind(TEMPERATURE)[0].si[0] == pytest.approx(first_K, abs=1e-3)
+
+
+def test_thousands_are_decided_where_other_cells_decide_them() -> None:
+    """`1,100` alone is 1100 or 1.100; a decimal point, or whole numbers below a thousand in its column, show which."""
+    for cells in (("1,100", "1,103"), ("980", "1,000")):
+        rows("Time (s);TC1 (C)", [f"{2 * k};{c}" for k, c in enumerate(cells)])
+        with pytest.raises(InputError, match=r"state the decimal sign, --decimal \. for 1[01]00"):
+            read_measured_csv(Path("t.csv"))
+    rows("Time (s);TC1 (C)", ["0.0;1,100", "2.0;1,103"])
+    assert read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0].values.tolist() == [1100.0, 1103.0]
+    for sign in ",.":
+        rows("Time (s);TC1 (C)", [f"{2 * k};{c}" for k, c in enumerate(("970", "980", "990", f"1{sign}000"))])
+        assert read_measured_csv(Path("t.csv")).of_kind(TEMPERATURE)[0].values.tolist() == [970.0, 980.0, 990.0, 1000.0]
 
 
 def test_rows_of_a_coarse_clock_are_spread_until_its_next_time() -> None:
@@ -230,16 +243,22 @@ def test_an_hour_that_a_clock_loses_or_repeats_is_told() -> None:
 
 @pytest.mark.skipif(not hasattr(time, "tzset"), reason="the time zone of a process is set on Unix alone")
 def test_times_do_not_depend_on_the_time_zone_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    files = ("utc_log_us_autumn.csv", "dst_offset.csv", "hobo_am_pm.csv", "unix_ms.csv", "iso_basic.csv")
+    """All clocks, on days at which summer time begins or ends somewhere, in text and in a workbook."""
+    changes = [datetime(2024, 3, 10, 1, 59), datetime(2024, 3, 31, 1, 59), datetime(2024, 11, 3, 1, 59)]
+    for k, start in enumerate(changes):
+        stamps = [start + timedelta(seconds=2.0 * i) for i in range(61)]
+        Path(f"{k}.csv").write_text("Time,TC1 (C)\n" + "".join(f"{s:%Y-%m-%d %H:%M:%S},20.5\n" for s in stamps))
+        pd.DataFrame({"Time": stamps, "TC1 (C)": 20.5}).to_excel(f"{k}.xlsx", index=False)
+    files = [*(LOGGERS / name for name in READ), *sorted(Path().glob("[0-9].*"))]
     found = {}
     for zone in ("UTC", "America/New_York", "Asia/Kathmandu"):
-        monkeypatch.setenv("TZ", zone)
-        time.tzset()
-        read = [read_measured_csv(LOGGERS / f) for f in files]
+        with monkeypatch.context() as environment:
+            environment.setenv("TZ", zone)
+            time.tzset()
+            read = [read_measured_csv(f) for f in files]
         found[zone] = [(r.of_kind(TIME)[0].si.tolist(), r.zero_s) for r in read]
-    monkeypatch.undo()
     time.tzset()
-    assert found["UTC"][0][0][-1] == 120.0
+    assert [times[-1] for times, _ in found["UTC"][-6:]] == [120.0] * 6
     assert found["UTC"] == found["America/New_York"] == found["Asia/Kathmandu"]
 
 
@@ -258,6 +277,31 @@ def test_the_flux_of_another_file_is_on_the_clock_of_the_readings() -> None:
 
 
 # Readings that are none ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", ["999", "9999.9", "-999.9", "99999"])
+def test_a_row_of_nines_far_off_its_neighbours_is_a_lost_sample(code: str) -> None:
+    rows("Time (s),TC1 (C)", [f"{2 * k},{code if k == 7 else f'{20.0 + k:.2f}'}" for k in range(61)])
+    with pytest.warns(UserWarning, match=rf"row 9, column TC1: {code} .*left out"):
+        found = read_measured_csv(Path("t.csv"))
+    assert np.flatnonzero(np.isnan(found.of_kind(TEMPERATURE)[0].values)).tolist() == [7]
+
+
+def test_a_counter_by_name_with_temperatures_in_its_cells_holds_temperatures() -> None:
+    rows(
+        "Reading,Sample,Start Time",
+        [f"{k + 1},{20.0 + k:.1f} °C,{s:%m/%d/%Y %I:%M:%S %p}" for k, s in enumerate(STAMPS)],
+    )
+    found = read_measured_csv(Path("t.csv"))
+    assert (span_s(found), *range_K(found)) == pytest.approx((120.0, 293.15, 353.15))
+
+
+def test_readings_that_begin_at_320_are_of_no_room_and_their_unit_is_asked() -> None:
+    rows("Time (s),TC1", [f"{2 * k},{320.0 + k}" for k in range(61)])
+    with pytest.raises(
+        InputError, match="column TC1: begins at 322, in no unit that is known; state it, --temperature"
+    ):
+        read_measured_csv(Path("t.csv"))
 
 
 def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
@@ -373,6 +417,27 @@ def test_tables_with_types_are_read_as_text_is() -> None:
         assert (span_s(found), *range_K(found)) == pytest.approx((120.0, 293.15, 395.15)), name
 
 
+def test_an_old_workbook_is_read_as_a_new_one_is() -> None:
+    found = read_measured_csv(LOGGERS / "excel97.xls")
+    assert found.zero_s == datetime(2024, 5, 3, 10, 45, tzinfo=UTC).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text + text[text.index("Channels") :], "a second segment begins; export each segment alone"),
+        (lambda text: text.replace("X_Columns\tOne", "X_Columns\tMulti"), "the sensors have times of their own"),
+        (lambda text: text[: text.rindex("***End_of_Header***")], "header of the LabVIEW file does not end"),
+    ],
+)
+def test_an_lvm_file_of_another_form_is_refused_in_one_line(change: Callable[[str], str], said: str) -> None:
+    text = (LOGGERS / "labview.lvm").read_text()
+    Path("a.lvm").write_text(change(text))
+    with pytest.raises(InputError, match=said) as refusal:
+        read_measured_csv(Path("a.lvm"))
+    assert "\n" not in str(refusal.value)
+
+
 def test_a_workbook_of_several_sheets_asks_which() -> None:
     table = pd.DataFrame({"Time (s)": 2.0 * np.arange(61), "TC1 [degC]": T_C})
     with pd.ExcelWriter("a.xlsx") as book:
@@ -388,6 +453,7 @@ def test_a_workbook_of_several_sheets_asks_which() -> None:
     [
         ("Time (s);TC1 (C)\n0;20,5\n2;21,5\n4;22.5\n", "do not have one decimal sign"),
         ("Time (s),TC1 (C)\n0,20.5\n2,21.5 30.5\n4,22.5\n", "row 3, column TC1: `21.5 30.5` is no number"),
+        ("Time (s);TC1 (C)\n0;20,5\n2;NaN 30\n4;22,5\n", "row 3, column TC1: `NaN 30` is no number"),
         (
             "Time (s),TC1 (C),TC2 (C)\n0,20.5\n2,21.5\n4,22.5\n",
             "row 1: 3 names (`Time (s), TC1 (C), TC2 (C)`) for 2 cells",

@@ -147,6 +147,29 @@ def test_options_of_a_flight_are_refused_without_one():
         assert str(refused.exception).startswith(f"{option[0]}: is of a flight; give --conditions")
 
 
+@NO_UNIT_OF_TIME
+def test_messages_on_a_flight_name_the_user_s_file_row_and_column():
+    flight = (FLIGHTS / "jsbsim_out.csv").read_text().splitlines()
+    k = [c.strip() for c in flight[0].split(",")].index("Rho (slugs/ft^3)")
+    with pytest.warns(UserWarning, match=r"jsbsim_out\.csv, column Alpha \(deg\): is 0\.1 deg at most"):
+        record("--conditions", FLIGHTS / "jsbsim_out.csv", *SPHERE, csv=descent())
+    for density, said in (("-1", "-515.37"), ("9", "4638.41")):
+        cells = flight[8].split(",")
+        cells[k] = density
+        Path("bad.csv").write_text("\n".join([*flight[:8], ",".join(cells), *flight[9:]]) + "\n")
+        refused = record("--conditions", "bad.csv", *SPHERE, "--force", csv=descent())
+        (line,) = [x for x in refused.exception.problems if "Rho" in x]
+        assert line.startswith(f"bad.csv, row 9, column Rho (slugs/ft^3): {said}"), line
+
+
+def test_a_field_without_numbers_is_named_where_its_column_is_asked_for():
+    rows = (FLIGHTS / "own_columns.csv").read_text().splitlines()
+    empty = [rows[0], *(",".join([*r.split(",")[:3], "NaN", r.split(",")[4]]) for r in rows[1:])]
+    Path("f.csv").write_text("\n".join(empty).replace("alpha_deg", "AoA (deg)") + "\n")
+    refused = record("--conditions", "f.csv", *SPHERE, csv=descent())
+    assert "needs alpha_deg (`AoA (deg)` holds no numbers); give --field alpha_deg" in str(refused.exception)
+
+
 # Records that exist ---------------------------------------------------------------------------------------------------
 
 

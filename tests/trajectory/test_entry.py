@@ -25,7 +25,7 @@ from benchmarks.verification.trajectories import (
 )
 from sim_heating.base.conditions import EXTRAS, FRAME, SURFACES
 from sim_heating.base.errors import InputError, RunError
-from sim_heating.heating.atmosphere import G0_M_S2
+from sim_heating.heating.atmosphere import G0_M_S2, us76
 from sim_heating.inputs.vehicle import load_vehicle
 from sim_heating.trajectory import entry3dof, recorded
 from sim_heating.trajectory import guidance as gd
@@ -386,6 +386,18 @@ def test_a_recorded_flight_comes_back_as_it_was_flown(nominal, tmp_path):
     back = recorded_flight(tmp_path / "c.csv").conditions
     for name in ("altitude_m", "mach", "log10_re", "T_inf_K", "p_inf_Pa", "qbar_Pa"):
         assert back[name] == pytest.approx(c[name], rel=1e-12)
+
+
+def test_a_recording_without_density_has_that_of_the_standard_air_and_tells(nominal, tmp_path):
+    write_columns(tmp_path / "c.csv", {n: nominal.conditions[n] for n in RECORDED if n != "rho_kg_m3"})
+    with pytest.warns(UserWarning, match=r"c\.csv: rho_kg_m3 of the standard atmosphere at altitude_m"):
+        back = recorded_flight(tmp_path / "c.csv").conditions
+    T, p, rho = us76(back["altitude_m"])
+    assert (back["rho_kg_m3"] == rho).all()
+    assert back["T_inf_K"] == pytest.approx(T, rel=1e-12)
+    assert back["p_inf_Pa"] == pytest.approx(p, rel=1e-12)
+    a = np.sqrt(1.4 * p / rho)
+    assert back["mach"] == pytest.approx(back["velocity_m_s"] / a, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ that stands out of those before and after it. Records, trajectories and links ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -249,10 +249,22 @@ def reynolds_problems(table: CsvTable) -> list[str]:
     return [f"{found[0]}: implies a reference length of {found[1]:.3g} m; {hint}"]
 
 
-def _unit_reynolds(table: CsvTable) -> tuple[FloatArray, BoolArray]:
+def _unit_reynolds(table: CsvTable | Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
     """Reynolds number of 1 m, rho V / mu(T) [1/m], and the rows with which a Reynolds number implies a length."""
     unit = table["rho_kg_m3"] * table["velocity_m_s"] / viscosity(np.maximum(table["T_inf_K"], 1.0))
     return unit, (unit > 1e-2) & (table["log10_re"] > -3.0)
+
+
+def implied_length_m(columns: Mapping[str, FloatArray]) -> float | None:
+    """Median reference length L = Re mu(T) / (rho V) that Reynolds numbers imply [m]; None where nothing implies one.
+
+    columns : flight conditions, name -> (row,) in the unit that the name ends in
+    Source: docs/theory/equations_reference_heating.md, equation 3.
+    """
+    if not {"log10_re", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(columns):
+        return None
+    unit, used = _unit_reynolds(columns)
+    return float(np.median(10.0 ** columns["log10_re"][used] / unit[used])) if np.any(used) else None
 
 
 def profile_problems(table: CsvTable) -> list[str]:
@@ -430,7 +442,8 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
     if _has(table, "H_r_J_kg"):
         T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
         total = 0.5 * V**2 + CP_AIR * T
-        for used, possible in ((V > 1000.0, ENTHALPIES), (V <= SLOWEST_M_S, None)):
+        still = (V <= SLOWEST_M_S) & (table["H_r_J_kg"] <= MOST_ENTHALPY_J_KG)  # that of a lamp is of no flow
+        for used, possible in ((V > 1000.0, ENTHALPIES), (still, None)):
             yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
     if _has(table, "h_ref_kg_m2_s"):
         h = table["h_ref_kg_m2_s"]
@@ -574,7 +587,8 @@ def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor:
     step           : least difference that stands out, or factor
     is_factor      : the values are positive, and differ by factors
 
-    At the ends the two nearest samples are continued. Scatter is the median deviation from those lines.
+    At the ends the two nearest samples are continued, or the nearest one holds. Scatter is the median deviation from
+    those lines.
     """
     bad = np.zeros(len(values), dtype=bool)
     if len(values) < 5:
@@ -584,6 +598,8 @@ def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor:
     before[0], after[0], before[-1], after[-1] = 1, 2, len(x) - 3, len(x) - 2
     span = time_s[after] - time_s[before]
     off = np.abs(x - x[before] - (x[after] - x[before]) * (time_s - time_s[before]) / span)
+    for end, beside in ((0, 1), (-1, -2)):  # a lamp that is yet to be switched on holds its value
+        off[end] = min(off[end], abs(x[end] - x[beside]))
     allowed = np.log(step) if is_factor else step
     change = np.abs(x[after] - x[before])
     return off > allowed + CHANGE * (change + 4.0 * float(np.median(off)))

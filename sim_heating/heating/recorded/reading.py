@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
-from sim_heating.base.errors import InputError, error_context
+from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
 from sim_heating.heating.recorded.derive import derived_conditions
-from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit
+from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
 from sim_heating.heating.recorded.sounding import Sounding
 from sim_heating.heating.surface_pressure import (
@@ -32,6 +32,8 @@ LOWER = {"A": "B", "B": "C", "C": "C"}
 """Confidence of conditions -> that of conditions whose air is of a model, and not of the day."""
 NEARLY = 0.85
 """Similarity of names from which one is the other, misspelt."""
+FLYING_M_S = 300.0
+"""Speed [m/s] from which surface pressures tell of a place on a body."""
 SMALL_KM, SMALL_KM_S = 400.0, 20.0
 """Largest altitude and speed that a message proposes km and km/s for."""
 
@@ -44,12 +46,14 @@ class FlightTable:
     notes    : one line for each field that was renamed or converted, and for each derivation
     assumed  : those of the notes that are assumptions: a time whose unit is not stated
     has_model_density : whether the density needs the standard atmosphere, which lowers the confidence of conditions
+    fields   : column -> name of the field in the file
     """
 
     table: CsvTable
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     has_model_density: bool = False
+    fields: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -130,9 +134,11 @@ def read_flight(
     found, assumed = _with_time(found)
     raise_problems([*_misspelt(found, required), *_empty_cells(found, found.columns)])
     wanted = {*required, "rho_kg_m3"}
-    with error_context(display_path(path)):
+    try:
         derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
-    columns, of_pressure = _with_pressure(derived.columns, required, pressure)
+    except InputError as error:
+        raise InputError(*(_of_row(found, line) for line in error.problems)) from None
+    columns, of_pressure = with_pressure(derived.columns, required, pressure)
     _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
     notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
@@ -141,7 +147,17 @@ def read_flight(
     if found.unused:
         notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
     of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
-    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model)
+    fields_of = {column: f.name for column, f in found.fields.items()}
+    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
+
+
+def _of_row(found: FlightFields, line: str) -> str:
+    """A line about a sample of a column, with the row and the field of the file."""
+    part = re.fullmatch(r"(\w+), sample (\d+): (.*)", line)
+    if part is None:
+        return f"{display_path(found.path)}: {line}"
+    name = found.fields[part[1]].name if part[1] in found.fields else part[1]
+    return f"{display_path(found.path)}, row {found.lines[int(part[2]) - 1]}, column {name}: {part[3]}"
 
 
 def local_pressure(local_angle_deg: float | None) -> PressureModel:
@@ -152,10 +168,30 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
     return ModifiedNewtonian(model="modified-newtonian", inclination_deg=local_angle_deg)
 
 
-def _with_pressure(
+def implied_pressure(flown: Conditions) -> PressureModel | None:
+    """Model of the surface pressure that the columns of a flight imply: the median part of the rise at a stagnation
+    point; None where there is no such column, or nothing flies. Source: docs/theory/equations.md, equation 31."""
+    if not {"p_surface_Pa", "p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(flown.names):
+        return None
+    used = flown["velocity_m_s"] > FLYING_M_S
+    if not np.any(used):
+        return None
+    rise = surface_pressure(local_pressure(None), flown) - flown["p_inf_Pa"]
+    part = float(np.median(((flown["p_surface_Pa"] - flown["p_inf_Pa"]) / rise)[used]))
+    return FractionOfStagnation(model="fraction-of-stagnation", fraction=min(max(part, 0.0), 1.0))
+
+
+def with_pressure(
     columns: Mapping[str, FloatArray], required: Collection[str], model: PressureModel | None
 ) -> tuple[dict[str, FloatArray], list[str]]:
-    """Conditions with the surface pressure [Pa] of a model, where it is required and absent, and a note of it."""
+    """Conditions with the surface pressure of a model, where it is required and absent, and a note of it.
+
+    columns  : name -> (row,) in the unit that the name ends in
+    required : columns that have to be there
+    model    : of the surface pressure [Pa]; None for none
+    returns  : the columns, `p_surface_Pa` among them where it follows, and one line for that
+    Source: docs/theory/equations.md, equations 30 and 31.
+    """
     absent = "p_surface_Pa" in required and "p_surface_Pa" not in columns
     needed = {"rho_kg_m3", "velocity_m_s", "T_inf_K", "p_inf_Pa", "alpha_deg"} - set(columns)
     if not absent or model is None or (needed and needed != {"alpha_deg"}):
@@ -167,6 +203,8 @@ def _with_pressure(
     flown = Conditions({**angles, **columns, **rows})
     if isinstance(model, ModifiedNewtonian):
         note = f"p_surface_Pa by modified Newtonian theory at {model.inclination_deg:g} deg to the x axis"
+    elif model.fraction < 1.0:
+        note = f"p_surface_Pa by {model.fraction:.3g} of the rise at a stagnation point"
     else:
         note = "p_surface_Pa of the stagnation point, behind a normal shock"
     return {**columns, "p_surface_Pa": surface_pressure(model, flown)}, [note]
@@ -207,7 +245,9 @@ def _refuse_lacking(
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
     absent = [column for column in needed if column not in asked and column not in follows]
     units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
-    what = " and ".join(text for text in (units, ", ".join(absent)) if text)
+    empty = {f.column: name for name in found.empty if (f := field_of_name(name)) is not None}
+    named = [f"{c} (`{empty[c]}` holds no numbers)" if c in empty else c for c in absent]
+    what = " and ".join(text for text in (units, ", ".join(named)) if text)
     raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
 
 

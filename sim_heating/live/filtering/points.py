@@ -9,7 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE, SURFACES, Conditions
+from sim_heating.base.conditions import (
+    ACCOMPANYING,
+    FRAME,
+    LINE_TOLERANCE,
+    LINE_TOLERANCE_SHARE,
+    SURFACES,
+    Conditions,
+)
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import LIMITS, limit_message
@@ -145,7 +152,8 @@ class RecordPoints:
             LivePoint(m.name, m, mesh, tuple(r.sensors))
             for r, (m, mesh) in zip(records, _meshed(models, nodes), strict=True)
         )
-        self.columns = tuple(dict.fromkeys(c for r in records for c in r.conditions.names if c != "time_s"))
+        spared = ("time_s", *ACCOMPANYING)
+        self.columns = tuple(dict.fromkeys(c for r in records for c in r.conditions.names if c not in spared))
 
     def conditions(self, frame: Frame) -> FloatArray:
         """(point, condition) conditions of a frame, with the reference heating of each record.

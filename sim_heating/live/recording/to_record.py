@@ -19,6 +19,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import display_path, output_directory
 from sim_heating.estimation.record_fit import LONGEST_STEP_S
 from sim_heating.heating.atmosphere import free_stream
+from sim_heating.heating.recorded.reading import lowered_confidence
 from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.points import conditions_behind_walls, conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
@@ -43,15 +44,20 @@ RECORDS = "records"
 
 @dataclass
 class Stretch:
-    """Samples of one clock: frames by time, and readings by control point, sensor and time; the first of a time."""
+    """Samples of one clock: frames by time, and readings by control point, sensor and time; the first of a time.
+
+    has_model_density : whether the density of a frame is of the standard atmosphere, and not of the day
+    """
 
     frames: dict[float, Mapping[str, float]] = field(default_factory=dict)
+    has_model_density: bool = False
     readings: dict[tuple[str, str], dict[float, float]] = field(default_factory=dict)
 
     def add(self, sample: Sample) -> None:
         """Add a sample; one of a time that is there already is a double."""
         if isinstance(sample, Frame):
             self.frames.setdefault(sample.time_s, sample.values)
+            self.has_model_density |= sample.has_model_density
         else:
             self.readings.setdefault((sample.point, sample.sensor), {}).setdefault(sample.time_s, sample.value_K)
 
@@ -141,11 +147,20 @@ def records_of(link: Link, stretch: Stretch) -> dict[str, Record]:
         point.name: record if declared_start else with_heated_start(record)
         for point in link.points
         if (measured := _measured(point, stretch, times[0], times[-1])) is not None
-        for record in [_record(link, point, columns, measured)]
+        for record in [_with_confidence(_record(link, point, columns, measured), stretch)]
     }
     if not found:
         raise InputError(f"{where}: no reading of a thermocouple came within the time of the conditions; no record")
     return found
+
+
+def _with_confidence(record: Record, stretch: Stretch) -> Record:
+    """The record with the confidence of its conditions that the density of a standard atmosphere leaves."""
+    if not stretch.has_model_density:
+        return record
+    stated = record.declared.conditions
+    conditions = stated.model_copy(update={"confidence": lowered_confidence(stated.confidence)})
+    return replace(record, declared=record.declared.model_copy(update={"conditions": conditions}))
 
 
 def _measured(point: LinkPoint, stretch: Stretch, first_s: float, last_s: float) -> dict[str, FloatArray] | None:

@@ -23,6 +23,7 @@ from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.statement import LARGEST_SHARE, NO_READINGS, SIGMAS, Answer, Facts, Statement, assess
 from sim_heating.credibility.validation.own_cases import samples_of
 from sim_heating.credibility.validation.region import Samples
+from sim_heating.heating.recorded.reading import lowered_confidence
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.filtering.points import LivePoint
@@ -48,7 +49,8 @@ def credibility_of_link(
     points.sort(key=lambda p: _margin_K(state.points.get(p.name)))
     facts = of_several([_facts(engine, p, state, records.get(p.name)) for p in points])
     digests = {name: file_digest(path) for name, path in files.items() if path.is_file()}
-    return assess(replace(facts, conditions=tuple(_conditions(link)), files={**facts.files, **digests}))
+    conditions = tuple(_conditions(link, engine.mapping.has_model_density))
+    return assess(replace(facts, conditions=conditions, files={**facts.files, **digests}))
 
 
 def _facts(engine: LinkEngine, point: LivePoint, state: State, record: Record | None) -> Facts:
@@ -93,8 +95,12 @@ def _facts(engine: LinkEngine, point: LivePoint, state: State, record: Record | 
     )
 
 
-def _conditions(link: Link) -> list[DeclaredInput]:
-    """Where the flight conditions come from: what a replay sends again, or whoever sends them."""
+def _conditions(link: Link, has_model_density: bool) -> list[DeclaredInput]:
+    """Where the flight conditions come from: what a replay sends again, or whoever sends them.
+
+    has_model_density : whether their density is of the standard atmosphere, which lowers their confidence
+    """
+    confidence = lowered_confidence("") if has_model_density else ""
     found: list[DeclaredInput] = []
     for source in link.declared.source:
         if isinstance(source, Replay):
@@ -103,7 +109,7 @@ def _conditions(link: Link) -> list[DeclaredInput]:
             found += conditions_of_record(record)
         else:
             # what flies and measures is beyond the link: it knows the address and no more
-            found.append(DeclaredInput(f"telemetry of source {source.kind}", "", "", measured=True))
+            found.append(DeclaredInput(f"telemetry of source {source.kind}", "", confidence, measured=True))
     return list(dict.fromkeys(found))
 
 

@@ -1,34 +1,59 @@
 """From fields of a message to frames and readings: names, units and recorder words as the link file declares them.
 
     value = factor field + offset                     by the units (sim_heating.heating.recorded.fields)
-    rho   = 2 q / V^2                                 where a link has `q_Pa` in place of `rho_kg_m3`
+    rho, T, p, M, log10 Re, p of the surface          of columns that no field has (sim_heating.heating.recorded.derive)
     T     = c0 + c1 w + c2 w^2 + ...                  of a word w with a calibration, then by its unit
     T     = low + w LSB                               of a code w of a recorder that declares bits and range_K
 
 A reading is one of the time by its clock, less the skew of that clock where the link declares one. A message with all
 columns of flight conditions is a frame at once. Columns that come in several messages of one time
 are gathered; where a later time comes first, the columns that are absent have their latest values.
+
+A column without an entry in the link is the field of its own name, else the one field that is it by its name and unit.
+One that does not come within the first seconds is derived from those that do, as in files, and that is told. What is
+sent is never replaced: where the field comes after all, it is used from then on.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from sim_heating.base.conditions import ACCOMPANYING, SURFACES
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, celsius_rule, display_path, raise_problems, suggestion
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.files.units import Conversion
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.parameters import CLOCK_SKEW
-from sim_heating.heating.recorded.fields import ConditionField, column_unit, unit_conversion, unit_of_name
+from sim_heating.heating.recorded.derive import DerivedConditions, derived_conditions
+from sim_heating.heating.recorded.fields import (
+    ConditionField,
+    FlightField,
+    column_unit,
+    field_of_name,
+    unit_conversion,
+    unit_of_name,
+)
+from sim_heating.heating.recorded.plausible import implied_length_m
+from sim_heating.heating.recorded.reading import implied_pressure, local_pressure, with_pressure
+from sim_heating.heating.surface_pressure import PressureModel
+from sim_heating.inputs.record import Record
 from sim_heating.live.spec import Link, SensorField
-from sim_heating.live.types import Frame, Message, Reading, Sample
+from sim_heating.live.types import TIME, Frame, Message, Reading, Sample
 from sim_heating.thermal.stack import Sensor
 
 GRACE_MESSAGES = 50
 """Messages after which a field that never came is reported."""
+ABSENT_AFTER_S, ABSENT_TIMES = 2.0, 3
+"""Flight time [s], and number of times with conditions, after which a column that did not come is absent."""
+HELD = ("beta_deg", *SURFACES, "jets")
+"""Columns that are as in the whole record, where they change there nowhere and are not sent."""
+SOURCES = ("q_Pa", "qbar_Pa", "p_inf_Pa", "T_inf_K", "mach", "velocity_m_s", "altitude_m", "rho_kg_m3")
+"""Columns from which others follow, also where a frame does not need them."""
 
 
 def default_fields(sensors: Sequence[tuple[str, str, str]]) -> dict[tuple[str, str], str]:
@@ -100,6 +125,158 @@ class _Gathered:
     values: dict[str, float] = field(default_factory=dict)
 
 
+class ConditionFields:
+    """Which fields of a link are flight conditions, and which columns follow from them.
+
+    taken    : fields that are the time, or of a sensor
+    problems : one line for each unit of the link file that does not fit
+    notes    : one line for each field that was found by its name, and for what is derived, not yet taken
+    """
+
+    def __init__(self, link: Link, taken: Collection[str], constants: dict[str, float]) -> None:
+        columns, self.problems = _columns(link, display_path(link.path))
+        self.notes: list[str] = []
+        self.is_settled = False
+        self.has_model_density = False
+        self._read = {c.column: c for c in columns}
+        self._own = frozenset(self._read) - set(link.declared.conditions)
+        self._needed = tuple(n for n in self._read if n not in ACCOMPANYING or n not in self._own)
+        self._sources: tuple[str, ...] = ()
+        self._taken, self._constants = frozenset(taken), constants
+        has_only_q = "q_Pa" in self._read and "rho_kg_m3" not in {*self._read, *constants}
+        self._derived: tuple[str, ...] = ("rho_kg_m3",) if has_only_q else ()
+        self._seen: set[str] = set()
+        record = next((link.records[name] for name in link.names if link.records), None)
+        self._length_m = None if record is None else implied_length_m(record.conditions.columns)
+        self._pressure = None if record is None else _pressure_of(record)
+        flown = {} if record is None else record.conditions.columns
+        self._of_record = {n: float(flown[n][0]) for n in HELD if n in flown and np.ptp(flown[n]) == 0.0}
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Field that has to come -> its column."""
+        return {self._read[name].field: name for name in self._needed if name not in self._derived}
+
+    @property
+    def is_of_model(self) -> bool:
+        """Whether the density of a frame is now of the standard atmosphere; `has_model_density`, whether one was."""
+        return self.has_model_density and "rho_kg_m3" in self._derived
+
+    def see(self, names: Collection[str]) -> None:
+        """Take the names of fields that are sent: what comes by itself is no longer derived.
+
+        A field of a column's own name prevails over one that is it by another name and its unit.
+        """
+        if self._seen.issuperset(names):
+            return
+        for name in [n for n in names if n not in self._seen and n not in self._taken]:
+            known = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0)) if name in self._own else None
+            found = known or field_of_name(name)
+            if found is not None and found.unit is not None and (found.column in self._own or self._may_give(found)):
+                self._use(found)
+        self._seen |= set(names)
+
+    def _may_give(self, found: FlightField) -> bool:
+        is_open = not self.is_settled and found.column not in {*self._read, *self._constants}
+        return found.column in SOURCES and is_open
+
+    def _use(self, found: FlightField) -> None:
+        column, before = found.column, self._read.get(found.column)
+        if found.name != column and before is not None and (before.field != column or column in self._seen):
+            self.notes.append(
+                f"`{found.name}` may be {column} as well as `{before.field}`, which is used; name one in [conditions]"
+            )
+            return
+        self._read[column] = _Column(column, found.name, found.convert, *_limits(column))
+        if found.name != column and column in self._needed:
+            self.notes.append(f"{column} from `{found.name}`, in {found.unit or '1'}")
+        if column in self._derived:
+            self._derived = tuple(n for n in self._derived if n != column)
+            self.notes.append(f"`{found.name}` is sent: {column} is no longer derived")
+
+    def values(self, message: Mapping[str, float | str]) -> dict[str, float]:
+        """Columns that a message has, in the unit that the name ends in.
+
+        raises : InputError for a value that is no number, or cannot be
+        """
+        given: dict[str, float] = {}
+        for c in self._read.values():
+            if c.field in message:
+                value = c.convert(_number(message[c.field], c.field))
+                if not c.low <= value <= c.high:
+                    raise InputError(f"field `{c.field}`: {value:g} {c.rule}")
+                given[c.column] = value
+        return given
+
+    def has_all(self, given: Collection[str]) -> bool:
+        """Whether columns are all that a frame is made of, those that follow from others left out."""
+        return all(name in given for name in (*self._needed, *self._sources) if name not in self._derived)
+
+    def settle(self, latest: Mapping[str, float]) -> bool:
+        """Take columns that have not come for absent; whether what is absent follows from what is there.
+
+        latest : column -> latest value of those that came
+        """
+        if self.is_settled:
+            return True
+        absent = [name for name in self._needed if name not in latest]
+        found = self._follow(latest, absent)
+        if not set(absent) <= set(found.columns):
+            return False
+        self.is_settled, self._derived = True, tuple(dict.fromkeys((*self._derived, *absent)))
+        also = [n for n in self._read if n not in self._needed]
+        self._sources = tuple(n for n in also if absent and n in latest and n in SOURCES)
+        self._read = {n: c for n, c in self._read.items() if n not in also or n in (*self._sources, *ACCOMPANYING)}
+        if absent:
+            stated = {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(latest)
+            self.has_model_density = bool(found.of_model) and not stated
+            more = "; confidence of the conditions C" if self.has_model_density else ""
+            self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(found.notes)}{more}")
+        return True
+
+    def whole(self, known: Mapping[str, float]) -> dict[str, float]:
+        """All columns of a frame: those that came, constants, and those that follow.
+
+        raises : InputError where a column does not follow, as a density at a speed of 0
+        """
+        also = ("q_Pa", *(n for n in ACCOMPANYING if n in self._own))
+        values = {n: v for n, v in known.items() if n in self._needed or n in also} | self._constants
+        if not self._derived:
+            return values
+        V, q = values.get("velocity_m_s", 1.0), values.get("q_Pa", 1.0)
+        if "rho_kg_m3" in self._derived and (V <= 0.0 or q <= 0.0) and "q_Pa" in values:
+            raise InputError(f"q_Pa = {q:g} at {V:g} m/s gives no density")
+        found = self._follow(known, self._derived).columns
+        if lacking := [name for name in self._derived if name not in found]:
+            raise InputError(f"{', '.join(lacking)} does not follow from what is sent")
+        return values | {name: float(found[name][0]) for name in self._derived}
+
+    def lacking(self, names: Collection[str]) -> dict[str, str]:
+        """Field -> column of those that do not come among the fields that are sent, and do not follow from them."""
+        self.see(names)
+        there = {n: 1.0 for n, c in self._read.items() if c.field in names}
+        absent = [n for n in self._needed if n not in there]
+        found = self._follow(there, absent)
+        return {field: n for field, n in self.fields.items() if n in absent and n not in found.columns}
+
+    def without_unit(self, column: str) -> str:
+        """A field that is a column by its name, and states no unit; empty where none is."""
+        for name in self._seen - self._taken:
+            found = field_of_name(name) if name != column else None
+            if found is not None and found.column == column and found.unit is None:
+                return name
+        return ""
+
+    def _follow(self, known: Mapping[str, float], wanted: Collection[str]) -> DerivedConditions:
+        """The columns of one time with those that follow from them, as of a row of a file."""
+        held = {n: v for n, v in self._of_record.items() if n in wanted}
+        row = {name: np.array([value]) for name, value in {**held, **known, **self._constants}.items()}
+        found = derived_conditions(row, length_m=self._length_m, wanted={*wanted, "rho_kg_m3"})
+        columns, of_pressure = with_pressure(found.columns, wanted, self._pressure)
+        of_record = [f"{', '.join(held)} as in the whole record"] if held else []
+        return DerivedConditions(columns, (*of_record, *found.notes, *of_pressure), found.of_model)
+
+
 class FieldMapping:
     """The mapping of a link.
 
@@ -118,16 +295,20 @@ class FieldMapping:
         # what a record has and no field gives is as it was at the start, as the pressure at a wall at rest
         first = next((link.records[name] for name in link.names if link.records), None)
         flown = {} if first is None else first.conditions.columns
-        self._constants = {n: float(v[0]) for n, v in flown.items() if n not in ("time_s", *link.columns)} | {
+        constants = {n: float(v[0]) for n, v in flown.items() if n not in ("time_s", *link.columns)} | {
             name: value.constant
             for name, value in declared.conditions.items()
             if isinstance(value, ConditionField) and value.constant is not None
         }
-        self._columns, of_columns = _columns(link, place)
         self._words, of_words = _words(link, place)
-        raise_problems([*of_columns, *of_words])
+        clocks = [w.time for w in self._words if w.time is not None]
+        taken = {self._time, *clocks, *(w.field for w in self._words)}
+        self._conditions = ConditionFields(link, taken, constants)
+        raise_problems([*self._conditions.problems, *of_words])
         self._latest: dict[str, float] = {}
         self._open: _Gathered | None = None
+        self._held: list[_Gathered] = []
+        self._times, self._first_s = 0, math.nan
         self._seen: set[str] = set()
         self._sent: dict[str, None] = {}
         self._messages = 0
@@ -135,8 +316,18 @@ class FieldMapping:
     @property
     def fields(self) -> dict[str, str]:
         """Field that the link needs or names -> what it is; a sensor that it does not name may be absent."""
-        found = {self._time: "time"} | {c.field: c.column for c in self._columns}
+        found = {self._time: "time"} | self._conditions.fields
         return found | {w.field: f"sensor {w.sensor.name} of {w.point}" for w in self._words if w.is_declared}
+
+    @property
+    def has_model_density(self) -> bool:
+        """Whether the density is of the standard atmosphere, and not of the day."""
+        return self._conditions.has_model_density
+
+    def take_notes(self) -> list[str]:
+        """One line for each field that was found by its name, and for columns that are derived, since the last call."""
+        notes, self._conditions.notes = self._conditions.notes, []
+        return notes
 
     def apply(self, message: Message, remark: Callable[[str], None] | None = None) -> list[Sample]:
         """Frames and readings of a message, in SI units.
@@ -164,13 +355,19 @@ class FieldMapping:
 
     def never_sent(self) -> list[str]:
         """One line for each mapped field that none of the first messages had; once, and empty before that many came."""
-        if self._messages < GRACE_MESSAGES:
+        if self._messages < GRACE_MESSAGES or self._held:
             return []
+        lacking = self._conditions.lacking(self._sent)
         return [
-            f"field `{name}` ({what}) is not sent{suggestion(name, self._sent, otherwise='')}"
+            f"field `{name}` ({what}) is not sent{self._hint(name, what)}"
             for name, what in self.fields.items()
-            if name not in self._seen
+            if name not in self._seen and (name in lacking or name not in self._conditions.fields)
         ]
+
+    def _hint(self, name: str, what: str) -> str:
+        if unit_less := self._conditions.without_unit(what):
+            return f"; `{unit_less}` states no unit: name it with its unit in [conditions]"
+        return suggestion(name, self._sent, otherwise="")
 
     def check_sent(self, names: Sequence[str], source: str) -> None:
         """Refuse a mapping of fields that a source does not send, where what it sends is known beforehand.
@@ -179,43 +376,51 @@ class FieldMapping:
         source : name of the source, for the message
         raises : InputError with one line a field
         """
+        if self._time not in names:
+            self._find_time(dict.fromkeys(names, 0.0))
+        lacking = self._conditions.lacking(names)
         raise_problems(
             [
                 f"{display_path(self.link.path)}: field `{name}` ({what}) is not sent by {source}"
                 f"{suggestion(name, names)}"
                 for name, what in self.fields.items()
-                if name not in names
+                if name not in names and (name in lacking or name not in self._conditions.fields)
             ]
         )
 
     def _note(self, values: Mapping[str, float | str]) -> None:
         self._messages += 1
+        self._conditions.see(values.keys())
         if self._messages <= GRACE_MESSAGES:
             self._sent |= dict.fromkeys(values)
             self._seen |= set(self._sent) & set(self.fields)
 
     def _time_of(self, values: Mapping[str, float | str], name: str) -> float:
+        if name not in values and name == self._time:
+            name = self._find_time(values)
         if name not in values:
             raise InputError(f"time field `{name}` is missing; the message has {_names(values)}")
         return self._seconds(_number(values[name], name) - self._zero)
 
+    def _find_time(self, values: Mapping[str, float | str]) -> str:
+        """The time field; of a link that names none, the one that is a time by its name and unit."""
+        named = [f for n in values if (f := field_of_name(n)) is not None and f.column == TIME and f.unit]
+        if len(named) != 1 or "time" in self.link.declared.model_fields_set:
+            return self._time
+        (found,) = named
+        self._time, self._seconds = found.name, found.convert
+        self._conditions.notes.append(f"{TIME} from `{found.name}`, in {found.unit}")
+        return self._time
+
     def _frames(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Frame], list[str]]:
-        given: dict[str, float] = {}
-        for c in self._columns:
-            if c.field not in values:
-                continue
-            try:
-                value = c.convert(_number(values[c.field], c.field))
-            except InputError as error:
-                return [], [f"{error}; no frame at {time_s:g} s"]
-            if not c.low <= value <= c.high:
-                return [], [f"field `{c.field}`: {value:g} {c.rule}; no frame at {time_s:g} s"]
-            given[c.column] = value
-        if not given and self._columns:
+        try:
+            given = self._conditions.values(values)
+        except InputError as error:
+            return [], [f"{error}; no frame at {time_s:g} s"]
+        if not given and self._conditions.fields:
             return [], []
         try:
-            whole = len(given) == len(self._columns)
-            return [self._frame(time_s, given)] if whole else self._gather(time_s, given), []
+            return self._gather(time_s, given), []
         except InputError as error:
             self._open = None
             return [], list(error.problems)
@@ -225,32 +430,49 @@ class FieldMapping:
         frames: list[Frame] = []
         waiting = self._open
         if waiting is not None and waiting.time_s != time_s:
-            known = self._latest | waiting.values
-            if len(known) == len(self._columns):
-                frames.append(self._frame(waiting.time_s, known))
+            known = _Gathered(waiting.time_s, self._latest | waiting.values)
+            if self._conditions.has_all(known.values):
+                frames += [self._frame(g.time_s, g.values) for g in (*self._released(), known)]
+            elif not self._conditions.is_settled:
+                self._held.append(known)
+                frames += [self._frame(g.time_s, g.values) for g in self._settled(time_s)]
             waiting = None
         if waiting is None:
             waiting = _Gathered(time_s)
         waiting.values |= given
         self._latest |= given
         self._open = waiting
-        if len(waiting.values) == len(self._columns):
-            frames.append(self._frame(time_s, waiting.values))
+        if self._conditions.has_all(waiting.values):
+            known = _Gathered(time_s, self._latest | waiting.values)  # with what accompanies them
+            frames += [self._frame(g.time_s, g.values) for g in (*self._released(), known)]
             self._open = None
+            self._conditions.settle(self._latest)  # nothing is absent
         return frames
 
-    def _frame(self, time_s: float, given: Mapping[str, float]) -> Frame:
-        """A frame; its density is 2 q / V^2 where the link has `q_Pa` and no `rho_kg_m3`.
+    def _settled(self, time_s: float) -> list[_Gathered]:
+        """What waited for columns that are absent, once it is clear that they are."""
+        self._times += 1
+        self._first_s = time_s if math.isnan(self._first_s) else self._first_s
+        if self._times < ABSENT_TIMES or abs(time_s - self._first_s) < ABSENT_AFTER_S:
+            return []
+        self._conditions.settle(self._latest)
+        return self._released()
 
-        raises : InputError where that is none, at a speed or a dynamic pressure of 0
+    def _released(self) -> list[_Gathered]:
+        """What was held and is whole with what is derived; the rest is no frame."""
+        held, self._held = self._held, []
+        return [g for g in held if self._conditions.has_all(g.values)]
+
+    def _frame(self, time_s: float, known: Mapping[str, float]) -> Frame:
+        """A frame with constants and with the columns that follow from those that came.
+
+        raises : InputError where one does not, such as a density at a speed of 0
         """
-        values = {**given, **self._constants}
-        if "q_Pa" in given and "rho_kg_m3" not in values:
-            V, q = values["velocity_m_s"], values["q_Pa"]
-            if V <= 0.0 or q <= 0.0:
-                raise InputError(f"q_Pa = {q:g} at {V:g} m/s gives no density; no frame at {time_s:g} s")
-            values["rho_kg_m3"] = 2.0 * q / V**2
-        return Frame(time_s, values)
+        try:
+            values = self._conditions.whole(known)
+        except InputError as error:
+            raise InputError(f"{error}; no frame at {time_s:g} s") from None
+        return Frame(time_s, values, self._conditions.is_of_model)
 
     def _readings(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Reading], list[str]]:
         readings: list[Reading] = []
@@ -267,6 +489,12 @@ class FieldMapping:
                 continue
             readings.append(Reading(at_s - self._skew_s, w.point, w.sensor.name, T))
         return readings, problems
+
+
+def _pressure_of(record: Record) -> PressureModel | None:
+    """Model of the surface pressure of a record: at its declared angle, else as its column has it."""
+    angle = record.declared.heating.local_angle_deg
+    return implied_pressure(record.conditions) if angle is None else local_pressure(angle)
 
 
 def clock_skew_s(link: Link) -> float:
@@ -302,6 +530,11 @@ def _word(value: float | str, name: str) -> float:
     return _number(value, name)
 
 
+def _limits(column: str) -> tuple[float, float, str]:
+    """Least and greatest value of a column in its unit, and the rule that a message states."""
+    return LIMITS.get(column, (-math.inf, math.inf, ""))
+
+
 def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
     """The columns that come in fields, and problems of their units."""
     columns: list[_Column] = []
@@ -321,8 +554,7 @@ def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
         except InputError as error:
             problems += error.problems
             continue
-        low, high, rule = LIMITS.get(name, (-math.inf, math.inf, ""))
-        columns.append(_Column(name, source, convert, low, high, rule))
+        columns.append(_Column(name, source, convert, *_limits(name)))
     return columns, problems
 
 

@@ -1,7 +1,8 @@
-"""Tables that are no text: Parquet and Excel by pandas, TDMS of LabVIEW by npTDMS."""
+"""Tables that are no text: Parquet and Excel, old and new, by pandas, TDMS of LabVIEW by npTDMS."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -34,8 +35,9 @@ def read_table(path: Path, kind: str, sheet: str | None) -> Block | list[list[st
         if kind == "parquet":
             return _parquet(path)
         return _tdms(path, sheet) if kind == "tdms" else _workbook(path, sheet)
-    except ImportError:
-        library = LIBRARIES[kind]
+    except ImportError as error:
+        named = re.search(r"dependency '([\w.-]+)'", str(error))  # of pandas, such as for a sheet of LibreOffice
+        library = named[1] if named else LIBRARIES[kind]
         raise InputError(
             f"{display_path(path)}: needs {library}; pip install {library}, or export a CSV file"
         ) from None

@@ -18,9 +18,13 @@ from sim_heating.templates.loggers.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
+TORN = re.compile(r"(?i)(?:nan\s+)?[+-]?[.,]?\d")
+"""How a cell begins that holds a number, or several, and is not read in the layout of the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")
 WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+-].*)")
 GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"
+LEAST_WHOLE = 3
+"""Different whole numbers of three digits that show a sign of thousands; one or two may be codes of lost samples."""
 EXPONENT = r"(?:[eE][+-]?\d+)?"
 
 
@@ -82,6 +86,8 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
         return Signs(sign, blank or _thousands(block, columns, sign))
     if not open_cells:
         return Signs(".", blank)
+    if len(open_cells) == 1 and _shows_thousands(block, columns, sign := next(iter(open_cells))):
+        return Signs("." if sign == "," else ",", sign)
     for sign, at in open_cells.items():
         row, k = at
         if sign == "," or _may_be_thousands(block, columns):
@@ -129,6 +135,17 @@ def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
 def _bare(cell: str) -> str:
     found = WITH_UNIT.fullmatch(cell)
     return (found[1] if found else cell).strip()
+
+
+def _shows_thousands(block: Block, columns: Sequence[int], sign: str) -> bool:
+    """Whether a sign as in `1,100` is that of thousands by the whole numbers of three digits in the same column: with a
+    fixed number of decimals, as the zero at an end shows, none would be written without them."""
+    for k in columns:
+        cells = {c for c in map(_bare, block.column(k)) if c}
+        whole = sum(re.fullmatch(r"[+-]?[1-9]\d\d", c) is not None for c in cells)
+        if whole >= LEAST_WHOLE and any(sign in c and c.endswith("0") for c in cells):
+            return True
+    return False
 
 
 def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
@@ -184,7 +201,7 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
         value, unit = known[cell]
         if math.isnan(value):
             words[cell] = None
-            if torn < 0 and re.match(r"[+-]?[.,]?\d", cell):
+            if torn < 0 and TORN.match(cell):
                 torn = i
         else:
             values[i] = value

@@ -29,6 +29,8 @@ CLOCK_CELL = re.compile(
 """What may be a date or a time of day."""
 SEVERAL = re.compile(rf"{PLAIN}(?:\s+{PLAIN})+")
 """Several numbers in one cell."""
+SIGN_APART = re.compile(r"(?m)(^|[,;\t|])([+-]) +(?=[\d.])")
+"""A sign with blanks behind it, as Graphtec writes numbers."""
 PROCESS = {"", "avg", "smp", "min", "max", "std", "tot", "sample", "ave", "average", "last", "mean"}
 """Words of a row that states how a logger reduced its samples."""
 NAME_WORDS = r"(?i)time|zeit|date|datum|temp|^tc|thermo|sensor|chan|^ch\d|^t\d*$|^t_|flux|plate"
@@ -64,7 +66,8 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     separator : between cells, where it is known
     raises    : InputError, one line, where rows differ in their cells, or there are none of numbers
     """
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = (SIGN_APART.sub(r"\1\2", text) if "+ " in text or "- " in text else text).split("\n")
     numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
         separator, numbered = separator or stated[1], numbered[1:]
@@ -79,8 +82,7 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
             f"{display_path(path)}: no rows of numbers were found; give a file with a time and temperatures"
         )
     sign = separator or _separator(numbered)
-    split: Sequence[Row] = [(i, tuple(split_line(line, sign))) for i, line in numbered]
-    return rows_block(path, split, sign, recorder=recorder, lines=dict(numbered))
+    return rows_block(path, split_lines(numbered, sign), sign, recorder=recorder, lines=dict(numbered))
 
 
 def _recorder(lines: Sequence[tuple[int, str]]) -> str:
@@ -114,30 +116,30 @@ def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]]
     return [(i, m[1] + sign + m[2]) for i, m in found if m is not None], True
 
 
-def split_line(line: str, sign: str) -> list[str]:
-    """Cells of a line."""
+def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
+    """Number and cells of each line; a quoted cell may hold the separator, and ends with its line.
+
+    sign : separator; a blank stands for any number of blanks
+    """
+    texts = [line for _, line in lines]
     if sign == " ":
-        return line.split()
-    if '"' in line:
-        cells = next(csv.reader([line.strip() if sign != "\t" else line], delimiter=sign, skipinitialspace=True))
+        rows = [line.split() for line in texts]
     else:
-        cells = line.split(sign)
-        if " " not in line and "\t" not in line and "\u00a0" not in line:
-            return cells
-    if "+ " in line or "- " in line:  # Graphtec
-        return [re.sub(r"^([+-])\s+(?=[\d.,])", r"\1", cell.strip()) for cell in cells]
-    return [cell.strip() for cell in cells]
+        rows = list(csv.reader(texts, delimiter=sign, skipinitialspace=True))
+        if len(rows) != len(texts):  # a quote that is not closed
+            rows = [next(csv.reader([line], delimiter=sign, skipinitialspace=True)) for line in texts]
+    return [(i, tuple(map(str.strip, cells))) for (i, _), cells in zip(lines, rows, strict=True)]
 
 
 def _separator(lines: Sequence[tuple[int, str]]) -> str:
     """The separator that gives most lines the same number of cells, two or more, each of one number at most."""
     half = SAMPLE_LINES // 2
-    sample = [line for _, line in (lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]])]
+    sample = lines if len(lines) <= 2 * half else [*lines[:half], *lines[-half:]]
     best, most = ",", 0.0
     for sign in SEPARATORS:
-        if not any((sign if sign != " " else " ") in line or (sign == " " and "\t" in line) for line in sample):
+        if not any((sign if sign != " " else " ") in line or (sign == " " and "\t" in line) for _, line in sample):
             continue
-        rows = [split_line(line, sign) for line in sample]
+        rows = [cells for _, cells in split_lines(sample, sign)]
         width, often = max(Counter(len(r) for r in rows).items(), key=lambda item: (item[1], item[0]))
         if width < 2:
             continue
@@ -362,28 +364,27 @@ def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
     file = display_path(path)
     header: dict[str, list[str]] = {}
     ends = [k for k, (_, line) in enumerate(numbered) if line.startswith("***End_of_Header***")]
-    if not ends:
+    if not ends or any(line.startswith("Channels") for _, line in numbered[ends[-1] :]):
         raise InputError(f"{file}: the header of the LabVIEW file does not end; it may have been cut off")
     sign = {"comma": ","}.get(
         next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t"
     )
     if len(ends) > 2:
         raise InputError(f"{file}, row {numbered[ends[2]][0]}: a second segment begins; export each segment alone")
-    for _, line in numbered[: ends[-1]]:
-        key, *values = split_line(line, sign)
+    for _, (key, *values) in split_lines(numbered[: ends[-1]], sign):
         header[key] = values
     if header.get("X_Columns", ["One"])[0] == "Multi":
         raise InputError(
             f"{file}: X_Columns is Multi: the sensors have times of their own; export with one column of time"
         )
     decimal = (header.get("Decimal_Separator") or ["."])[0] or "."
-    names_line, names_text = numbered[ends[-1] + 1]
-    names = [n or f"column{k + 1}" for k, n in enumerate(split_line(names_text, sign))]
+    (names_line, heads), *body = split_lines(numbered[ends[-1] + 1 :], sign)
+    names = [n or f"column{k + 1}" for k, n in enumerate(heads)]
     units = ["", *header.get("Y_Unit_Label", [])]
     width = len(_trimmed(names))
     if names[width - 1] == "Comment":
         width -= 1
-    rows = [(i, split_line(line, sign)[:width]) for i, line in numbered[ends[-1] + 2 :]]
+    rows = [(i, list(cells[:width])) for i, cells in body]
     if not rows:
         raise InputError(f"{file}: no rows of numbers below the header; it may have been cut off")
     step = [float(v.replace(",", ".")) for v in header.get("Delta_X", []) if v]
