@@ -388,6 +388,7 @@ class Journal:
         self._retry_at = 0.0
         self._lock = threading.Lock()
         self._ended = threading.Event()
+        self._created = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._held = FileLock(path.with_suffix(".lock"))
@@ -407,10 +408,10 @@ class Journal:
             self._file = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
             self._spare = [os.dup(self._file) for _ in range(SPARE)]
         except OSError as error:
-            self._held.release()
+            self._release()
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
         except InputError:
-            self._held.release()
+            self._release()
             raise
         with _opened(path) as stream:
             self._header = stream.readline()
@@ -449,15 +450,17 @@ class Journal:
         if self._size >= self._header_due:
             self._repeat_header()
         self._put(entry)
-        while self._waiting_bytes > KEPT:
-            self._waiting_bytes -= len(self._waiting.popleft())
-            self.dropped += 1
+        with self._lock:
+            while self._waiting_bytes > KEPT:
+                self._waiting_bytes -= len(self._waiting.popleft())
+                self.dropped += 1
         if not self.problem or time.monotonic() >= self._retry_at:
             self._write()
 
     def _put(self, entry: Entry) -> None:
-        self._waiting.append(data := _encoded(entry))
-        self._waiting_bytes += len(data)
+        with self._lock:
+            self._waiting.append(data := _encoded(entry))
+            self._waiting_bytes += len(data)
 
     def _repeat_header(self) -> None:
         self._put(Entry(time.time_ns(), MARK, HEADER + self._header))
@@ -505,6 +508,8 @@ class Journal:
 
     def _keep_synced(self) -> None:
         while not self._ended.wait(self._fsync_s):
+            if self.problem and time.monotonic() >= self._retry_at:
+                self._write()  # no message may come for long: those that wait are kept once there is room
             self._sync()
 
     def close(self, *, is_end: bool) -> None:
@@ -530,7 +535,19 @@ class Journal:
             os.close(number)
         if self._is_new and not is_end and self._size == len(self._header):
             self.path.unlink(missing_ok=True)  # the link was not begun
+        self._release()
+
+    def _release(self) -> None:
+        """Free the lock, whose file is removed while it is held, as that of a directory is (base.files.transaction).
+
+        Folders that were made for a journal that was not begun are empty, and are removed.
+        """
+        with contextlib.suppress(OSError):
+            self.path.with_suffix(".lock").unlink()
         self._held.release()
+        with contextlib.suppress(OSError):
+            for folder in self._created:
+                folder.rmdir()
 
 
 def open_again(path: Path) -> None:
