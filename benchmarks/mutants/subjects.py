@@ -477,7 +477,7 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         "campaign.toml": CAMPAIGN.format(point=POINT),
         "link.toml": LINK.format(point=POINT),
         "packets.xml": (ROOT / "tests" / "live" / "data" / "entry.xml").read_text(),
-        "temperatures.csv": TEMPERATURES + "".join(f"{t},{20 + t / 2:.1f},{20 + t / 3:.1f}\n" for t in range(0, 120, 4)),
+        "temperatures.csv": TEMPERATURES + "".join(f"{t},{20 + t / 2},{20 + t / 4}\n" for t in range(0, 120, 4)),
         "lamp.csv": LAMP + "".join(f"{t},{0 if t < 10 else 20}\n" for t in range(-4, 130, 2)),
     }
     for name, text in texts.items():

@@ -95,7 +95,8 @@ def hostile_topics(payloads: int, seed: int) -> dict[str, int]:
     good = max(payloads // 10, 100)
     with TemporaryDirectory() as folder, broker(port := free_port()):
         page = free_port()
-        running = Running(Path(folder), port, source=MQTT, options=["--port", str(page)] if CHROMIUM else ["--headless"])
+        options = ["--port", str(page)] if CHROMIUM else ["--headless"]
+        running = Running(Path(folder), port, source=MQTT, options=options)
         with contextlib.ExitStack() as shown:
             is_heard = _heard(running, port)
             sent = list[tuple[str, bytes]]()
@@ -266,7 +267,7 @@ def set_stamps(moves: int, seed: int) -> dict[str, int]:
     """
     rng = np.random.default_rng((seed, moves))
     with TemporaryDirectory() as folder:
-        running = Running(Path(folder), port := free_port())
+        running = Running(Path(folder), free_port())
         source = running.connected()
         assert source is not None
         sent, number = list[bytes](), 0

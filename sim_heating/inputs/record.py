@@ -60,6 +60,7 @@ from sim_heating.heating.ratio.table import (
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
 from sim_heating.heating.recorded.plausible import (
+    STILL_M_S,
     implausible_values,
     implied_radius_m,
     standing_out,
@@ -193,6 +194,11 @@ class ConditionsFile(FileReference):
         """Values that hold at all times, by column, each in the unit that its name ends in."""
         named = self.model_dump(exclude={"file", "source", "confidence", "uncertainty", "noise"}, exclude_none=True)
         return {name: float(value) for name, value in named.items()}
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """As of all declarations; an enthalpy without a flow states a lamp, and is looked at with the other columns."""
+        flows = self.velocity_m_s is not None and self.velocity_m_s >= STILL_M_S
+        return [found for found in super().unusual() if flows or found[0] != ("H_r_J_kg",)]
 
 
 class ConstantHeat(Declared):

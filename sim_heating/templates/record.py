@@ -142,13 +142,13 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
     return found
 
 
-def depths_of(sensors: Sequence[CsvColumn], given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
-    """Depths of the sensors that a person stated [m], by column.
+def depths_of(measured: MeasuredCsv, given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
+    """Depths of the sensors of a file that a person stated [m], by column.
 
     given  : column -> depth from the outer surface with a unit, `surface`, or `back`
     raises : InputError, one line, for an unknown column or a depth outside the stack
     """
-    require_known(dict(given), [s.name for s in sensors], "--depth")
+    require_known(dict(given), [s.name for s in sensor_columns(measured)], "--depth", measured.path)
     return {name: depth_m(name, text, layers) for name, text in given.items()}
 
 
@@ -506,12 +506,16 @@ def _column_name(name: str) -> str:
 
 @contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
-    """Errors about files of a directory in the making, with the paths that they will have."""
-    try:
-        yield
-    except InputError as error:
-        made, shown = display_path(folder), display_path(Path(out))
-        raise InputError(*(line.replace(made, shown) for line in error.problems)) from None
+    """Errors and warnings about files of a directory in the making, with the paths that they will have."""
+    made, shown = display_path(folder), display_path(Path(out))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            yield
+        except InputError as error:
+            raise InputError(*(line.replace(made, shown) for line in error.problems)) from None
+    for remark in told:
+        warnings.warn(str(remark.message).replace(made, shown), remark.category, stacklevel=3)
 
 
 def _of_reference(given: RecordInput) -> dict[str, Any]:
@@ -628,7 +632,7 @@ def like_record(
         LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
         for layer in declared.stack.layer
     ]
-    given = depths_of(columns, depths, layers)
+    given = depths_of(measured, depths, layers)
     absent = [c.name for c in columns if c.name not in given and c.name not in known]
     if absent:
         raise InputError(

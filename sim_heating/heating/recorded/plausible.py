@@ -430,7 +430,9 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
     if _has(table, "H_r_J_kg"):
         T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
         total = 0.5 * V**2 + CP_AIR * T
-        for used, possible in ((V > 1000.0, ENTHALPIES), (V <= SLOWEST_M_S, None)):
+        # without a flow, a lamp is stated by an enthalpy that no flow has
+        at_rest = (V <= SLOWEST_M_S) & (table["H_r_J_kg"] <= MOST_ENTHALPY_J_KG)
+        for used, possible in ((V > 1000.0, ENTHALPIES), (at_rest, None)):
             yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
     if _has(table, "h_ref_kg_m2_s"):
         h = table["h_ref_kg_m2_s"]
