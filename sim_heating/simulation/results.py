@@ -7,6 +7,7 @@ or split them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,6 +121,15 @@ def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     return Table("Declared model against measurement", columns, rows)
 
 
+def _netcdf_name(name: str) -> str:
+    """Name of a column in netCDF: without `/` and control characters, and not beginning with a sign.
+
+    Source: NetCDF User's Guide, Object Names.
+    """
+    plain = re.sub(r"[\x00-\x1f/\x7f]", "_", name).strip()
+    return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
+
+
 def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
@@ -152,7 +162,8 @@ def histories_dataset(
         np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
         _attributes("sensor_K"),
     )
-    data |= {name: ("time", flown[name], _attributes(name)) for name in flown.names if name != "time_s"}
+    columns = {_netcdf_name(name): name for name in flown.names if name != "time_s"}
+    data |= {key: ("time", flown[name], _attributes(name)) for key, name in columns.items()}
     coordinates = {
         "time": ("time", flown.time_s, {"units": "s", "long_name": "time from the start of the flight"}),
         "control_point": [p.name for p in points],

@@ -79,6 +79,7 @@ class Heat:
     note      : in words
     notes     : what was converted and derived
     uncertainty : of a flight whose density is not of the day; its confidence is then C
+    file      : that the columns were read from, None where a person stated them;  names : column -> that of the file
     """
 
     columns: Mapping[str, FloatArray]
@@ -87,6 +88,8 @@ class Heat:
     note: str
     notes: tuple[str, ...] = ()
     uncertainty: FlightUncertainty | None = None
+    file: MeasuredCsv | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -206,14 +209,15 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
                     f"{times[-1]:g} s; give the flux at all of these times, on the same clock"
                 )
         else:
-            clock = times
+            file, clock = measured, times
         flux = found.si
         if found.guess:
             warnings.warn(f"--lamp {lamp}, column {found.name}: {found.guess}", stacklevel=2)
         if np.any(np.isnan(flux)):
             raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
         note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
-        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note)
+        names = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": found.name}
+        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, file=file, names=names)
     hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
         known = ", ".join(c.name for c in measured.columns if c.kind != TIME)
@@ -408,10 +412,12 @@ def write_new_record(
         hold_s=[float(f"{x:.4g}") for x in hold],
     )
     readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
+    columns = {_column_name(c.name): c.name for c in measured.columns}
     inputs = [measured.path, *([] if given.ratio_table is None else [given.ratio_table])]
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
-        said_of_options(out), said_of_readings(measured, out), shown_at(folder, out),
+        said_of_options(out), said_of(measured, Path(out) / "thermocouples.csv", columns),
+        said_of(given.heat.file, Path(out) / "conditions.csv", given.heat.names), shown_at(folder, out),
     ):  # fmt: skip
         write_text_atomic(folder / DECLARATION, text)
         write_csv(folder / "conditions.csv", given.heat.columns)
@@ -481,20 +487,24 @@ def _of_option(line: str, declaration: str) -> str:
 
 
 @contextmanager
-def said_of_readings(measured: MeasuredCsv, out: str | os.PathLike[str]) -> Iterator[None]:
-    """Errors about readings that were not written, with the file, the row and the column that the user has."""
+def said_of(measured: MeasuredCsv | None, made: Path, columns: Mapping[str, str]) -> Iterator[None]:
+    """Errors about a file that was not written, with the file, the row and the column that the user has.
+
+    measured : what its rows were read from;  made : the file;  columns : column of it -> that of `measured`
+    """
     try:
         yield
     except InputError as error:
-        made = f"{display_path(Path(out) / 'thermocouples.csv')}, row "
-        raise InputError(*(_of_reading(line, made, measured) for line in error.problems)) from None
+        if measured is None:
+            raise
+        place = f"{display_path(made)}, row "
+        raise InputError(*(_of_row(line, place, measured, columns) for line in error.problems)) from None
 
 
-def _of_reading(line: str, made: str, measured: MeasuredCsv) -> str:
-    found = re.fullmatch(r"(\d+), column (\S+?): (.*)", line.removeprefix(made)) if line.startswith(made) else None
+def _of_row(line: str, place: str, measured: MeasuredCsv, columns: Mapping[str, str]) -> str:
+    found = re.fullmatch(r"(\d+), column (\S+?): (.*)", line.removeprefix(place)) if line.startswith(place) else None
     if found is None or int(found[1]) - 2 >= len(measured.rows):
         return line
-    columns = {_column_name(c.name): c.name for c in measured.columns}
     return f"{measured.line(int(found[1]) - 2)}, column {columns.get(found[2], found[2])}: {found[3]}"
 
 
@@ -656,7 +666,7 @@ def like_record(
     }
     times = measured.of_kind(TIME)[0].si
     readings = {"time_s": times} | {s.column: c.si for s, c in zip(sensors, columns, strict=True)}
-    with said_of_readings(measured, out):
+    with said_of(measured, Path(out) / "thermocouples.csv", {_column_name(c.name): c.name for c in measured.columns}):
         record = make_record(
             declared.model_copy(update=update), model.conditions, readings, model.ratio_table, out, model.turbulent
         )
