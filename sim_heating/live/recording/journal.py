@@ -314,11 +314,12 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def require_usable(
-    path: Path, link: Mapping[str, Any], means: Mapping[str, Any] | None = None, sent_again: str = ""
-) -> None:
+    path: Path, link: Mapping[str, Any], means: Mapping[str, Any] | None = None, sent_again: str = "",
+    has_results: bool = True,
+) -> None:  # fmt: skip
     """Check before any work that a link can write the journal at a path; changes nothing.
 
-    link, means, sent_again : as of `Journal`
+    link, means, sent_again, has_results : as of `Journal`
     raises : InputError where the file holds a flight that has ended, or one of another link
     """
     if not path.is_file() or path.stat().st_size == 0:
@@ -327,7 +328,7 @@ def require_usable(
     name, is_own_replay = display_path(path), sent_again != "" and head.sent_again == sent_again
     if _is_empty(head) or (head.is_closed and is_own_replay):
         return
-    if head.is_closed:
+    if head.is_closed and has_results:
         raise InputError(
             f"{name}: holds a flight that has ended; make a record of it with --to-record, and name another directory "
             "for this one"
@@ -363,6 +364,8 @@ class Journal:
     fsync_s : time after which entries are forced to the disk [s]; 0 for each
     means   : what the messages of the link mean (`same_link.meaning`), which a link that goes on has to agree with
     sent_again : what the link sends again, as "record /path"; a journal of the same that has ended is replaced
+    has_results : false: the flight that has ended has no results yet, as where its process was killed while it wrote
+                  them; its link goes on with it and writes them
     raises  : InputError where the file holds a flight that has ended, or one of another link, or cannot be written
 
     `is_resumed` is whether it was gone on with, and `told` the lines on what of it could not be read. `problem` is one
@@ -379,6 +382,7 @@ class Journal:
         fsync_s: float = 1.0,
         means: Mapping[str, Any] | None = None,
         sent_again: str = "",
+        has_results: bool = True,
     ) -> None:
         self.path, self.problem, self.dropped = path, "", 0
         self.told: list[str] = []
@@ -399,7 +403,9 @@ class Journal:
         except OSError as error:
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
         try:
-            require_usable(path, link, means, sent_again)
+            require_usable(path, link, means, sent_again, has_results)
+            if not has_results and path.is_file():
+                open_again(path)
             self.is_resumed = self._goes_on(path, means)
             if not self.is_resumed:
                 started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
