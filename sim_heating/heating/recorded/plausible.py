@@ -527,6 +527,8 @@ HEADING_DEG = 15.0
 """Median difference [deg] of a column of headings and of the path over ground."""
 GAMMA_DEG = 2.0
 """Median difference [deg] of a column of path angles and of the path."""
+STEEP_DEG, GAMMA_SLOPES = 0.3, (0.6, 1.6)
+"""Path [deg] from which a column of path angles is compared as a factor, and that factor; winds give a few percent."""
 
 
 def unusual_values(table: CsvTable) -> list[str]:
@@ -536,7 +538,7 @@ def unusual_values(table: CsvTable) -> list[str]:
     """
     remarks: list[str] = []
     for name in table.columns:
-        remarks += _beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
+        remarks += beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
     for column, usual, ratio, used, text in _usual_ratios(table):
         found = _mostly_outside(table, column, ratio, used, usual)
         if found is not None:
@@ -545,7 +547,7 @@ def unusual_values(table: CsvTable) -> list[str]:
     return remarks + _path_remarks(table)
 
 
-def _beyond_usual(table: CsvTable, name: str) -> list[str]:
+def beyond_usual(table: CsvTable, name: str) -> list[str]:
     """The first value of a column beyond its usual range."""
     known = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
     if known is None or (name == "H_r_J_kg" and np.max(table["velocity_m_s"]) < STILL_M_S):
@@ -664,10 +666,14 @@ def _path_remarks(table: CsvTable) -> list[str]:
         moving = V > 300.0
         if np.any(moving):
             path = np.degrees(np.arcsin(np.clip(climb[moving] / V[moving], -1.0, 1.0)))
-            off = float(np.median(np.abs(path - table["gamma_deg"][moving])))
-            if off > GAMMA_DEG:
-                found = f"differs by {off:.3g} deg from the path that altitude, time and speed describe"
-                remarks.append(f"{where}, column gamma_deg: {found}; check its unit")
+            stated = table["gamma_deg"][moving]
+            off = float(np.median(np.abs(path - stated)))
+            slope = float(np.sum(path * stated) / max(np.sum(path**2), 1e-9))
+            is_scaled = np.sqrt(np.mean(path**2)) > STEEP_DEG and not GAMMA_SLOPES[0] <= slope <= GAMMA_SLOPES[1]
+            if off > GAMMA_DEG or is_scaled:
+                found = f"differs by {off:.3g} deg" if off > GAMMA_DEG else f"is {slope:.3g}"
+                of = f"{'from' if off > GAMMA_DEG else 'of'} the path that altitude, time and speed describe"
+                remarks.append(f"{where}, column gamma_deg: {found} {of}; check its unit")
     return remarks
 
 
