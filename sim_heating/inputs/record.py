@@ -932,7 +932,10 @@ def _check_record(
 RADIUS_RATIOS = (0.5, 2.0)
 """Radius that the column of h_ref implies over the declared nose radius: formulas and rarefied air differ by less."""
 READING_K, OVERLAP = 60.0, (0.25, 0.5)
-"""Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it."""
+"""Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it.
+
+Readings of one phase of an entry, or until a loss of signal, cover a third of it; those of a clock in minutes 1/60, and
+a clock of another zero leaves most of them outside."""
 
 
 def _remarks(
