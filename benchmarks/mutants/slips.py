@@ -63,7 +63,7 @@ REASONS = {
     "thickness_m": "layers of 0.04 to 150 mm are built",
     "depth_m": "a sensor may be anywhere in its wall",
     "noise_sigma_K": "0.01 to 30 K are declared; systematic errors are among them",
-    "sigma_K": "a stated uncertainty",
+    "sigma_K": "no command reads it",
     "nose_radius_m": "2 mm to 12 m are flown",
     "heading_deg": "every heading is flown",
     "latitude_deg": "every place is flown over",

@@ -188,7 +188,7 @@ QUANTITIES: dict[str, Quantity] = {
     "T_K": _range(0.0, HOTTEST_K, "a temperature in K"),
     "stream_K": _range(0.0, HOTTEST_K, "a temperature of a free stream in K"),
     "initial_K": _range(0.0, HOTTEST_K, "a temperature in K"),
-    **dict.fromkeys(("noise_sigma_K", "sigma_K"), _range(0.0, 1e3, "a standard deviation of a temperature in K")),
+    "noise_sigma_K": _range(0.0, 1e3, "a standard deviation of a temperature in K"),
     "bias_K": _range(-2e3, 2e3, "an error of a temperature in K"),
 }  # fmt: skip
 """Key of a declared file, or name that a model gives a number, -> its range."""
@@ -354,7 +354,6 @@ USUAL: dict[str, Usual] = {
         "surroundings_K": (2.5, 2000.0, "space to a furnace"),
         "h_W_m2K": (0.0, 2e3, _OVEN),
         "noise_sigma_K": (1e-2, 30.0, "thermocouples and their recorders"),
-        "sigma_K": (1e-2, 100.0, "digitised curves of temperature"),
         "effective_emissivity": (2e-3, 1.0, "insulation of many bright foils to coatings"),
         "bias_K": (-100.0, 100.0, "thermocouples and their recorders"),
         "temperature_K": (100.0, 3000.0, "walls in flight and thermocouples in tests"),

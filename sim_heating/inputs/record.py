@@ -61,7 +61,6 @@ from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
 from sim_heating.heating.recorded.plausible import (
     STILL_M_S,
-    beyond_usual,
     implausible_values,
     implied_radius_m,
     standing_out,
@@ -960,9 +959,6 @@ def _remarks(
             rule = "stands out of the readings before and after it; check it, or leave the cell of a lost sample empty"
             lines = thermocouples.problems_where_not(sensor.column, ~alone, rule)
         remarks += lines
-    columns = {s.column for s in declared.thermocouples.sensor} | {"time_s"}
-    remarks += [line for name in thermocouples.columns if name not in columns
-                for line in beyond_usual(thermocouples, name)]  # fmt: skip
     remarks += [*_order_remarks(conditions, thermocouples, declared), *_scatter_remarks(thermocouples, declared)]
     remarks += [] if table is None else _table_remarks(conditions, table)
     remarks += _clock_remarks(conditions, thermocouples)

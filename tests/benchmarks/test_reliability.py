@@ -1,4 +1,4 @@
-"""A sample of `python -m benchmarks reliability`: brokers, full file systems, clocks, damaged results, signals, kills."""
+"""A sample of `python -m benchmarks reliability`: brokers, full file systems, clocks, damaged results, signals."""
 
 from __future__ import annotations
 

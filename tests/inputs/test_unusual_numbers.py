@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import warnings
 from collections.abc import Callable
@@ -164,7 +165,9 @@ def test_a_thermocouple_within_a_thin_coating_is_told(record: Path, depth_m: flo
 
 def test_a_deeper_sensor_that_is_hotter_than_the_surface_is_told(record: Path) -> None:
     """By the maximum principle: what is behind the wall is cooler."""
-    change(record / "thermocouples.csv", "LS_bond_K", lambda T: T + 900.0)
+    path = record / "record.toml"
+    path.write_text(re.sub(r"bits = 8\nrange_K = .*\n", "", path.read_text()))
+    change(record / "thermocouples.csv", "LS_bond_K", lambda T: 290.0 + 40.0 * (T - 290.0))
     lines = told(lambda: load_record(record))
     assert any("column LS_bond_K: reads up to" in x and "nearer to the heated surface" in x for x in lines)
 
@@ -186,13 +189,7 @@ def test_path_angles_of_a_third_of_the_path_are_told(tmp_path: Path) -> None:
 def test_a_flight_outside_the_ratio_table_is_told(record: Path) -> None:
     change(record / "conditions.csv", "alpha_deg", lambda a: a + 80.0)
     lines = told(lambda: load_record(record))
-    assert any("column alpha_deg: is 1" in x and "and the ratio table has" in x for x in lines)
-
-
-def test_a_stated_uncertainty_below_zero_is_told(tmp_path: Path) -> None:
-    flight = Path(shutil.copytree(RECORDS / "sts96_480", tmp_path / "flight"))
-    change(flight / "thermocouples.csv", "sigma_K", lambda s: s - 273.15)
-    assert any("thermocouples.csv, row 2, column sigma_K: -2" in x for x in told(lambda: load_record(flight)))
+    assert any("column alpha_deg: is 97" in x and "and the ratio table has" in x for x in lines)
 
 
 @pytest.mark.parametrize(("velocity_m_s", "is_refused"), [(0.0, False), (7000.0, True)])

@@ -538,7 +538,7 @@ def unusual_values(table: CsvTable) -> list[str]:
     """
     remarks: list[str] = []
     for name in table.columns:
-        remarks += beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
+        remarks += _beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
     for column, usual, ratio, used, text in _usual_ratios(table):
         found = _mostly_outside(table, column, ratio, used, usual)
         if found is not None:
@@ -547,7 +547,7 @@ def unusual_values(table: CsvTable) -> list[str]:
     return remarks + _path_remarks(table)
 
 
-def beyond_usual(table: CsvTable, name: str) -> list[str]:
+def _beyond_usual(table: CsvTable, name: str) -> list[str]:
     """The first value of a column beyond its usual range."""
     known = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
     if known is None or (name == "H_r_J_kg" and np.max(table["velocity_m_s"]) < STILL_M_S):
