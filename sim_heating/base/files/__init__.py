@@ -55,7 +55,7 @@ from sim_heating.base.files.toml import (
     read_toml_dict,
     toml_text,
 )
-from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle
+from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle, settle_below
 
 __all__ = [
     "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "Convertible", "CsvTable", "Declared", "Extensible", "FileOfFolder",
@@ -63,7 +63,7 @@ __all__ = [
     "digest_matches", "display_path", "exclusive", "file_digest", "files_written", "json_text", "known_keys",
     "nearest_name", "output_directory", "path_below", "plain_number", "raise_problems", "raw_text", "read_csv_columns",
     "read_json", "read_text", "read_toml", "read_toml_dict", "repeated_name", "replace_files", "replaces_others",
-    "replacing_others", "require_exclusive", "require_writable", "results_digest", "roots_of", "settle",
+    "replacing_others", "require_exclusive", "require_writable", "results_digest", "roots_of", "settle", "settle_below",
     "suggestion", "text_bytes", "text_digest", "toml_text", "with_digest", "write_csv", "write_json", "write_own_files",
     "write_text_atomic",
 ]  # fmt: skip
