@@ -84,6 +84,13 @@ REASONS = {
     "bondline_K": "limits of 300 to 1200 K are set",
     "sample_s": "recorders sample at 0.1 to 20 Hz",
     "rate_hz": "recorders sample at 0.05 to 1000 Hz",
+    "rate_deg_s": "surfaces and vehicles turn at 0.05 to 40 deg/s",
+    "range_K": "recorders span 100 to 2500 K",
+    "running_length_m": "1 cm to 60 m are flown",
+    "surface_K": "limits of 350 to 3500 K are set",
+    "max_use_K": "materials last to 350 to 3500 K",
+    "relative_sigma": "tables state 0.1 to 100 %",
+    "at_velocity_m_s": "a manoeuvre may be anywhere in the flight",
 }
 """Quantity -> why a slip of it may be accepted without a word."""
 ELSE = "the value after the slip is usual as well"
