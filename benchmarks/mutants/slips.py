@@ -142,7 +142,7 @@ def _figures(slips: Sequence[Slip]) -> Iterator[Figure]:
                  note=f"of {len(fitting)}")  # fmt: skip
     for factor in dict.fromkeys(s.factor for s in slips):
         chosen = [s for s in slips if s.factor == factor]
-        yield Figure(f"refused or told, {factor}", share(chosen, "refused", "told"), "%", note=f"of {len(chosen)}")
+        yield Figure(f"of {factor}", share(chosen, "refused", "told"), "%", note=f"of {len(chosen)}")
 
 
 def judge(seed: int, number: int, folder: Path) -> Slip:
