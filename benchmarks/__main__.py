@@ -16,7 +16,8 @@ NAMES = (
     "tile_left_out", "switched_off",
     "kaowool", "paper_figures", "dispersion", "dispersed_entry", "demo", "practice", "findings",
     "closure", "closure_challenge", "campaign",
-    "live", "journals", "mutants", "kills", "study_kills", "concurrency", "pages", "credibility", "live_page",
+    "live", "journals", "mutants", "kills", "study_kills", "concurrency", "reliability",
+    "pages", "credibility", "live_page",
     "live_hour",
     "live_picture", "waiting", "scaling", "layouts",
 )  # fmt: skip

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -175,8 +176,8 @@ def _judge(place: Path, wanted: Sequence[bytes], is_damaged: bool, tally: dict[s
     except Exception:
         tally["errors"] += 1
         return
-    tally["lost"] += _missing(wanted, found)
-    tally["never sent"] += _missing(found, wanted)
+    tally["lost"] += missing(wanted, found)
+    tally["never sent"] += missing(found, wanted)
     tally["untold"] += is_damaged and not told
 
 
@@ -193,13 +194,13 @@ def _judge_resumed(place: Path, wanted: Sequence[bytes], changed: bytes, tally: 
     journal.close(is_end=True)
     tally["resumed"] += 1
     found = [entry.body for entry in read_journal(place)]
-    tally["lost by the next link"] += _missing([*wanted, b"after"], found) + _missing(found, [*wanted, b"after"])
+    tally["lost by the next link"] += missing([*wanted, b"after"], found) + missing(found, [*wanted, b"after"])
     if journal.told:
         copies = [p.read_bytes() for p in place.glob("journal.damaged-*.bin")]
         tally["no copy"] += copies != [changed]
 
 
-def _missing(wanted: Sequence[bytes], found: Sequence[bytes]) -> int:
+def missing(wanted: Sequence[bytes], found: Sequence[bytes]) -> int:
     """How many of one sequence are not in another one, in its order."""
     rest, count = iter(found), 0
     there = set(found)
@@ -212,21 +213,27 @@ def _missing(wanted: Sequence[bytes], found: Sequence[bytes]) -> int:
 
 # A link in a process of its own --------------------------------------------------------------------------------------
 
+TCP = 'kind = "json-lines"\ntransport = "tcp-server"\n'
+"""A source of lines that others send."""
+
 
 class Running:
     """The command `live` in another process, with a source over TCP.
 
     link, sensor : name of its file, and the line of TOML that states the unit of its sensor
+    source       : table of TOML, by default lines that others send to the port
     options      : of the command, by default no page;  limit : of the process, as `ulimit` takes it
+    out          : of its results, by default in the folder;  environment : variables that are added
     """
 
     def __init__(
-        self, folder: Path, port: int, link: str = "link.toml", sensor: str = 'unit = "K"', *,
-        options: Sequence[str] = ("--headless",), limit: str = "",
+        self, folder: Path, port: int, link: str = "link.toml", sensor: str = 'unit = "K"', *, source: str = TCP,
+        options: Sequence[str] = ("--headless",), limit: str = "", out: Path | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:  # fmt: skip
-        self.out = folder / "out"
+        self.out = folder / "out" if out is None else out
         text = f'format = "link/1"\nvehicle = "orbiter"\ncontrol_points = ["{POINT}"]\n'
-        text += f'[[source]]\nkind = "json-lines"\ntransport = "tcp-server"\nport = {port}\n'
+        text += f"[[source]]\n{source}port = {port}\n"
         text += f'[[sensor]]\nsensor = "{POINT}"\nfield = "tc"\n{sensor}\n[estimate]\nparameters = ["ratio.scale"]\n'
         (folder / link).write_text(text)
         self._port = port
@@ -234,7 +241,8 @@ class Running:
         command = [sys.executable, "-m", "sim_heating", "live", str(folder / link), "--out", str(self.out), *options]
         if limit:
             command = ["sh", "-c", f'ulimit {limit}; exec "$0" "$@"', *command]
-        self.process = subprocess.Popen(command, stdout=self._told, stderr=self._told)
+        with_more = os.environ | (environment or {})
+        self.process = subprocess.Popen(command, stdout=self._told, stderr=self._told, env=with_more)
 
     def connected(self) -> socket.socket | None:
         """A connection to its source, once it listens; None where it has ended."""
@@ -273,7 +281,7 @@ def reading_K(number: int) -> float:
     return round(900.0 + 0.1 * (number % 100), 3)
 
 
-def _wrong_units(records: Path) -> int:
+def wrong_units(records: Path) -> int:
     """Readings of a record that were not sent."""
     record = load_record(records / POINT)
     (column,) = [c for n, c in record.thermocouples.items() if n != "time_s"]
@@ -282,7 +290,7 @@ def _wrong_units(records: Path) -> int:
     return int(np.sum(np.abs(column - sent) > 1e-3))
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as own:
         own.bind(("127.0.0.1", 0))
         return int(own.getsockname()[1])
@@ -305,7 +313,7 @@ def killed(kills: int, progress: Progress, seed: int = SEED) -> dict[str, int]:
     tally = dict.fromkeys(("kills", "messages", "lost", "never sent", "not refused", "tracebacks", "wrong units"), 0)
     sent, before = 0, list[bytes]()
     with TemporaryDirectory() as folder:
-        place, port = Path(folder), _free_port()
+        place, port = Path(folder), free_port()
         for k in range(kills + 1):
             if k % 10 == 1:
                 tally["not refused"] += _not_refused(place, port, OTHER_LINKS[k // 10 % len(OTHER_LINKS)])
@@ -331,7 +339,7 @@ def killed(kills: int, progress: Progress, seed: int = SEED) -> dict[str, int]:
             if k % 10 == 0:
                 progress(f"killed and started again: {k} of {kills}")
         tally["messages"] = len(before)
-        tally["wrong units"] = _wrong_units(running.out / "records")
+        tally["wrong units"] = wrong_units(running.out / "records")
     return tally
 
 
@@ -377,7 +385,7 @@ def hostile_packets(packets: int, progress: Progress, seed: int = SEED) -> dict[
     rng = np.random.default_rng((seed, packets))
     good = max(packets // 20, 50)
     with TemporaryDirectory() as folder:
-        place, port = Path(folder), _free_port()
+        place, port = Path(folder), free_port()
         running = Running(place, port)
         source, other = running.connected(), running.connected()
         assert source is not None
@@ -401,11 +409,11 @@ def hostile_packets(packets: int, progress: Progress, seed: int = SEED) -> dict[
         counts = json.loads((running.out / "live.json").read_text())["counts"] if status == 0 else {}
         return {
             "packets": hostiles,
-            "lost": _missing(sent, found),
+            "lost": missing(sent, found),
             "never sent": sum(body not in set(sent) for body in found if body != b"\x00" * len(body)),
             "not followed": good - int(counts.get("frames", 0)),
             "tracebacks": int("Traceback" in told),
-            "wrong units": _wrong_units(running.out / "records") if status == 0 else good,
+            "wrong units": wrong_units(running.out / "records") if status == 0 else good,
             "status": status,
         }
 
@@ -419,7 +427,7 @@ def half_open(connections: int, descriptors: int) -> dict[str, int]:
     returns : messages; those that are not in the journal; tracebacks; bytes on standard output and error; exit status
     """
     with TemporaryDirectory() as folder, contextlib.ExitStack() as held:
-        place, port, page = Path(folder), _free_port(), _free_port()
+        place, port, page = Path(folder), free_port(), free_port()
         running = Running(place, port, options=["--port", str(page)], limit=f"-n {descriptors}")
         source = running.connected()
         assert source is not None
@@ -434,7 +442,7 @@ def half_open(connections: int, descriptors: int) -> dict[str, int]:
         running.holds(len(sent))
         status, told = running.ended(signal.SIGINT)
         source.close()
-        lost = _missing(sent, [entry.body for entry in read_journal(running.out)])
+        lost = missing(sent, [entry.body for entry in read_journal(running.out)])
         tracebacks = int("Traceback" in told)
         return {"messages": len(sent), "lost": lost, "tracebacks": tracebacks, "told": len(told), "status": status}
 
@@ -446,7 +454,7 @@ def full_disk(blocks: int = 16) -> dict[str, int]:
               out, and how many are missing; tracebacks
     """
     with TemporaryDirectory() as folder:
-        place, port = Path(folder), _free_port()
+        place, port = Path(folder), free_port()
         running = Running(place, port, limit=f"-f {blocks}")
         source = running.connected()
         assert source is not None

@@ -243,8 +243,54 @@ def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
 
 COMMANDS = (
     "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "update-tables",
-    "revert", "fmu export", "fmu export --ssp",
+    "revert", "fmu export", "fmu export --ssp", "design", "campaign", "new record", "new scenario", "new vehicle",
+    "new study", "new effect",
 )  # fmt: skip
+CAMPAIGN = """format = "campaign/1"
+title = "Measurements of one manoeuvre"
+vehicle = "{vehicle}"
+control_points = ["{point}"]
+close_loop = false
+[fit]
+parameters = ["ratio.scale"]
+[[flight]]
+records = "{flight}"
+"""
+
+
+@cache
+def campaign(flight: str) -> Path:
+    """A campaign of the record of a flight, that others fly to fit one manoeuvre."""
+    path = inputs() / f"{flight}_campaign.toml"
+    path.write_text(CAMPAIGN.format(vehicle=inputs() / "orbiter", point=POINT, flight=flight))
+    return path
+
+
+@cache
+def readings(flight: str) -> Path:
+    """Temperatures of a plate as a logger writes them."""
+    path = inputs() / f"{flight}.csv"
+    hotter = 1.0 if flight == "before" else 1.5
+    rows = "".join(f"{t},{20.0 + hotter * t / 2.0:.1f}\n" for t in range(0, 120, 4))
+    path.write_text(f"Time (s),TC1 (degC)\n{rows}")
+    return path
+
+
+def arguments(command: str, flight: str) -> list[str] | None:
+    """Arguments of a command that is run as a whole, OUT for the folder of its results; None for another."""
+    home, speed = inputs(), f"{VELOCITIES_M_S[flight]:g}m/s"
+    plate = f"--csv {readings(flight)} --depth TC1=back --lamp unknown".split()
+    more = {
+        "design": ["design", str(home / f"{flight}.toml"), "--evaluations", "2"],
+        "campaign": ["campaign", str(campaign(flight)), "--workers", "1"],
+        "new record": ["new", "record", *plate, "--layer", "copper 3 mm"],
+        "new scenario": ["new", "scenario", "--vehicle", str(home / "orbiter"), "--speed", speed, "--point", POINT],
+        "new study": ["new", "study", "dispersion", "--scenario", str(home / f"{flight}.toml")],
+        "new effect": ["new", "effect", f"{flight}-shock", "--vehicle", str(home / "orbiter"), "--point", POINT],
+        "new vehicle": ["new", "vehicle", "--length", "2m", "--mass", f"{VELOCITIES_M_S[flight] / 10:g}kg",
+                        "--area", "3m2", "--nose-radius", "1.2m"],
+    }  # fmt: skip
+    return [*more[command], "--out", "OUT", "--quiet"] if command in more else None
 
 
 @cache
@@ -263,6 +309,16 @@ def case(command: str, fresh: bool = False) -> Case:
                 (folder / "out" / "notes.txt").write_text("mine")
 
         return Case(prepare, lambda folder: after(folder / "out"), fresh=fresh)
+    if arguments(command, "before") is not None:
+
+        def run(flight: str, folder: Path) -> None:
+            from sim_heating.cli import main
+
+            given = arguments(command, flight) or []
+            assert main([str(folder / "out") if a == "OUT" else a for a in given]) == 0
+
+        return Case(lambda folder: None if fresh else run("before", folder), lambda folder: run("after", folder),
+                    fresh=fresh)  # fmt: skip
     if command == "fmu export --ssp":
         os.environ["SOURCE_DATE_EPOCH"] = "0"
         vehicle = sh.load_vehicle(inputs() / "orbiter")

@@ -14,7 +14,7 @@ which * stands for any text; or a path into the file (a JSON pointer, which begi
 takes the number that is the Nth in the note of the figure, `text N` that in a text found by a path; a factor as in
 `*1e3` multiplies. The last word is the format of Python in which the number is written; without one a text is written
 as it is. Whole tables stand between `<!-- results of NAME, PART -->` and `<!-- end -->` (benchmarks/page_tables.py,
-reliability.py, credibility.py).
+reliability_tables.py, credibility.py).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from typing import Any
 
 import click
 
-from benchmarks import credibility, page_tables, reliability
+from benchmarks import credibility, page_tables, reliability_tables
 from benchmarks.measure import RESULTS
 from benchmarks.page import DOCS, filled
 from sim_heating.base.files.text import write_text_atomic
@@ -70,7 +70,7 @@ def stale_figures(page: Path) -> list[Stale]:
 def updated(text: str) -> str:
     """Text of a page with every figure and table as the results have it now."""
     text = MARKED.sub(lambda m: f"{m[1]}{quoted(m[2], m[3], m[4])}{m[6]}", text)
-    for tables in (reliability, credibility, page_tables):
+    for tables in (reliability_tables, credibility, page_tables):
         text = filled(text, tables.table_of)
     return text
 

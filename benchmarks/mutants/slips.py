@@ -63,7 +63,7 @@ REASONS = {
     "thickness_m": "layers of 0.04 to 150 mm are built",
     "depth_m": "a sensor may be anywhere in its wall",
     "noise_sigma_K": "0.01 to 30 K are declared; systematic errors are among them",
-    "sigma_K": "a stated uncertainty",
+    "sigma_K": "no command reads it",
     "nose_radius_m": "2 mm to 12 m are flown",
     "heading_deg": "every heading is flown",
     "latitude_deg": "every place is flown over",
@@ -84,6 +84,13 @@ REASONS = {
     "bondline_K": "limits of 300 to 1200 K are set",
     "sample_s": "recorders sample at 0.1 to 20 Hz",
     "rate_hz": "recorders sample at 0.05 to 1000 Hz",
+    "rate_deg_s": "surfaces and vehicles turn at 0.05 to 40 deg/s",
+    "range_K": "recorders span 100 to 2500 K",
+    "running_length_m": "1 cm to 60 m are flown",
+    "surface_K": "limits of 350 to 3500 K are set",
+    "max_use_K": "materials last to 350 to 3500 K",
+    "relative_sigma": "tables state 0.1 to 100 %",
+    "at_velocity_m_s": "a manoeuvre may be anywhere in the flight",
 }
 """Quantity -> why a slip of it may be accepted without a word."""
 ELSE = "the value after the slip is usual as well"
@@ -135,7 +142,7 @@ def _figures(slips: Sequence[Slip]) -> Iterator[Figure]:
                  note=f"of {len(fitting)}")  # fmt: skip
     for factor in dict.fromkeys(s.factor for s in slips):
         chosen = [s for s in slips if s.factor == factor]
-        yield Figure(f"refused or told, {factor}", share(chosen, "refused", "told"), "%", note=f"of {len(chosen)}")
+        yield Figure(f"of {factor}", share(chosen, "refused", "told"), "%", note=f"of {len(chosen)}")
 
 
 def judge(seed: int, number: int, folder: Path) -> Slip:

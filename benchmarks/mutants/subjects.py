@@ -169,6 +169,55 @@ sigma = 0.06
 control_points = ["{point}"]
 """
 ENVELOPE = ["axes.toml", "dispersion.toml", "optimal.toml"]
+CAMPAIGN = """format = "campaign/1"
+title = "A small campaign"
+vehicle = "./orbiter"
+control_points = ["{point}"]
+close_loop = false
+[fit]
+parameters = ["ratio.scale"]
+before_s = 20.0
+after_s = 40.0
+[[flight]]
+scenario = "glide.toml"
+seeds = [11, 12]
+[[flight]]
+records = "record"
+check = true
+"""
+LINK = """format = "link/1"
+vehicle = "./orbiter"
+control_points = ["{point}"]
+[time]
+field = "TIME_MS"
+unit = "ms"
+[conditions]
+altitude_m = {{ field = "ALTITUDE_FT", unit = "ft" }}
+velocity_m_s = {{ constant = 7000.0 }}
+rho_kg_m3 = {{ constant = 1e-5 }}
+alpha_deg = {{ constant = 40.0 }}
+beta_deg = {{ constant = 0.0 }}
+elevon_deg = {{ constant = 0.0 }}
+bodyflap_deg = {{ constant = 0.0 }}
+[[sensor]]
+sensor = "{point}"
+field = "TC1"
+calibration = [250.0, 0.02]
+[[source]]
+kind = "ccsds"
+xtce = "packets.xml"
+[estimate]
+parameters = ["ratio.scale"]
+[ahead]
+scenario = "glide.toml"
+horizon_s = 60.0
+"""
+TEMPERATURES = "Time (s),TC1 (degC),TC2 (degC)\n"
+LAMP = "Time (s),Flux (kW/m2)\n"
+NEW_RECORD: tuple[str, ...] = (
+    "new", "record", "--csv", "temperatures.csv", "--layer", "copper 3 mm", "--depth", "TC1=back",
+    "--depth", "TC2=surface", "--out", "{out}", "--lamp",
+)  # fmt: skip
 
 MODEL_FILES = ("orbiter/aero/*", "orbiter/guidance.toml")
 
@@ -338,6 +387,35 @@ SUBJECTS = (
         (_run("jsbsim.toml"),),
         share=0.7,
     ),
+    Subject(
+        "link",
+        ("link.toml", "packets.xml", "glide.toml", "orbiter"),
+        ("link.toml",),
+        (_validate("link.toml"),),
+        share=1.5,
+    ),
+    Subject(
+        "XTCE document",
+        ("link.toml", "packets.xml", "glide.toml", "orbiter"),
+        ("packets.xml",),
+        (_validate("link.toml"),),
+        share=1.5,
+    ),
+    Subject(
+        "campaign",
+        ("campaign.toml", "glide.toml", "record", "orbiter"),
+        ("campaign.toml",),
+        (_validate("campaign.toml"),),
+        share=1.5,
+    ),
+    Subject(
+        "temperatures of a logger, flux of a lamp",
+        ("temperatures.csv", "lamp.csv"),
+        ("temperatures.csv", "lamp.csv"),
+        (),
+        ((*NEW_RECORD, "lamp.csv"), (*NEW_RECORD, "unknown")),
+        share=2.0,
+    ),
     Subject("aircraft of JSBSim", ("ball",), ("ball/ball.xml",), (), (lambda folder: fly_ball(folder),), share=1.0),
     Subject(
         "FMU",
@@ -396,6 +474,11 @@ def make_inputs(home: Path, closed: bool = True) -> None:
         "effect.toml": GLIDE.format(vehicle="./orbiter", point=POINT, seconds=30.0)
         + '[[truth.effect]]\nname = "shock-passage"\nparameters = { rise = 0.25, mach_there = 13.0, width = 1.2 }\n',
         "study.toml": STUDY.format(point=POINT),
+        "campaign.toml": CAMPAIGN.format(point=POINT),
+        "link.toml": LINK.format(point=POINT),
+        "packets.xml": (ROOT / "tests" / "live" / "data" / "entry.xml").read_text(),
+        "temperatures.csv": TEMPERATURES + "".join(f"{t},{20 + t / 2},{20 + t / 4}\n" for t in range(0, 120, 4)),
+        "lamp.csv": LAMP + "".join(f"{t},{0 if t < 10 else 20}\n" for t in range(-4, 130, 2)),
     }
     for name, text in texts.items():
         (home / name).write_text(text)

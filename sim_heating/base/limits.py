@@ -253,6 +253,8 @@ USUAL: dict[str, Usual] = {
         # Columns of conditions
         "altitude_m": (-500.0, 4e5, "the Dead Sea to a low orbit"),
         "velocity_m_s": (0.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
+        # the lowest measured: F. J. Schmidlin, First observation of mesopause temperatures lower than 100 K,
+        # Geophysical Research Letters 19 (1992), 1643-1646
         "T_inf_K": (100.0, 1500.0, "the coldest mesopause to the thermosphere"),
         "stream_K": (35.0, 1500.0, "wind tunnels to the thermosphere"),
         "T_surroundings_K": (2.5, 2000.0, "space to a furnace"),
@@ -352,6 +354,7 @@ USUAL: dict[str, Usual] = {
         "surroundings_K": (2.5, 2000.0, "space to a furnace"),
         "h_W_m2K": (0.0, 2e3, _OVEN),
         "noise_sigma_K": (1e-2, 30.0, "thermocouples and their recorders"),
+        "effective_emissivity": (2e-3, 1.0, "insulation of many bright foils to coatings"),
         "bias_K": (-100.0, 100.0, "thermocouples and their recorders"),
         "temperature_K": (100.0, 3000.0, "walls in flight and thermocouples in tests"),
         "wall_K": (100.0, 3000.0, "walls in flight"),

@@ -24,7 +24,14 @@ from typing import Any
 
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import RunError
-from sim_heating.base.files import exclusive, output_directory, require_writable, results_digest, write_json
+from sim_heating.base.files import (
+    exclusive,
+    output_directory,
+    require_writable,
+    results_digest,
+    settle_below,
+    write_json,
+)
 from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.batches import Job, Outcome, run_batches
 from sim_heating.base.progress import Progress, no_progress
@@ -80,10 +87,14 @@ class Engine:
         progress: Progress,
     ) -> Outcome:
         """Run the jobs of a stage that are not finished yet."""
-        return run_batches(
-            jobs, work, self.out / LEDGER / stage, scheduler=self.scheduler, workers=self.workers,
-            is_current=is_current, progress=progress,
-        )  # fmt: skip
+        try:
+            return run_batches(
+                jobs, work, self.out / LEDGER / stage, scheduler=self.scheduler, workers=self.workers,
+                is_current=is_current, progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
+            settle_below(self.out)
+            raise
 
 
 @dataclass(frozen=True)

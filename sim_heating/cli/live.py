@@ -155,7 +155,7 @@ def _follow(
     contents = link.declared.model_dump(mode="json", exclude_unset=True)
     journal = Journal(
         directory / NAME, contents, link.path, fsync_s=link.declared.journal.fsync_s, means=meaning(link),
-        sent_again=sent_again,
+        sent_again=sent_again, has_results=(directory / RESULT).is_file(),
     )  # fmt: skip
     ended = False
     try:

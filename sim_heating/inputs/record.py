@@ -60,7 +60,7 @@ from sim_heating.heating.ratio.table import (
 from sim_heating.heating.recorded.fields import ConditionField
 from sim_heating.heating.recorded.layout import lacks_only_derived, states_columns
 from sim_heating.heating.recorded.plausible import (
-    MOST_ENTHALPY_J_KG,
+    STILL_M_S,
     implausible_values,
     implied_radius_m,
     standing_out,
@@ -71,7 +71,7 @@ from sim_heating.heating.recorded.reading import local_pressure, lowered_confide
 from sim_heating.heating.reference.models import reference_model, total_enthalpy_kernel
 from sim_heating.heating.reference.recovery import Recovery, RecoveryName, point_recovery
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition, turbulent_problems
-from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems
+from sim_heating.thermal.stack import Construction, PressureTable, Sensor, construct, sensor_problems, sensor_remarks
 
 REFERENCE_COLUMNS = ("h_ref_kg_m2_s", "H_r_J_kg")
 LEAST_DEFECT = 0.3
@@ -196,9 +196,9 @@ class ConditionsFile(FileReference):
         return {name: float(value) for name, value in named.items()}
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """As of all declarations; without a flow, an enthalpy above that of any stands for a lamp."""
-        is_lamp = self.velocity_m_s == 0.0 and (self.H_r_J_kg or 0.0) > MOST_ENTHALPY_J_KG
-        return [(place, text) for place, text in super().unusual() if not is_lamp or place != ("H_r_J_kg",)]
+        """As of all declarations; an enthalpy without a flow states a lamp, and is looked at with the other columns."""
+        flows = self.velocity_m_s is not None and self.velocity_m_s >= STILL_M_S
+        return [found for found in super().unusual() if flows or found[0] != ("H_r_J_kg",)]
 
 
 class ConstantHeat(Declared):
@@ -467,6 +467,11 @@ class RecordFile(Construction):
     reference_condition: ReferenceCondition | None = None
     segments: Segments = Field(default_factory=Segments)
     manoeuvre: list[FlownManoeuvre] = Field(default=[], description="[[manoeuvre]], those that were flown")
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """As of all declarations, and sensors within layers that are too thin for them."""
+        sensors = sensor_remarks(self.stack, self.thermocouples.sensor)
+        return [*super().unusual(), *((("thermocouples", "sensor", *place), text) for place, text in sensors)]
 
     @model_validator(mode="after")
     def _check_record(self) -> RecordFile:
@@ -917,7 +922,7 @@ def _check_record(
             *_turbulent_problems(declared.heating, table, turbulent, home),
         ]
     )
-    tell(_remarks(conditions, thermocouples, declared, home))
+    tell(_remarks(conditions, thermocouples, declared, table, home))
     table = declared.heating.constant_ratio() if table is None else table
     flown, lines = Conditions(conditions.columns), thermocouples.lines
     return Record(declared, flown, thermocouples.columns, table, home, turbulent, rows=lines)
@@ -926,10 +931,15 @@ def _check_record(
 RADIUS_RATIOS = (0.5, 2.0)
 """Radius that the column of h_ref implies over the declared nose radius: formulas and rarefied air differ by less."""
 READING_K, OVERLAP = 60.0, (0.25, 0.5)
-"""Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it."""
+"""Least deviation [K] of a reading that stands out; least part of the flight with readings, and of readings in it.
+
+Readings of one phase of an entry, or until a loss of signal, cover a third of it; those of a clock in minutes 1/60, and
+a clock of another zero leaves most of them outside."""
 
 
-def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile, home: Path) -> list[str]:
+def _remarks(
+    conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile, table: RatioTable | None, home: Path
+) -> list[str]:
     """What is possible and unusual about the samples of a record, and about them and its declaration together."""
     remarks = unusual_values(conditions)
     declaration = display_path(home / DECLARATION)
@@ -949,6 +959,8 @@ def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile
             rule = "stands out of the readings before and after it; check it, or leave the cell of a lost sample empty"
             lines = thermocouples.problems_where_not(sensor.column, ~alone, rule)
         remarks += lines
+    remarks += [*_order_remarks(conditions, thermocouples, declared), *_scatter_remarks(thermocouples, declared)]
+    remarks += [] if table is None else _table_remarks(conditions, table)
     remarks += _clock_remarks(conditions, thermocouples)
     radius = declared.heating.nose_radius_m
     if declared.heating.reference == "columns" and radius is not None and "h_ref_kg_m2_s" in conditions.columns:
@@ -956,6 +968,79 @@ def _remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile
         if ratio is not None and not RADIUS_RATIOS[0] <= ratio / radius <= RADIUS_RATIOS[1]:
             text = f"h_ref_kg_m2_s is that of a sphere of {ratio:.3g} m radius, and nose_radius_m = {radius:g}"
             remarks.append(f"{declaration}, [heating]: {display_path(conditions.path)}, column {text}; check both")
+    return remarks
+
+
+def _order_remarks(conditions: CsvTable, thermocouples: CsvTable, declared: RecordFile) -> list[str]:
+    """Sensors that read more than any nearer to the surface, and more than at the start.
+
+    By the maximum principle of the heat equation, a temperature within a wall has its maximum at the start or at a
+    boundary: that of a shallower sensor, or what is behind the wall.
+    """
+    if "T_back_K" in (*conditions.columns, *declared.conditions.constants):
+        return []
+    remarks: list[str] = []
+    behind_K = -math.inf if declared.stack.back == "adiabatic" else declared.stack.back.T_K
+    hottest, nearest = math.inf, ""
+    for sensor in sorted(declared.thermocouples.sensor, key=lambda s: s.depth_m):
+        T = thermocouples[sensor.column]
+        T = T[np.isfinite(T)]
+        if T.size == 0:
+            continue
+        peak, start = float(np.max(T)), float(T[0])
+        if peak > max(hottest, start, behind_K) + READING_K:
+            remarks.append(
+                f"{display_path(thermocouples.path)}, column {sensor.column}: reads up to {peak:.4g} K, and "
+                f"{nearest}, nearer to the heated surface, up to {hottest:.4g} K; check depths, columns and units"
+            )
+        if peak < hottest:
+            hottest, nearest = peak, sensor.column
+    return remarks
+
+
+SCATTER_RATIO, SCATTER_SAMPLES = 3.0, 30
+"""Scatter of readings over the declared random error that is told, and least number of readings for it: the chi-square
+of a fit would be nine times what is declared."""
+
+
+def _scatter_remarks(thermocouples: CsvTable, declared: RecordFile) -> list[str]:
+    """Sensors whose readings scatter by far more than the random error that is declared for them.
+
+    The scatter [K] is 1.4826 median |d4| / sqrt(70), with the fourth differences d4 of five readings in a row, in which
+    a curve of third order is nothing. A declared error may be larger: it may hold that of a digitised curve.
+    """
+    remarks: list[str] = []
+    for i, sensor in enumerate(declared.thermocouples.sensor, start=1):
+        T = thermocouples[sensor.column]
+        if sensor.noise_sigma_K is None or len(T) < SCATTER_SAMPLES:
+            continue
+        fourth = np.convolve(T, [1.0, -4.0, 6.0, -4.0, 1.0], "valid")
+        fourth = fourth[np.isfinite(fourth)]
+        if fourth.size < SCATTER_SAMPLES:
+            continue
+        scatter = 1.4826 * float(np.median(np.abs(fourth))) / math.sqrt(70.0)
+        grown = float(np.median(sensor.growing_noise_K(T[np.isfinite(T)])))
+        stated = sensor.noise_floor_K(math.hypot(sensor.noise_sigma_K, grown))
+        if scatter > SCATTER_RATIO * stated:
+            remarks.append(
+                f"{display_path(thermocouples.path)}, column {sensor.column}: scatters by {scatter:.3g} K, and "
+                f"[[thermocouples.sensor]] {i} declares noise_sigma_K = {sensor.noise_sigma_K:g}; check it"
+            )
+    return remarks
+
+
+def _table_remarks(conditions: CsvTable, table: RatioTable) -> list[str]:
+    """Flights that lie as a whole outside the ratio table in one of its variables."""
+    remarks: list[str] = []
+    for name, nodes in zip(RATIO_VARIABLES, table.axes, strict=True):
+        if len(nodes) < 2 or name not in conditions.columns:
+            continue
+        low, high = float(np.min(conditions[name])), float(np.max(conditions[name]))
+        if low > nodes[-1] or high < nodes[0]:
+            remarks.append(
+                f"{display_path(conditions.path)}, column {name}: is {low:.4g} to {high:.4g}, and the ratio table has "
+                f"{nodes[0]:g} to {nodes[-1]:g}; check its unit"
+            )
     return remarks
 
 

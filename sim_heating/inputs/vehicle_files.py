@@ -16,7 +16,7 @@ from sim_heating.heating.reference.recovery import RecoveryName
 from sim_heating.heating.surface_pressure import PressureModel
 from sim_heating.inputs.declared_effects import Catalysis, InterfaceDeclaration, Transition
 from sim_heating.inputs.record import STAGNATION, ConstantHeat, LocalAngle, edge_problems, sweep_problems
-from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems
+from sim_heating.thermal.stack import Material, Sensor, Stack, Table, sensor_problems, sensor_remarks
 
 NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 """Pattern of control point names: they become names of properties, parameters and folders."""
@@ -159,6 +159,11 @@ class ControlPointFile(Declared):
     catalysis: Catalysis | None = None
     interface: InterfaceDeclaration | None = None
     effect: list[DeclaredEffect] = Field(default=[])
+
+    def unusual(self) -> list[tuple[Location, str]]:
+        """As of all declarations, and sensors within layers that are too thin for them."""
+        sensors = [(("sensor", *place), text) for place, text in sensor_remarks(self.stack, self.sensor)]
+        return [*super().unusual(), *sensors]
 
     @model_validator(mode="after")
     def _check(self) -> ControlPointFile:

@@ -58,6 +58,8 @@ class _Faults:
     def of_loop(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Handler of the event loop: connections that the system refuses, tasks that failed."""
         error = context.get("exception")
+        if isinstance(error, asyncio.CancelledError):  # of a connection that was open when the link ended
+            return
         if isinstance(error, OSError):
             self._remark(f"connections: {os_error_reason(error)}; recording goes on")
         else:

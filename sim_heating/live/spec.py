@@ -447,8 +447,8 @@ class Link:
         return {name: f"{prefix}/{_property_name(name)}" for name in self.names}
 
     def file(self, name: str, key: str) -> Path:
-        """The path of a file that a key names; InputError where it leads outside the folders of the link."""
-        return self.roots.named(name, key)
+        """The path of a file that a key names; InputError where it is absent or outside the folders of the link."""
+        return self.roots.existing(name, key)
 
 
 def _property_name(name: str) -> str:
@@ -492,7 +492,7 @@ def make_link(
         roots = roots_of(place, root, vehicle.directory)
         given = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
     else:
-        loaded = load_records([roots.named(r, "`records`") for r in declared.records or []], root=root)
+        loaded = load_records([roots.existing(r, "`records`") for r in declared.records or []], root=root)
         names = [r.declared.control_point for r in loaded]
         raise_problems(_apart(loaded, place))
         if (name := repeated_name(names)) is not None:
@@ -502,7 +502,7 @@ def make_link(
     points = _points(declared, given, place)
     scenario = None
     if declared.ahead.scenario is not None:
-        scenario = load_scenario(roots.named(declared.ahead.scenario, "[ahead]: `scenario`"), root=root)
+        scenario = load_scenario(roots.existing(declared.ahead.scenario, "[ahead]: `scenario`"), root=root)
     columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
     own_root = None if root is None else Path(root)
     link = Link(place, declared, vehicle, records, points, columns, scenario, roots, own_root)

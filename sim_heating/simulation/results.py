@@ -7,6 +7,7 @@ or split them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -179,6 +180,15 @@ def prediction_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
     return Table("Declared model against measurement", columns, rows)
 
 
+def _netcdf_name(name: str) -> str:
+    """Name of a column in netCDF: without `/` and control characters, and not beginning with a sign.
+
+    Source: NetCDF User's Guide, Object Names.
+    """
+    plain = re.sub(r"[\x00-\x1f/\x7f]", "_", name).strip()
+    return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
+
+
 def histories_dataset(
     flown: Conditions,
     points: Sequence[PointHistory],
@@ -213,7 +223,8 @@ def histories_dataset(
         np.concatenate([p.sensors_K for p in points]) if names else np.zeros((0, len(flown))),
         _attributes("sensor_K"),
     )
-    data |= {name: ("time", flown[name], _attributes(name)) for name in flown.names if name not in ("time_s", *film)}
+    columns = {_netcdf_name(name): name for name in flown.names if name not in ("time_s", *film)}
+    data |= {key: ("time", flown[name], _attributes(name)) for key, name in columns.items()}
     data |= {name: (per_point, values, _attributes(name)) for name, values in film.items()}
     coordinates = {
         "time": ("time", flown.time_s, TIME_ATTRIBUTES),

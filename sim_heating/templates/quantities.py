@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
+from pathlib import Path
 
 from sim_heating.base.conditions import DESCRIPTIONS
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import plain_number, suggestion
+from sim_heating.base.files import display_path, plain_number, suggestion
 from sim_heating.base.files.units import converted, known_unit
 from sim_heating.base.limits import quantity as range_of
 from sim_heating.heating.recorded.fields import ConditionField, column_unit
@@ -66,11 +67,12 @@ def stated_field(column: str, text: str, names: Collection[str] = ()) -> Conditi
     return ConditionField(constant=quantity(text, plain, f"--field {column}", f"--field {column}=0{plain}", column))
 
 
-def require_known(names: dict[str, str], known: list[str], option: str) -> None:
-    """Refuse names of an option that do not exist.
+def require_known(names: dict[str, str], known: list[str], option: str, path: Path) -> None:
+    """Refuse names of an option that no column of a file has.
 
-    raises : InputError with the nearest known name
+    raises : InputError with the file and the nearest known name
     """
     for name in names:
         if name not in known:
-            raise InputError(f"{option} {name}: there is no such column{suggestion(name, known)}")
+            where = f"in {display_path(path)}"
+            raise InputError(f"{option} {name}: there is no such column {where}{suggestion(name, known)}")

@@ -166,13 +166,13 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
     return found
 
 
-def depths_of(sensors: Sequence[CsvColumn], given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
-    """Depths of the sensors that a person stated [m], by column.
+def depths_of(measured: MeasuredCsv, given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
+    """Depths of the sensors of a file that a person stated [m], by column.
 
     given  : column -> depth from the outer surface with a unit, `surface`, or `back`
     raises : InputError, one line, for an unknown column or a depth outside the stack
     """
-    require_known(dict(given), [s.name for s in sensors], "--depth")
+    require_known(dict(given), [s.name for s in sensor_columns(measured)], "--depth", measured.path)
     return {name: depth_m(name, text, layers) for name, text in given.items()}
 
 
@@ -230,14 +230,16 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
                     f"{times[-1]:g} s; give the flux at all of these times, on the same clock"
                 )
         else:
-            clock = times
+            file, clock = measured, times
         flux = found.si
         if found.guess:
             warnings.warn(f"--lamp {lamp}, column {found.name}: {found.guess}", stacklevel=2)
         if np.any(np.isnan(flux)):
             raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
         note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
-        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note)
+        of_file = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": found.name}
+        source = Source(file.path, file.rows, of_file)
+        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, source=source)
     hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
         known = ", ".join(c.name for c in measured.columns if c.kind != TIME)
@@ -532,6 +534,7 @@ def said_of_sources(sources: Mapping[str, Source | None], out: str | os.PathLike
 def _told_as(shown: Callable[[str], str]) -> Iterator[None]:
     """Errors and warnings in other words."""
     with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         try:
             yield
         except InputError as error:
@@ -668,7 +671,7 @@ def like_record(
         LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
         for layer in declared.stack.layer
     ]
-    given = depths_of(columns, depths, layers)
+    given = depths_of(measured, depths, layers)
     absent = [c.name for c in columns if c.name not in given and c.name not in known]
     if absent:
         raise InputError(

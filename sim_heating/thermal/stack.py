@@ -7,6 +7,7 @@ Property tables are linear between their points and constant beyond the ends; in
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -731,6 +732,26 @@ def material_problems(stack: Stack, materials: Mapping[str, Material]) -> list[t
         problems.append((("materials", stack.layer[0].material), rule))
     # The faces of an unknown material are none to ask for.
     return problems or _gas_problems(stack, materials)
+
+
+THIN_M, FACE = 1e-3, 0.1
+"""Thickness [m] below which a layer holds no thermocouple between its faces, as a junction and its wires have 0.1 to
+0.5 mm; and the part of the thickness that is still at a face."""
+
+
+def sensor_remarks(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
+    """Sensors between the faces of a layer that is too thin for them.
+
+    returns : ((index of the sensor, key), text) of each
+    """
+    remarks: list[tuple[Location, str]] = []
+    for i, sensor in enumerate(sensors):
+        for top, bottom in itertools.pairwise(stack.interfaces_m):
+            slack = FACE * (bottom - top)
+            if bottom - top < THIN_M and top + slack < sensor.depth_m < bottom - slack:
+                text = f"{sensor.depth_m:g} m is unusual within a layer of {1e3 * (bottom - top):.3g} mm"
+                remarks.append(((i, "depth_m"), f"{text} (its faces are at {top:g} and {bottom:g} m); check both"))
+    return remarks
 
 
 def sensor_problems(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.kills import inputs
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.cli import main
@@ -329,3 +330,10 @@ def test_a_wrong_design_table_is_reported(tmp_path, old, new, message):
 @pytest.mark.parametrize("path", sorted(SCENARIO.parent.glob("design_*.toml")), ids=lambda p: p.stem)
 def test_a_shipped_design_is_checked_and_names_what_it_wants(path):
     assert Planner(load_scenario(path)).wanted
+
+
+@pytest.mark.thorough
+def test_a_manoeuvre_near_the_end_of_a_steep_flight_is_designed(tmp_path):
+    """Its start has the mesh of that flight, and an unknown skew leaves out its last samples."""
+    arguments = ["design", str(inputs() / "before.toml"), "--evaluations", "2", "--quiet"]
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 0

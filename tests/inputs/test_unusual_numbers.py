@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import warnings
 from collections.abc import Callable
@@ -152,6 +153,59 @@ def test_a_peak_of_latent_heat_is_declared_by_apparent_true() -> None:
     wax = FOAM | {"specific_heat_J_kgK": [[200.0, 2e3], [330.0, 2e3], [333.0, 7e4], [336.0, 2e3]]}
     assert told(lambda: check(wax, Material, "wax.toml"))
     assert not told(lambda: check(wax | {"apparent": True}, Material, "wax.toml"))
+
+
+@pytest.mark.parametrize("depth_m", [0.0001, 0.00012])
+def test_a_thermocouple_within_a_thin_coating_is_told(record: Path, depth_m: float) -> None:
+    path = record / "record.toml"
+    path.write_text(path.read_text().replace("depth_m = 0.00038", f"depth_m = {depth_m}", 1))
+    (line,) = told(lambda: load_record(record))
+    assert f"`depth_m`: {depth_m:g} m is unusual within a layer of 0.38 mm" in line
+
+
+def test_a_deeper_sensor_that_is_hotter_than_the_surface_is_told(record: Path) -> None:
+    """By the maximum principle: what is behind the wall is cooler."""
+    path = record / "record.toml"
+    path.write_text(re.sub(r"bits = 8\nrange_K = .*\n", "", path.read_text()))
+    change(record / "thermocouples.csv", "LS_bond_K", lambda T: 290.0 + 40.0 * (T - 290.0))
+    lines = told(lambda: load_record(record))
+    assert any("column LS_bond_K: reads up to" in x and "nearer to the heated surface" in x for x in lines)
+
+
+def test_readings_that_scatter_more_than_declared_are_told(record: Path) -> None:
+    scatter = np.random.default_rng(1).normal(0.0, 25.0, 10_000)
+    change(record / "thermocouples.csv", "LS_surface_K", lambda T: T + scatter[: len(T)])
+    lines = told(lambda: load_record(record))
+    assert any("column LS_surface_K: scatters by 2" in x and "declares noise_sigma_K" in x for x in lines)
+
+
+def test_path_angles_of_a_third_of_the_path_are_told(tmp_path: Path) -> None:
+    flight = Path(shutil.copytree(RECORDS / "sts96_480", tmp_path / "flight"))
+    change(flight / "conditions.csv", "gamma_deg", lambda g: g * 0.3048)
+    lines = told(lambda: load_record(flight))
+    assert any("column gamma_deg: is 0.3" in x and "of the path that altitude, time and speed" in x for x in lines)
+
+
+def test_a_flight_outside_the_ratio_table_is_told(record: Path) -> None:
+    change(record / "conditions.csv", "alpha_deg", lambda a: a + 80.0)
+    lines = told(lambda: load_record(record))
+    assert any("column alpha_deg: is 97" in x and "and the ratio table has" in x for x in lines)
+
+
+@pytest.mark.parametrize(("velocity_m_s", "is_refused"), [(0.0, False), (7000.0, True)])
+def test_an_enthalpy_that_no_flow_has_states_a_lamp(tmp_path: Path, velocity_m_s: float, is_refused: bool) -> None:
+    """30 km/s has 5e8 J/kg; a lamp is stated by a film and an enthalpy far above the wall's."""
+    (tmp_path / "t.csv").write_text("time_s,TC (degC)\n" + "".join(f"{t},{20 + t / 2}\n" for t in range(0, 100, 4)))
+    arguments = ["new", "record", "--csv", str(tmp_path / "t.csv"), "--layer", "copper 3 mm", "--depth", "TC=back"]
+    arguments += ["--lamp", "unknown", "--out", str(tmp_path / "plate"), "--quiet"]
+    assert told(lambda: main(arguments)) == []
+    path = tmp_path / "plate" / "record.toml"
+    path.write_text(path.read_text().replace("velocity_m_s = 0", f"velocity_m_s = {velocity_m_s:g}", 1))
+    if is_refused:
+        with pytest.raises(InputError, match="is not a recovery enthalpy in J/kg"):
+            load_record(tmp_path / "plate")
+    else:
+        assert told(lambda: load_record(tmp_path / "plate")) == []
 
 
 def test_cold_thermocouples_in_flight_are_told(record: Path) -> None:

@@ -334,3 +334,10 @@ def test_a_journal_is_written_without_a_free_descriptor_and_leaves_some_at_its_e
             os.close(number)
     assert len(bodies(tmp_path)) == 100
     assert read_head(tmp_path).is_closed
+
+
+def test_a_journal_leaves_no_lock(tmp_path):
+    own = journal(tmp_path)
+    own.append(b"message")
+    own.close(is_end=True)
+    assert [p.name for p in tmp_path.iterdir()] == [NAME]

@@ -58,7 +58,7 @@ from sim_heating.base.files.toml import (
     read_toml_dict,
     toml_text,
 )
-from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle
+from sim_heating.base.files.transaction import exclusive, replace_files, require_exclusive, settle, settle_below
 
 __all__ = [
     "COLDEST_K", "DIGEST", "MARKER", "OR_FORCE", "PROVENANCE", "Convertible", "CsvTable", "Declared", "Extensible",
@@ -67,6 +67,6 @@ __all__ = [
     "known_keys", "nearest_name", "output_directory", "path_below", "plain_number", "provenance_attributes",
     "raise_problems", "raw_text", "read_csv_columns", "read_json", "read_text", "read_toml", "read_toml_dict",
     "repeated_name", "replace_files", "replaces_others", "replacing_others", "require_exclusive", "require_writable",
-    "results_digest", "roots_of", "settle", "suggestion", "text_bytes", "text_digest", "toml_text", "with_digest",
-    "with_provenance", "write_csv", "write_json", "write_own_files", "write_text_atomic",
+    "results_digest", "roots_of", "settle", "settle_below", "suggestion", "text_bytes", "text_digest", "toml_text",
+    "with_digest", "with_provenance", "write_csv", "write_json", "write_own_files", "write_text_atomic",
 ]  # fmt: skip

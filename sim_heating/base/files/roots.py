@@ -90,6 +90,17 @@ class Roots:
         raise_problems([f"{display_path(self.file)}, {key}: {line}" for line in self._problems(path, name, code)])
         return path
 
+    def existing(self, name: str, key: str) -> Path:
+        """The path of a file or directory that a key names and that is there.
+
+        name, key : as in `named`
+        raises    : InputError naming file and key where the path leads elsewhere, or nothing is there
+        """
+        path = self.named(name, key)
+        if name.strip() in ("", ".") or not path.exists():
+            raise InputError(f"{display_path(self.file)}, {key}: there is no {abbreviated(name)}")
+        return path
+
     def check_link(self, path: Path) -> None:
         """Check that a path, links followed, lies in one of the folders.
 

@@ -207,6 +207,8 @@ def _axis_problems(known: Quantity | None, rows: Any) -> list[tuple[Location, st
     """A problem where the x of several rows are so low, or so close together, that they are in another unit."""
     if known is None or not isinstance(rows, (list, tuple)) or len(rows) < 2:
         return []
+    if not all(rows):  # an empty pair, which the model refuses
+        return []
     order = sorted(range(len(rows)), key=lambda i: float(rows[i][0]))
     last = order[-1]
     text = known.axis_problem(rows[order[0]][0], rows[last][0])

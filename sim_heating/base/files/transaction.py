@@ -250,6 +250,14 @@ def settle(directory: str | os.PathLike[str]) -> None:
             raise
 
 
+def settle_below(directory: str | os.PathLike[str]) -> None:
+    """Settle all directories below one, where processes that wrote into them have been ended."""
+    left = {path.parent for name in (LOCK, STAGING) for path in Path(directory).rglob(name)}
+    for folder in sorted(left):
+        with suppress(InputError), exclusive(folder, wait_s=0.0):  # refused where another process is at work
+            pass
+
+
 def _settle_locked(target: Path) -> None:
     staging = target / STAGING
     if not os.path.lexists(staging):

@@ -298,8 +298,11 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             with ExitStack() as ending:
                 with signals_deferred():  # processes half started would not be ended
                     # Workers that a signal ends leave their files behind.
-                    files = TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
-                    cluster = _local_processes(workers, ending.enter_context(files))
+                    files = ending.enter_context(
+                        TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
+                    )
+                    ending.enter_context(dask.config.set({"temporary-directory": files}))  # the scheduler makes one
+                    cluster = _local_processes(workers, files)
                     client = ending.enter_context(Client(ending.enter_context(cluster)))
                 client.run(search_seldom, on_error="ignore")
                 yield client

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
 from sim_heating.cli.named_values import named_texts
 from sim_heating.cli.new.options import (
@@ -186,8 +187,8 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     else:
         stack = _stack(layers)
         sensors = maker.sensor_columns(measured)
-        depths_m = maker.depths_of(sensors, depths, stack)
-        depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack)
+        depths_m = maker.depths_of(measured, depths, stack)
+        depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack, measured.path)
         made, notes = maker.write_new_record(
             out,
             measured,
@@ -253,15 +254,15 @@ def _stack(layers: Sequence[str]) -> list[LayerInput]:
     return [layer_input(text) for text in layers]
 
 
-def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput]) -> dict[str, float]:
+def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput], path: Path) -> dict[str, float]:
     """Depths [m] of the sensors without one: asked for on a terminal, else an error that names the option."""
     from sim_heating.templates.record import depth_m
 
     if names and not interactive():
         options = " ".join(f"--depth {name}=0.4mm" if " " not in name else f'--depth "{name}=0.4mm"' for name in names)
         raise InputError(
-            f"--depth: is missing for {', '.join(names)}; give the depth from the heated surface, `surface` or `back`: "
-            f"{options}"
+            f"--depth: is missing for {', '.join(names)} of {display_path(path)}; give the depth from the heated "
+            f"surface, `surface` or `back`: {options}"
         )
     return {
         name: depth_m(name, click.prompt(f"Depth of {name} from the heated surface (0.4mm, surface, back)"), stack)

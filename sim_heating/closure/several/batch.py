@@ -18,6 +18,7 @@ from sim_heating.base.files import (
     require_writable,
     results_digest,
     roots_of,
+    settle_below,
     write_csv,
     write_json,
 )
@@ -115,10 +116,14 @@ def close_all(
         # Before the work: a place that cannot hold results must not be found out after it.
         for folder, files in ((out, SUMMARIES), *((job.task.out, FILES) for job in jobs)):
             require_writable(folder, COMMAND, expected=files, inputs=records)
-        outcome = run_batches(
-            jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
-            is_current=_closure_is_there, progress=progress,
-        )  # fmt: skip
+        try:
+            outcome = run_batches(
+                jobs, _close_record, out / LEDGER, scheduler=scheduler, workers=workers,
+                is_current=_closure_is_there, progress=progress,
+            )  # fmt: skip
+        except KeyboardInterrupt:  # processes that were ended leave what they had begun to write
+            settle_below(out)
+            raise
         rows, residuals = [], []
         for label, job in zip(labels, jobs, strict=True):
             if job.id in outcome.done:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim_heating.base.files import read_toml_dict
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.recombination import RECOMBINATION
 from sim_heating.heating.effects.transition import TRANSITION
@@ -179,5 +179,5 @@ def _recording(path: Path, has_model_density: bool) -> DeclaredInput:
 
 
 def _toml_source(path: Path, name: str) -> DeclaredInput:
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    data = read_toml_dict(path)
     return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")), place=IN.format(name))

@@ -241,7 +241,11 @@ def experiment(
     if PRESSURE.name in names:
         unknowns = (*unknowns, PRESSURE)
         slopes = _pressure_slopes(record, condition, effects, start)
-        columns = [np.column_stack([c, slope]) for c, slope in zip(columns, slopes, strict=True)]
+        # an unknown skew leaves out samples near the ends of the conditions
+        columns = [
+            np.column_stack([s.jacobian, slope[np.isin(time_s, s.time_s)]])
+            for s, (time_s, slope) in zip(found, slopes, strict=True)
+        ]
     pairs = zip(found, columns, strict=True)
     channels = [
         PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.channel.noise_K(s.sigma_K)) for s, c in pairs
@@ -251,8 +255,8 @@ def experiment(
 
 def _pressure_slopes(
     record: Record, condition: tuple[float, ...], effects: Sequence[EffectUse], start: Start | None
-) -> list[FloatArray]:
-    """By channel, (sample,) sensitivity of the indications [K] to the factor on the surface pressure.
+) -> list[tuple[FloatArray, FloatArray]]:
+    """By channel, (sample,) times [s] and sensitivity of the indications [K] to the factor on the surface pressure.
 
     Source: docs/how_to/manoeuvre_design.md, equation 4.
     """
@@ -265,7 +269,9 @@ def _pressure_slopes(
         sides.append(
             FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0))
         )
-    return [(high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP) for high, low in zip(*sides, strict=True)]
+    return [
+        (high.time_s, (high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP)) for high, low in zip(*sides, strict=True)
+    ]
 
 
 def sensitivity_to_effort(

@@ -27,7 +27,7 @@ from sim_heating.inputs.vehicle import ControlPoint
 from sim_heating.march.ensemble import Ensemble, condition_history, histories
 from sim_heating.march.history import march_points
 from sim_heating.march.linearised import LinearMarch, Track
-from sim_heating.march.mesh_choice import choose_meshes, pack
+from sim_heating.march.mesh_choice import meshes_on_flights, pack
 from sim_heating.simulation.run import SOURCES, models_of
 from sim_heating.simulation.synthesize import declaration, flown_columns, ratio_table_of, turbulent_table_of
 from sim_heating.thermal.stack import Sensor
@@ -301,7 +301,7 @@ class Planner:
         """A start at a time with unknown temperatures, and (sensor, sample) temperatures [K]."""
         point = replace(self.point, sensors=tuple(sensors))
         model = point_of_vehicle(self.scenario.vehicle, point, effects=self.scenario.effects(point.name))
-        mesh = choose_meshes([model], LONGEST_STEP_S)[0][0]
+        mesh = meshes_on_flights([model], [flown], LONGEST_STEP_S)[0][0]
         times = march_times(flown, flown.time_s[0], float(clock[-1]))
         track = Track(model, mesh, (), np.concatenate([[begin_s], clock]), tuple(range(mesh.nodes)))
         history = condition_history(flown.at(times))[np.newaxis]

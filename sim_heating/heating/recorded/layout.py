@@ -252,6 +252,8 @@ def _json_rows(path: Path, text: str) -> Rows:
             found = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     except json.JSONDecodeError as error:
         raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
+    except RecursionError:
+        raise InputError(f"{file}: objects or lists are nested too deeply; give one object a line") from None
     rows = [(i, row) for i, row in found if isinstance(row, dict)]
     if not rows or len(rows) != len(found):
         raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")

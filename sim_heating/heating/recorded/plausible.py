@@ -442,8 +442,9 @@ def _flight_ratios(table: CsvTable) -> Iterator[Ratio]:
     if _has(table, "H_r_J_kg"):
         T = table["T_inf_K"] if _has(table, "T_inf_K") else np.full_like(V, 250.0)
         total = 0.5 * V**2 + CP_AIR * T
-        still = (V <= SLOWEST_M_S) & (table["H_r_J_kg"] <= MOST_ENTHALPY_J_KG)  # that of a lamp is of no flow
-        for used, possible in ((V > 1000.0, ENTHALPIES), (still, None)):
+        # without a flow, a lamp is stated by an enthalpy that no flow has
+        at_rest = (V <= SLOWEST_M_S) & (table["H_r_J_kg"] <= MOST_ENTHALPY_J_KG)
+        for used, possible in ((V > 1000.0, ENTHALPIES), (at_rest, None)):
             yield "H_r_J_kg", (0.78, 1.25), table["H_r_J_kg"] / total, used, possible, "is {:.3g} of V^2 / 2 + cp T"
     if _has(table, "h_ref_kg_m2_s"):
         h = table["h_ref_kg_m2_s"]
@@ -538,6 +539,8 @@ HEADING_DEG = 15.0
 """Median difference [deg] of a column of headings and of the path over ground."""
 GAMMA_DEG = 2.0
 """Median difference [deg] of a column of path angles and of the path."""
+STEEP_DEG, GAMMA_SLOPES = 0.3, (0.6, 1.6)
+"""Path [deg] from which a column of path angles is compared as a factor, and that factor; winds give a few percent."""
 
 
 def unusual_values(table: CsvTable) -> list[str]:
@@ -678,10 +681,14 @@ def _path_remarks(table: CsvTable) -> list[str]:
         moving = V > 300.0
         if np.any(moving):
             path = np.degrees(np.arcsin(np.clip(climb[moving] / V[moving], -1.0, 1.0)))
-            off = float(np.median(np.abs(path - table["gamma_deg"][moving])))
-            if off > GAMMA_DEG:
-                found = f"differs by {off:.3g} deg from the path that altitude, time and speed describe"
-                remarks.append(f"{where}, column gamma_deg: {found}; check its unit")
+            stated = table["gamma_deg"][moving]
+            off = float(np.median(np.abs(path - stated)))
+            slope = float(np.sum(path * stated) / max(np.sum(path**2), 1e-9))
+            is_scaled = np.sqrt(np.mean(path**2)) > STEEP_DEG and not GAMMA_SLOPES[0] <= slope <= GAMMA_SLOPES[1]
+            if off > GAMMA_DEG or is_scaled:
+                found = f"differs by {off:.3g} deg" if off > GAMMA_DEG else f"is {slope:.3g}"
+                of = f"{'from' if off > GAMMA_DEG else 'of'} the path that altitude, time and speed describe"
+                remarks.append(f"{where}, column gamma_deg: {found} {of}; check its unit")
     return remarks
 
 

@@ -314,11 +314,12 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def require_usable(
-    path: Path, link: Mapping[str, Any], means: Mapping[str, Any] | None = None, sent_again: str = ""
-) -> None:
+    path: Path, link: Mapping[str, Any], means: Mapping[str, Any] | None = None, sent_again: str = "",
+    has_results: bool = True,
+) -> None:  # fmt: skip
     """Check before any work that a link can write the journal at a path; changes nothing.
 
-    link, means, sent_again : as of `Journal`
+    link, means, sent_again, has_results : as of `Journal`
     raises : InputError where the file holds a flight that has ended, or one of another link
     """
     if not path.is_file() or path.stat().st_size == 0:
@@ -327,7 +328,7 @@ def require_usable(
     name, is_own_replay = display_path(path), sent_again != "" and head.sent_again == sent_again
     if _is_empty(head) or (head.is_closed and is_own_replay):
         return
-    if head.is_closed:
+    if head.is_closed and has_results:
         raise InputError(
             f"{name}: holds a flight that has ended; make a record of it with --to-record, and name another directory "
             "for this one"
@@ -363,6 +364,8 @@ class Journal:
     fsync_s : time after which entries are forced to the disk [s]; 0 for each
     means   : what the messages of the link mean (`same_link.meaning`), which a link that goes on has to agree with
     sent_again : what the link sends again, as "record /path"; a journal of the same that has ended is replaced
+    has_results : false: the flight that has ended has no results yet, as where its process was killed while it wrote
+                  them; its link goes on with it and writes them
     raises  : InputError where the file holds a flight that has ended, or one of another link, or cannot be written
 
     `is_resumed` is whether it was gone on with, and `told` the lines on what of it could not be read. `problem` is one
@@ -379,6 +382,7 @@ class Journal:
         fsync_s: float = 1.0,
         means: Mapping[str, Any] | None = None,
         sent_again: str = "",
+        has_results: bool = True,
     ) -> None:
         self.path, self.problem, self.dropped = path, "", 0
         self.told: list[str] = []
@@ -388,6 +392,7 @@ class Journal:
         self._retry_at = 0.0
         self._lock = threading.Lock()
         self._ended = threading.Event()
+        self._created = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._held = FileLock(path.with_suffix(".lock"))
@@ -398,7 +403,9 @@ class Journal:
         except OSError as error:
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
         try:
-            require_usable(path, link, means, sent_again)
+            require_usable(path, link, means, sent_again, has_results)
+            if not has_results and path.is_file():
+                open_again(path)
             self.is_resumed = self._goes_on(path, means)
             if not self.is_resumed:
                 started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
@@ -407,10 +414,10 @@ class Journal:
             self._file = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
             self._spare = [os.dup(self._file) for _ in range(SPARE)]
         except OSError as error:
-            self._held.release()
+            self._release()
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
         except InputError:
-            self._held.release()
+            self._release()
             raise
         with _opened(path) as stream:
             self._header = stream.readline()
@@ -449,15 +456,17 @@ class Journal:
         if self._size >= self._header_due:
             self._repeat_header()
         self._put(entry)
-        while self._waiting_bytes > KEPT:
-            self._waiting_bytes -= len(self._waiting.popleft())
-            self.dropped += 1
+        with self._lock:
+            while self._waiting_bytes > KEPT:
+                self._waiting_bytes -= len(self._waiting.popleft())
+                self.dropped += 1
         if not self.problem or time.monotonic() >= self._retry_at:
             self._write()
 
     def _put(self, entry: Entry) -> None:
-        self._waiting.append(data := _encoded(entry))
-        self._waiting_bytes += len(data)
+        with self._lock:
+            self._waiting.append(data := _encoded(entry))
+            self._waiting_bytes += len(data)
 
     def _repeat_header(self) -> None:
         self._put(Entry(time.time_ns(), MARK, HEADER + self._header))
@@ -505,6 +514,8 @@ class Journal:
 
     def _keep_synced(self) -> None:
         while not self._ended.wait(self._fsync_s):
+            if self.problem and time.monotonic() >= self._retry_at:
+                self._write()  # no message may come for long: those that wait are kept once there is room
             self._sync()
 
     def close(self, *, is_end: bool) -> None:
@@ -530,7 +541,19 @@ class Journal:
             os.close(number)
         if self._is_new and not is_end and self._size == len(self._header):
             self.path.unlink(missing_ok=True)  # the link was not begun
+        self._release()
+
+    def _release(self) -> None:
+        """Free the lock, whose file is removed while it is held, as that of a directory is (base.files.transaction).
+
+        Folders that were made for a journal that was not begun are empty, and are removed.
+        """
+        with contextlib.suppress(OSError):
+            self.path.with_suffix(".lock").unlink()
         self._held.release()
+        with contextlib.suppress(OSError):
+            for folder in self._created:
+                folder.rmdir()
 
 
 def open_again(path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.measure import RESULTS
 from benchmarks.page import markdown_table
 
-NAMES = ("mutants", "unit_slips", "kills", "concurrency", "journals")
+NAMES = ("mutants", "unit_slips", "kills", "concurrency", "journals", "reliability")
 """Benchmarks that have tables here."""
 GOOD = ("accepted", "told", "refused", "failed")
 
