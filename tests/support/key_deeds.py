@@ -664,7 +664,7 @@ def study(**keys: Any) -> Callable[[Path], None]:
     return write_study
 
 
-GLIDE = gliding(stop={"time_s": 60.0}, sample_s=2.0)
+GLIDE = gliding(stop={"time_s": 60.0}, sample_s=2.0, guidance={"reversals_m_s": [6760.0]})
 DISPERSION: Document = {
     "flights": 16, "sampling": "sobol", "scrambles": 2, "seed": 3, "index_flights": 4, "quantiles": [0.5, 0.9],
     "confidence": 0.9, "tables": 0.5, "step_s": 0.5, "thermal_step_s": 2.0, "spot_checks": 0,
@@ -677,7 +677,7 @@ DISPERSION: Document = {
 ENVELOPE: Document = {
     "sigmas": 1.0, "station_width": 1.0, "bodyflap_above_mach": 8.0, "elevon_arm_m": 6.0, "refinements": 0,
     "map": [{"name": "alpha", "title": "offset", "axes": {"alpha_offset_deg": [-4.0, 0.0]},
-             "fixed": {"drag_factor": 1.1}, "one_sided": False}],
+             "fixed": {"drag_factor": 1.1, "lateral_cg_m": 0.02}, "one_sided": False}],
     "boundary": [{"name": "alpha", "title": "offset", "along": "drag_factor", "at": [0.9, 1.0],
                   "across": "alpha_offset_deg", "values": [-8.0, 0.0], "inside": -4.0, "family": "cg_fraction",
                   "of": [0.66, 0.67], "one_sided": False, "fixed": {"bodyflap_deg": 14.0}}],

@@ -32,6 +32,7 @@ REFUSES: dict[str, str] = {
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
     "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
+    "StudyFile.revision": "the study needs",
 }  # fmt: skip
 """Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
 
@@ -80,6 +81,7 @@ _SHOWN = {
     "tests/inputs/test_unusual_numbers.py": "Material.apparent",
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
     "tests/planning/test_envelope.py": "Envelope.refinements",
+    "tests/planning/test_envelope_boundary.py": "EnvelopeBoundary.inside",
 }
 UNSHOWN = ("OptimalStudyFile.soak_s", "EstimateSettings.jump_s")
 """Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak, and no link of
