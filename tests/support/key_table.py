@@ -14,6 +14,8 @@ VALUES: dict[str, list[Any]] = {
     "Layer.material": ["al2024"],
     "Mass.cg_fraction": [0.655, 0.67],
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+    "Envelope.boundary": [[{"name": "other", "along": "drag_factor", "at": [1.0], "across": "alpha_offset_deg",
+                            "values": [-8.0, 0.0]}]],
     "EstimateSettings.jump_s": [10.0],
     "FitSettings.start": ["circuit", "circuit:10"],
     "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
@@ -24,7 +26,7 @@ VALUES: dict[str, list[Any]] = {
     "DesignLimits.qbar_Pa": [[0.0, 100.0]],
     "Target.deadband_deg": [30.0],
     "Target.latitude_deg": [40.0],
-}
+}  # fmt: skip
 """Values to try first, by key, where a little more or less does nothing."""
 REFUSES: dict[str, str] = {
     "Compare.control_point": "no control point", "Compare.file": "no such file",
