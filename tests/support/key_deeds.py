@@ -677,7 +677,7 @@ DISPERSION: Document = {
 ENVELOPE: Document = {
     "sigmas": 1.0, "station_width": 1.0, "bodyflap_above_mach": 8.0, "elevon_arm_m": 6.0, "refinements": 0,
     "map": [{"name": "alpha", "title": "offset", "axes": {"alpha_offset_deg": [-4.0, 0.0]},
-             "fixed": {"drag_factor": 1.1, "lateral_cg_m": 0.02}, "one_sided": False}],
+             "fixed": {"drag_factor": 1.1}, "one_sided": False}],
     "boundary": [{"name": "alpha", "title": "offset", "along": "drag_factor", "at": [0.9, 1.0],
                   "across": "alpha_offset_deg", "values": [-8.0, 0.0], "inside": -4.0, "family": "cg_fraction",
                   "of": [0.66, 0.67], "one_sided": False, "fixed": {"bodyflap_deg": 14.0}}],
@@ -784,7 +784,7 @@ def replay(folder: Path) -> None:
 
 
 PLANNING_DEEDS = (
-    study_deed("dispersion", trajectory=GLIDE, soak_s=20.0, limit=COOL, dispersion=DISPERSION,
+    study_deed("dispersion", control_points=["V09T9527", "NOSECAP"], trajectory=GLIDE, soak_s=20.0, limit=COOL, dispersion=DISPERSION,
                effect=[{"name": "impingement-onset", "control_points": ["V09T9527"],
                         "parameters": {"slope": 0.01, "alpha_onset_deg": 39.0}}]),
     study_deed("envelope", trajectory=GLIDE, envelope=ENVELOPE, next_flight=NEXT),

@@ -20,6 +20,7 @@ VALUES: dict[str, list[Any]] = {
     "FitSettings.start": ["circuit", "circuit:10"],
     "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
     "Replay.record": ["second/record"],
+    "Dispersion.step_s": [1.0, 0.25],
     "Design.after_s": [5.0],
     "Design.parameters": [["ratio.d_elevon"], ["ratio.d_logre"]],
     "DesignLimits.alpha_deg": [[36.0, 41.0]],
@@ -34,7 +35,7 @@ REFUSES: dict[str, str] = {
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
     "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
-    "StudyFile.revision": "the study needs",
+    "StudyFile.revision": "the study needs", "DesignVariable.manoeuvre": "there is no manoeuvre",
 }  # fmt: skip
 """Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
 
@@ -82,7 +83,7 @@ _SHOWN = {
     ),
     "tests/inputs/test_unusual_numbers.py": "Material.apparent",
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
-    "tests/planning/test_envelope.py": "Envelope.refinements",
+    "tests/planning/test_envelope.py": "Envelope.refinements Envelope.elevon_arm_m",
     "tests/planning/test_envelope_boundary.py": "EnvelopeBoundary.inside",
 }
 UNSHOWN = ("OptimalStudyFile.soak_s", "EstimateSettings.jump_s")
