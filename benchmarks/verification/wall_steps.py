@@ -219,13 +219,17 @@ def mean_turbulent_film(start: float) -> float:
 
 
 def published_rows() -> list[Row]:
-    """Measured turbulent heating behind an unheated starting length.
+    """Correlation of measured turbulent heating behind an unheated starting length, as textbooks have it.
 
     Jakob and Dow heated cylinders in axial air flow behind unheated lengths of up to four fifths of the whole. Their
-    mean film over the heated length is 1 + 0.40 (L_st / L)^2.75 times that without a starting length. The exponents
-    of the program's factor were not fitted to these tests.
+    mean film over the heated length is 1 + 0.40 (L_st / L)^2.75 times that without a starting length. Neither their
+    paper nor its data were at hand: the correlation is second hand. The exponents of the program's factor were not
+    fitted to these tests.
     """
-    source = "measured: Jakob and Dow, Trans. ASME 68 (1946) 123, as correlated there: 1 + 0.40 (L_st/L)^2.75"
+    source = (
+        "textbook form, second hand, of measurements by Jakob and Dow, Trans. ASME 68 (1946) 123: "
+        "1 + 0.40 (L_st/L)^2.75; the paper was not at hand"
+    )
     return [
         within(0.10, f"mean turbulent film behind an unheated length, L_st/L = {start:g}", 1.0 + 0.40 * start**2.75,
                mean_turbulent_film(start), "-", source, "scatter of turbulent heat transfer in air, 11 %")

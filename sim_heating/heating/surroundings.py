@@ -58,7 +58,7 @@ def surroundings_kernel(T_air: float, p: float, view: float) -> float:
     share = min(p / SEA_LEVEL_PA, 1.0)
     ground = share * SEA_LEVEL_K**4 + (1.0 - share) * EARTH_K**4
     sky = share * min(SKY_PER_K2 * T_air * T_air, 1.0) * T_air**4
-    return (view * ground + (1.0 - view) * sky) ** 0.25
+    return math.sqrt(math.sqrt(view * ground + (1.0 - view) * sky))
 
 
 @njit

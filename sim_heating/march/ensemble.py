@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
 
 import numpy as np
@@ -111,6 +112,20 @@ class LaneOffsets:
         return self.start + row * LANES + self.lane
 
 
+def _groups_in_order(group_of: Mapping[int, int], behind: Mapping[int, int]) -> list[int]:
+    """Groups in an order in which walls upstream are before what lies behind them; empty where there is none.
+
+    group_of : point -> its group, those of points that are in none yet are of one point
+    """
+    before: dict[int, set[int]] = {group: set() for group in group_of.values()}
+    for i, wall in behind.items():
+        before[group_of[i]].add(group_of[wall])
+    try:
+        return list(TopologicalSorter(before).static_order())
+    except CycleError:
+        return []
+
+
 class PointLanes(NamedTuple):
     """Lanes of points of one wall: (point, 5) where the block of its group and the integers of that begin and end, and
     the number of the lane in it; elements of the wall."""
@@ -176,19 +191,17 @@ class Ensemble:
 
     def _grouped(self, kinds: Sequence[int], behind: Mapping[int, int]) -> list[list[int]]:
         """Numbers of the models of each group, at most LANES of one kind, walls upstream in groups before."""
-
-        def most_nodes(i: int) -> int:
-            return max([self.meshes[i].nodes, *(most_nodes(k) for k, wall in behind.items() if wall == i)])
-
-        # Padding behind the back costs as much as nodes do: neighbours in node count share a group, walls with those of
-        # what lies behind them.
-        remaining = sorted(range(len(self.models)), key=lambda i: (kinds[i], -most_nodes(i), i))
-        members: list[list[int]] = []
-        while remaining:
-            ready = [i for i in remaining if behind.get(i) not in remaining and kinds[i] == kinds[remaining[0]]]
-            members.append(ready[:LANES] or remaining[:1])
-            remaining = [i for i in remaining if i not in members[-1]]
-        return members
+        group_of = {i: i for i in range(len(self.models))}  # by the first point of the group
+        members: dict[int, list[int]] = {}
+        with_room: list[int] = []
+        # Padding behind the back costs as much as nodes do: neighbours in node count share a group.
+        for i in sorted(group_of, key=lambda i: (kinds[i], -self.meshes[i].nodes, i)):
+            alike = (first for first in with_room if kinds[first] == kinds[i])
+            first = next((f for f in alike if not behind or _groups_in_order(group_of | {i: f}, behind)), i)
+            group_of[i] = first
+            members.setdefault(first, []).append(i)
+            with_room = [f for f in dict.fromkeys([*with_room, first]) if len(members[f]) < LANES]
+        return [members[first] for first in _groups_in_order(group_of, behind)]
 
     def _arrange(self, kinds: Sequence[int], behind: Mapping[int, int]) -> None:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""

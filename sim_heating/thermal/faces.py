@@ -34,6 +34,7 @@ from sim_heating.base.kernels.block import (
     GAPS,
     H_REF,
     HEAD_ROWS,
+    LAG_SLOT,
     LANES,
     N_CONDITIONS,
     N_EFFECTS,
@@ -41,6 +42,7 @@ from sim_heating.base.kernels.block import (
     N_NODES,
     NATURAL_EXPONENT,
     NODE_ROWS,
+    NONE,
     R_BASE,
     RECOVERY,
     SLOPE,
@@ -66,9 +68,10 @@ SIGMA = 5.670374419e-8
 AIR_HEAD = 4
 """Numbers before the bins of an enthalpy of air: log10 of its first pressure [Pa], columns in a decade, its last place,
 just below the last column [-], number of columns."""
-WALL_DIFFERENCE_K = 0.01
-"""Half the step [K] of the difference in an effect's dependence on the wall temperature, used in the matrix only. It
-has to be small against the width of any effect for a sensitivity good to 1e-9."""
+WALL_DIFFERENCE_K = 2.0**-10
+"""Half the step [K] of the difference in an effect's dependence on the wall temperature. It has to be so small against
+the width of any effect that the mean of both sides is the value between them to rounding (1e-12 for recombination), and
+so large that the slope is good to 1e-9."""
 COLDEST_K = 1.0
 """Floor of every iterate [K], and of the wall temperature that effects take. A NaN is set to it as well, and is
 reported as a failure since its update is NaN too."""
@@ -83,8 +86,10 @@ def _film_and_slope(B: FloatArray, J: IntArray, dispatcher, lane: int, stage: in
     first, end = J[FIRST_AT_WALL + lane], J[N_EFFECTS + lane]
     above = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall + WALL_DIFFERENCE_K, first, end)
     below = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall - WALL_DIFFERENCE_K, first, end)
-    slope = (above - below) * (0.5 / WALL_DIFFERENCE_K)
-    return h_ref * ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end), h_ref * slope
+    at_wall = 0.5 * (above + below)
+    if J[LAG_SLOT + lane] != NONE:  # its state has to be left at the wall's own temperature
+        at_wall = ratio_with_effects(B, J, dispatcher, lane, stage, r, wall, first, end)
+    return h_ref * at_wall, h_ref * (above - below) * (0.5 / WALL_DIFFERENCE_K)
 
 
 @inline_always
@@ -94,7 +99,7 @@ def _factor_and_slope(
     """Factor of the effects on the emittance of a lane [-], and its slope against the wall temperature [1/K]."""
     above = emittance_factor(B, J, dispatcher, lane, stage, wall + WALL_DIFFERENCE_K)
     below = emittance_factor(B, J, dispatcher, lane, stage, wall - WALL_DIFFERENCE_K)
-    return emittance_factor(B, J, dispatcher, lane, stage, wall), (above - below) * (0.5 / WALL_DIFFERENCE_K)
+    return 0.5 * (above + below), (above - below) * (0.5 / WALL_DIFFERENCE_K)
 
 
 @force_inline

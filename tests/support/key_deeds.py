@@ -664,7 +664,7 @@ def study(**keys: Any) -> Callable[[Path], None]:
     return write_study
 
 
-GLIDE = gliding(stop={"time_s": 60.0}, sample_s=2.0)
+GLIDE = gliding(stop={"time_s": 60.0}, sample_s=2.0, guidance={"reversals_m_s": [6760.0]})
 DISPERSION: Document = {
     "flights": 16, "sampling": "sobol", "scrambles": 2, "seed": 3, "index_flights": 4, "quantiles": [0.5, 0.9],
     "confidence": 0.9, "tables": 0.5, "step_s": 0.5, "thermal_step_s": 2.0, "spot_checks": 0,
@@ -784,7 +784,7 @@ def replay(folder: Path) -> None:
 
 
 PLANNING_DEEDS = (
-    study_deed("dispersion", trajectory=GLIDE, soak_s=20.0, limit=COOL, dispersion=DISPERSION,
+    study_deed("dispersion", control_points=["V09T9527", "NOSECAP"], trajectory=GLIDE, soak_s=20.0, limit=COOL, dispersion=DISPERSION,
                effect=[{"name": "impingement-onset", "control_points": ["V09T9527"],
                         "parameters": {"slope": 0.01, "alpha_onset_deg": 39.0}}]),
     study_deed("envelope", trajectory=GLIDE, envelope=ENVELOPE, next_flight=NEXT),

@@ -14,17 +14,20 @@ VALUES: dict[str, list[Any]] = {
     "Layer.material": ["al2024"],
     "Mass.cg_fraction": [0.655, 0.67],
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
+    "Envelope.boundary": [[{"name": "other", "along": "drag_factor", "at": [1.0], "across": "alpha_offset_deg",
+                            "values": [-8.0, 0.0]}]],
     "EstimateSettings.jump_s": [10.0],
     "FitSettings.start": ["circuit", "circuit:10"],
     "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
     "Replay.record": ["second/record"],
+    "Dispersion.step_s": [1.0, 0.25],
     "Design.after_s": [5.0],
     "Design.parameters": [["ratio.d_elevon"], ["ratio.d_logre"]],
     "DesignLimits.alpha_deg": [[36.0, 41.0]],
     "DesignLimits.qbar_Pa": [[0.0, 100.0]],
     "Target.deadband_deg": [30.0],
     "Target.latitude_deg": [40.0],
-}
+}  # fmt: skip
 """Values to try first, by key, where a little more or less does nothing."""
 REFUSES: dict[str, str] = {
     "Compare.control_point": "no control point", "Compare.file": "no such file",
@@ -32,6 +35,7 @@ REFUSES: dict[str, str] = {
     "DeclaredEffect.name": "unknown effect", "FileBase.file": "no such file", "Mass.cg_range": "cg_fraction",
     "ScenarioEffect.name": "unknown effect", "ScenarioFile.vehicle": "unknown vehicle",
     "SensorFault.sensor": "unknown sensor", "SensorField.control_point": "`sensor`",
+    "StudyFile.revision": "the study needs", "DesignVariable.manoeuvre": "there is no manoeuvre",
 }  # fmt: skip
 """Keys that name something else, or limit it: what the refusal of another value says where it does not name the key."""
 
@@ -79,7 +83,8 @@ _SHOWN = {
     ),
     "tests/inputs/test_unusual_numbers.py": "Material.apparent",
     "tests/heating/test_flight_fields.py": "TrajectorySpec.fields",
-    "tests/planning/test_envelope.py": "Envelope.refinements",
+    "tests/planning/test_envelope.py": "Envelope.refinements Envelope.elevon_arm_m",
+    "tests/planning/test_envelope_boundary.py": "EnvelopeBoundary.inside",
 }
 UNSHOWN = ("OptimalStudyFile.soak_s", "EstimateSettings.jump_s")
 """Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak, and no link of

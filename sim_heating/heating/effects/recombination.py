@@ -44,6 +44,9 @@ LEAST_DRIVING = 0.1
 """Least H_r - h_w, as a share of H_r [-]."""
 LEWIS_2_3 = 1.4 ** (2.0 / 3.0)
 """Le^(2/3) [-] with the Lewis number 1.4 of atoms in air (Fay and Riddell 1958)."""
+SPEED_O = math.sqrt(MOLAR_GAS_CONSTANT / (2.0 * math.pi * MOLAR_MASS_O))
+SPEED_N = math.sqrt(MOLAR_GAS_CONSTANT / (2.0 * math.pi * MOLAR_MASS_N))
+"""Speed at which atoms strike the wall, a quarter of their mean speed, over sqrt(T_w) [m/(s K^(1/2))]."""
 
 
 @njit
@@ -58,15 +61,15 @@ def film_found(B: FloatArray, c: int) -> float:
 
 
 @njit
-def recombined_part(gamma: float, molar_mass: float, rho_w: float, wall_K: float, h_m: float) -> float:
+def recombined_part(gamma: float, speed: float, rho_w: float, h_m: float) -> float:
     """Part of the atoms brought to the wall that recombine there, phi = rho_w k_w / (rho_w k_w + h_m) [-].
 
-    gamma      : recombination coefficient, part of the atoms that strike the wall which recombine [-]
-    molar_mass : of the atom [kg/kmol];  rho_w : density of the gas at the wall [kg/m3];  wall_K : its temperature [K]
-    h_m        : coefficient of mass transfer [kg/(m2 s)], above 0
+    gamma : recombination coefficient, part of the atoms that strike the wall which recombine [-]
+    speed : at which they strike it, sqrt(R_u T_w / (2 pi M)) [m/s];  rho_w : density of the gas at the wall [kg/m3]
+    h_m   : coefficient of mass transfer [kg/(m2 s)], above 0
     Source: Goulard (1958); docs/reference/effects.md, equation 26.
     """
-    rate = rho_w * gamma * math.sqrt(MOLAR_GAS_CONSTANT * wall_K / (2.0 * math.pi * molar_mass))
+    rate = rho_w * gamma * speed
     return rate / (rate + h_m)
 
 
@@ -88,13 +91,13 @@ def recombination_factor(B: FloatArray, c: int, p: int, wall_K: float) -> float:
         return 1.0
     h_O = min(h_D, HEAT_OF_OXYGEN)
     h_N = h_D - h_O
-    moles = 1.0 + OXYGEN * h_O / HEAT_OF_OXYGEN + NITROGEN * h_N / HEAT_OF_NITROGEN
+    moles = 1.0 + (OXYGEN / HEAT_OF_OXYGEN) * h_O + (NITROGEN / HEAT_OF_NITROGEN) * h_N
     rho_w = B[c + flight.p_surface_Pa] / (moles * R_TABLE * wall_K)
-    h_m, T = LEWIS_2_3 * film, min(wall_K, B[p + HIGHEST])
-    gamma_O = min(B[p + EFFICIENCY] * B[p + O_FACTOR] * exp(-B[p + O_ACTIVATION] / T), 1.0)
-    gamma_N = min(B[p + EFFICIENCY] * B[p + N_FACTOR] * exp(-B[p + N_ACTIVATION] / T), 1.0)
-    phi_O = recombined_part(gamma_O, MOLAR_MASS_O, rho_w, wall_K, h_m)
-    phi_N = recombined_part(gamma_N, MOLAR_MASS_N, rho_w, wall_K, h_m)
+    h_m, inverse, root = LEWIS_2_3 * film, -1.0 / min(wall_K, B[p + HIGHEST]), math.sqrt(wall_K)
+    gamma_O = min(B[p + EFFICIENCY] * B[p + O_FACTOR] * exp(B[p + O_ACTIVATION] * inverse), 1.0)
+    gamma_N = min(B[p + EFFICIENCY] * B[p + N_FACTOR] * exp(B[p + N_ACTIVATION] * inverse), 1.0)
+    phi_O = recombined_part(gamma_O, SPEED_O * root, rho_w, h_m)
+    phi_N = recombined_part(gamma_N, SPEED_N * root, rho_w, h_m)
     H_r = B[c + flight.H_r_J_kg]
     driving = max(H_r - frozen_enthalpy(wall_K), LEAST_DRIVING * H_r)
     return 1.0 - ((1.0 - phi_O) * h_O + (1.0 - phi_N) * h_N) / driving

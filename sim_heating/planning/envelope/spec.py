@@ -67,7 +67,7 @@ class EnvelopeMap(Declared):
 
     axes : one or two axes with their values
     fixed : values of other axes
-    one_sided : true: the elevon of one side alone is deflected
+    one_sided : true: the bank never reverses, for as much cross-range as the rest allows
     """
 
     quantities: ClassVar = {"axes": None, "fixed": None}
@@ -101,7 +101,7 @@ class EnvelopeBoundary(Declared):
     across, values : the axis on which the interval is sought, and values that are flown on it
     family, of : a third axis, and its values; a boundary for each
     fixed : values of other axes
-    one_sided : true: the elevon of one side alone is deflected
+    one_sided : true: the bank never reverses, for as much cross-range as the rest allows
     """
 
     quantities: ClassVar = {"fixed": None}
