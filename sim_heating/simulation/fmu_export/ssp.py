@@ -120,8 +120,9 @@ def export_ssp(
     system = System(trajectory, model.image, _connections(trajectory, model.image), float(flown.conditions.time_s[-1]))
     files = {"SystemStructure.ssd": _structure(system, title or vehicle.title)}
     about = Traceability(vehicle, control_points)
+    nothing: dict[str, bytes] = {}
     parts = (
-        (TRAJECTORY, trajectory, ENTRY_UNITS, {}),
+        (TRAJECTORY, trajectory, ENTRY_UNITS, nothing),
         (HEATING, model.image, heating_units(model.effects), about.files()),
     )
     for name, image, units, more in parts:
