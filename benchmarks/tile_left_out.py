@@ -22,16 +22,16 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.search.search import SearchResult, search_effects
 from sim_heating.closure.search.trials.candidates import candidates
-from sim_heating.closure.search.trials.trial_fit import TrialFit, problem_with
+from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects, problem_with
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
 from sim_heating.heating.edge_flow import edge_flow_columns
-from sim_heating.heating.effects.transition import TRANSITION
+from sim_heating.heating.effects import EffectUse
+from sim_heating.heating.effects.transition import ALPHA_0, ALPHA_SENSITIVITY, BY_RE_THETA, ONSET, TRANSITION
 from sim_heating.inputs.points import conditions_of_record, flow_of_record
 from sim_heating.inputs.record import load_record
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = tuple(ROOT / "scenarios" / "records" / f"sts96_{n}" for n in (468, 480, 597, 730))
-ONSET = f"effect.{TRANSITION}.log10_re_onset"
 WIDENED = 3.0
 """Factor of the search on the sigma of effects' priors, which is taken back here."""
 DRAWS, SEED = 4000, 20261128
@@ -85,8 +85,7 @@ def _rise(name: str, own: SearchResult, f: FloatArray, C: FloatArray) -> Iterato
     trial = next(h.last for h in own.hypotheses if h.admissible and TRANSITION in h.names)
     declared = next(u for u in own.record.declared.heating.effects if u.effect.name == TRANSITION)
     prior = next(p for p in declared.definitions if p.name == "log10_re_onset")
-    found = float(dict(zip(trial.fit.names, trial.fit.values, strict=True))[ONSET])
-    time_s, criterion = _criterion(own)
+    time_s, criterion = _criterion(own, declared)
     rng = np.random.default_rng(SEED)
     flights = f + rng.multivariate_normal(np.zeros(len(f)), C, DRAWS, method="cholesky")
     rows = own.base.problem.record_fits[0].model_error.flight.rows  # type: ignore[union-attr]
@@ -94,7 +93,9 @@ def _rise(name: str, own: SearchResult, f: FloatArray, C: FloatArray) -> Iterato
     at_s = np.interp(onsets, criterion, time_s)
     later_s = flights @ rows["time_shift_s"][0][0] + at_s * (flights @ rows["time_stretch"][0][0])
     low, high = np.quantile(at_s + later_s, (0.05, 0.95))
-    seen = float(np.interp(found, criterion, time_s))
+    fitted = next(u for u in fitted_effects(trial) if u.effect.name == TRANSITION)
+    time_s, criterion = _criterion(own, fitted)
+    seen = float(np.interp(fitted.values[ONSET], criterion, time_s))
     note = f"{low:.0f} to {high:.0f} s from the others; {seen:.0f} s by itself"
     yield Figure(
         f"{name}: rise within its 90 % interval", float(low <= seen <= high), "", 1.0, at_least=True, note=note
@@ -102,12 +103,13 @@ def _rise(name: str, own: SearchResult, f: FloatArray, C: FloatArray) -> Iterato
     yield Figure(f"{name}: half width of that interval", 0.5 * (high - low), "s", LARGEST_RISE_S)
 
 
-def _criterion(own: SearchResult) -> tuple[FloatArray, FloatArray]:
-    """(time,) [s] and the logarithm of the criterion of transition, where it rises."""
-    record = own.record
+def _criterion(own: SearchResult, use: EffectUse) -> tuple[FloatArray, FloatArray]:
+    """(time,) [s] and what a transition compares with its onset, where it rises (docs/reference/effects.md, eq. 23)."""
+    record, values = own.record, use.values
     flown = conditions_of_record(record)
-    values = edge_flow_columns(flow_of_record(record), flown)["log10_re_theta_m"]
-    rising = np.maximum.accumulate(values)
+    by_re_theta = values[BY_RE_THETA] != 0.0
+    at = edge_flow_columns(flow_of_record(record), flown)["log10_re_theta_m"] if by_re_theta else flown["log10_re"]
+    rising = np.maximum.accumulate(at + values[ALPHA_SENSITIVITY] * (flown["alpha_deg"] - values[ALPHA_0]))
     kept = np.append(True, np.diff(rising) > 0.0)
     return flown.time_s[kept], rising[kept]
 

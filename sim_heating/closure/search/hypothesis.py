@@ -20,7 +20,7 @@ from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy,
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
 from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
-from sim_heating.closure.search.simulated_records import with_simulated_p_value
+from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 
@@ -42,6 +42,15 @@ HELD_OUT_LOSS, PROMISED_GAIN = 1.0, 3.0
 """Log density of what is held out that a cause may lose or has to gain, and the promise from which on it has to."""
 MIN_SHARE = 0.5
 """Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
+
+
+def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
+    """Whether the model of a trial explains the record to its noise.
+
+    records : number of records that are made for the p-value of a model with an error
+    """
+    held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
+    return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out), records)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,9 +111,7 @@ class Hypothesis:
     @cached_property
     def adequacy(self) -> Adequacy:
         """Whether it explains the record to its noise."""
-        trial = self.last
-        held_out = [] if trial.held_out_chi2 == 0.0 else trial.held_out_samples
-        return with_simulated_p_value(trial, assess(trial.fitted_samples, held_out))
+        return adequacy_of(self.last)
 
     @property
     def adequate(self) -> bool:

@@ -24,20 +24,20 @@ RECORDS, SEED = 199, 20261128
 """Records that are made, and the seed of their draws."""
 
 
-def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy) -> Adequacy:
+def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy, records: int = RECORDS) -> Adequacy:
     """The adequacy of a trial's model with its p-value from records made with it; as it is for an exact model.
 
-    adequacy : of the record itself, with its statistic
+    adequacy : of the record itself, with its statistic;  records : number of those that are made
     """
     part, size = trial.problem.record_fits[0], trial.size
     if part.model_error is None or size is None:
         return adequacy
     rng, probability = np.random.default_rng(SEED), size.posterior
-    drawn = rng.choice(probability.size, size=RECORDS, p=probability.ravel())
+    drawn = rng.choice(probability.size, size=records, p=probability.ravel())
     places = zip(*np.unravel_index(drawn, probability.shape), strict=True)
     errors = [part.model_error.of_size(float(size.sizes[k]), float(size.times_s[i])) for i, k in places]
     count = part.error_responses_K[1].shape[1] + len(part.model_error.time_s)
-    u = rng.standard_normal((RECORDS, count))
+    u = rng.standard_normal((records, count))
     fitted = _read(part, trial.problem.samples(trial.fit.values), errors, u, rng)
     predicted, state = innovations_of_several(part, fitted)
     others: list[list[PredictedSamples]] = [[] for _ in errors]
@@ -47,7 +47,7 @@ def with_simulated_p_value(trial: TrialFit, adequacy: Adequacy) -> Adequacy:
         others, _ = innovations_of_several(there, read, state)
     statistics = [assess(one, held_out).statistic for one, held_out in zip(predicted, others, strict=True)]
     larger = sum(found >= adequacy.statistic for found in statistics)
-    return replace(adequacy, p_value=(larger + 1.0) / (RECORDS + 1.0))
+    return replace(adequacy, p_value=(larger + 1.0) / (records + 1.0))
 
 
 def _read(

@@ -21,10 +21,11 @@ from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
-from sim_heating.closure.search.hypothesis import Hypothesis
+from sim_heating.closure.search.hypothesis import Hypothesis, adequacy_of
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
+from sim_heating.closure.search.simulated_records import RECORDS
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     OF_TABLE,
@@ -210,6 +211,7 @@ def _with_size(result: SearchResult) -> TrialFit:
         base,
         problem=base.problem.with_model_error(sized),
         held_out=base.held_out and base.held_out.with_model_error(sized),
+        size=size,
     )
 
 
@@ -274,8 +276,12 @@ class JointHypothesis(Hypothesis):
 
     @cached_property
     def adequacy_by_record(self) -> tuple[Adequacy, ...]:
-        """Whether it explains each record to its noise."""
-        return tuple(Hypothesis((trial,)).adequacy for trial in self.by_record)
+        """Whether it explains each record to its noise.
+
+        Of models with an error each p-value is from as many records more as there are members, so that the smallest of
+        them can be as small as that of one record.
+        """
+        return tuple(adequacy_of(trial, RECORDS * len(self.members)) for trial in self.by_record)
 
     @cached_property
     def adequacy(self) -> Adequacy:
