@@ -785,7 +785,8 @@ def replay(folder: Path) -> None:
 
 PLANNING_DEEDS = (
     study_deed("dispersion", control_points=["V09T9527", "NOSECAP"], trajectory=GLIDE, soak_s=20.0, limit=COOL,
-               dispersion=DISPERSION, effect=[{"name": "impingement-onset", "control_points": ["V09T9527"],
+               dispersion=DISPERSION,
+               effect=[{"name": "impingement-onset", "control_points": ["V09T9527"],
                         "parameters": {"slope": 0.01, "alpha_onset_deg": 39.0}}]),
     study_deed("envelope", trajectory=GLIDE, envelope=ENVELOPE, next_flight=NEXT),
     study_deed("before and after", trajectory=GLIDE, envelope={"before": "orbiter", "boundary": [
