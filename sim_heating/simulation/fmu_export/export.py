@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sim_heating.base.errors import InputError
@@ -65,7 +65,10 @@ def export_fmu(
     targets = targets_of(platforms, fmi)
     loaded = load_vehicle(vehicle)
     model = heating_model(loaded, control_points, targets, columns=columns, input_timing=input_timing)
-    about = Traceability(loaded, control_points, columns=columns).files()
+
+    def about() -> Mapping[str, bytes]:
+        return Traceability(loaded, control_points, columns=columns).files()
+
     write_fmu(Path(out), model.image, heating_units(model.effects), fmi, platforms, progress, about)
     return model.image
 
@@ -111,7 +114,7 @@ def write_fmu(
     fmi: int,
     platforms: Sequence[str],
     progress: Progress = no_progress,
-    about: Mapping[str, bytes] | None = None,
+    about: Callable[[], Mapping[str, bytes]] | None = None,
 ) -> None:
     """Write an image and the libraries of its functions as an FMU.
 
@@ -128,13 +131,14 @@ def fmu_bytes(
     fmi: int,
     platforms: Sequence[str],
     progress: Progress = no_progress,
-    about: Mapping[str, bytes] | None = None,
+    about: Callable[[], Mapping[str, bytes]] | None = None,
 ) -> bytes:
     """The FMU of an image and the libraries of its functions.
 
     units    : as `library` takes them
     progress : called with the fraction done and a line of text
-    about    : further files, as `Traceability.files`
+    about    : gives further files, as `Traceability.files`; called when the libraries are made, so that an effect which
+               no library can hold is refused first
     """
     targets = targets_of(platforms, fmi)
     # The token follows from the content, so that equal models are recognised as equal by a host.
@@ -148,7 +152,7 @@ def fmu_bytes(
         folder = target.fmi2 if fmi == 2 else target.fmi3
         path = shared_library(units, target)
         files[f"binaries/{folder}/{image.name}{target.suffix}"] = path.read_bytes()
-    return archive_bytes(files | dict(about or {}))
+    return archive_bytes(files | ({} if about is None else dict(about())))
 
 
 def write_archive(out: Path, data: bytes) -> None:

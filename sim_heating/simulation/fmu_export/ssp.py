@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
@@ -119,17 +120,20 @@ def export_ssp(
     flown = entry3dof.fly(spec, vehicle)
     system = System(trajectory, model.image, _connections(trajectory, model.image), float(flown.conditions.time_s[-1]))
     files = {"SystemStructure.ssd": _structure(system, title or vehicle.title)}
-    about = Traceability(vehicle, control_points)
-    nothing: dict[str, bytes] = {}
+
+    @cache
+    def about() -> Traceability:
+        return Traceability(vehicle, control_points)
+
     parts = (
-        (TRAJECTORY, trajectory, ENTRY_UNITS, nothing),
-        (HEATING, model.image, heating_units(model.effects), about.files()),
+        (TRAJECTORY, trajectory, ENTRY_UNITS, None),
+        (HEATING, model.image, heating_units(model.effects), lambda: about().files()),
     )
     for name, image, units, more in parts:
         files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress, more)
         files[f"resources/{name}.ssv"] = _parameter_values(image)
     heating = files[f"resources/{HEATING}.fmu"]
-    files[f"resources/{HEATING}.srmd"] = about.of_file(f"{HEATING}.fmu", heating)
+    files[f"resources/{HEATING}.srmd"] = about().of_file(f"{HEATING}.fmu", heating)
     write_archive(Path(out), archive_bytes(files))
     return system
 
