@@ -216,8 +216,8 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
         if np.any(np.isnan(flux)):
             raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
         note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
-        names = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": found.name}
-        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, file=file, names=names)
+        of_file = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": found.name}
+        return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, file=file, names=of_file)
     hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
         known = ", ".join(c.name for c in measured.columns if c.kind != TIME)
