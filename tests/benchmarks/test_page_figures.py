@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import credibility, page_figures, page_tables, reliability
+from benchmarks import credibility, page_figures, page_tables, reliability_tables
 from benchmarks.measure import RESULTS
 from benchmarks.page import DOCS, MARKED
 from benchmarks.page_figures import main, pages, quoted, stale_figures
@@ -26,7 +26,7 @@ def test_a_page_quotes_the_results(page: Path):
 def test_a_marked_table_of_a_page_is_one_that_a_benchmark_writes(page: Path):
     """A misspelt name would leave the page as it is, and nothing would check it."""
     for _, name, _ in MARKED.findall(page.read_text()):
-        assert name in TABLES or name.partition(", ")[0] in ("credibility", "verification", *reliability.NAMES)
+        assert name in TABLES or name.partition(", ")[0] in ("credibility", "verification", *reliability_tables.NAMES)
 
 
 @pytest.mark.parametrize("name", sorted({n.partition(", ")[0] for n in TABLES}))

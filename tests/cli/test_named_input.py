@@ -88,7 +88,7 @@ def test_a_damaged_document_is_refused_by_validate(tmp_path: Path, old: str, new
     ("source", "line"),
     [
         (PACKETS, "entry.xml"),
-        ('kind = "json-lines"\ntransport = "file"\nfile = "flight.jsonl"\n', "flight.jsonl: No such file"),
+        ('kind = "json-lines"\ntransport = "file"\nfile = "flight.jsonl"\n', "[[source]]: `file`: there is no"),
         ('kind = "replay"\nrecord = "flight"\n', "flight"),
     ],
 )

@@ -97,8 +97,10 @@ class Roots:
         raises    : InputError naming file and key where the path leads elsewhere, or nothing is there
         """
         path = self.named(name, key)
-        if name.strip() in ("", ".") or not path.exists():
-            raise InputError(f"{display_path(self.file)}, {key}: there is no {abbreviated(name)}")
+        if name.strip() in ("", "."):
+            raise InputError(f"{display_path(self.file)}, {key}: names nothing; name a file")
+        if not path.exists():
+            raise InputError(f"{display_path(self.file)}, {key}: there is no {display_path(path)}")
         return path
 
     def check_link(self, path: Path) -> None:
