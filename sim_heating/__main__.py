@@ -8,7 +8,6 @@ import sys
 import threading
 from typing import Any, NoReturn
 
-from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.progress import EndingSignals
 from sim_heating.base.unused_parts import leave_out
 
@@ -111,7 +110,6 @@ class _End:
 
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
-    search_seldom()
     leave_out()
     end = _End()
     atexit.register(end)

@@ -28,7 +28,6 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.paths import bytes_digest
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
-from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.base.progress import Progress, no_progress, signals_deferred
 
@@ -301,7 +300,6 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
                     files = TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
                     cluster = _local_processes(workers, ending.enter_context(files))
                     client = ending.enter_context(Client(ending.enter_context(cluster)))
-                client.run(search_seldom, on_error="ignore")
                 yield client
             return
         try:
