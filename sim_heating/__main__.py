@@ -9,7 +9,6 @@ import threading
 from typing import Any, NoReturn
 
 from sim_heating.base.progress import EndingSignals
-from sim_heating.base.unused_parts import leave_out
 
 
 class _OutputFile(io.FileIO):
@@ -110,7 +109,6 @@ class _End:
 
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
-    leave_out()
     end = _End()
     atexit.register(end)
     end.status = main()
