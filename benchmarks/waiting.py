@@ -92,7 +92,8 @@ def _with_output(command: Command, folder: Path) -> tuple[str, ...]:
 def _floor(command: Command) -> tuple[float, float, float]:
     """Processor time [s] of the libraries of a command, of its kernels, and of JSBSim in it."""
     imports = [LIBRARIES[kind] for kind in command.work]
-    libraries = _seconds(["-c", "\n".join(imports)])[1]
+    code = [*imports, "import os", "os._exit(0)"]  # ends as a command does
+    libraries = _seconds(["-c", "\n".join(code)])[1]
     if not command.writes:
         return libraries, 0.0, 0.0
     with tempfile.TemporaryDirectory() as folder:

