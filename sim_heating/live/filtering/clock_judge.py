@@ -1,4 +1,4 @@
-"""Which samples are in order, late, or on another clock, and what is told of that."""
+"""Judgement of clocks: which samples are in order, late, or on another clock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ClockJudge:
 
     timeline     : samples in order
     sensor_names : point and name of each sensor, by its number
-    notices      : takes what is to be told
+    notices      : messages to the user
 
     failed : point, sensor, time from which on [s] and reason of each sensor whose own clock went back
     """
@@ -31,7 +31,7 @@ class ClockJudge:
         self._has_told_conflict = False
 
     def put(self, sample: Sample) -> Placed:
-        """Put a sample where it belongs; what became of it. A conflict is told once."""
+        """Put a sample where it belongs; what became of it. A conflict is reported once."""
         placed = self.timeline.put(sample)
         conflict_s = self.timeline.conflict_s
         if placed is Placed.DOUBLED and conflict_s is not None and not self._has_told_conflict:
@@ -54,7 +54,7 @@ class ClockJudge:
         return readings[: self.timeline.put_readings(readings, now_s)]
 
     def tell_late(self, lateness_s: float) -> None:
-        """Tell which sensors come late after they had come in time; not of one that is left out for its clock.
+        """Report which sensors come late after they had come in time; not of one that is left out for its clock.
 
         lateness_s : how late a sample may come and still be used [s]
         """
@@ -71,7 +71,7 @@ class ClockJudge:
         self.timeline.late_sensors.clear()
 
     def is_bridged(self, jump: Jump) -> bool:
-        """Whether a jump of the clock is bridged as a gap, since it is a little ahead; which is told."""
+        """Whether a jump of the clock is bridged as a gap, since it is a little ahead; reports it."""
         between = f"from {jump.from_s:g} to {jump.to_s:g} s"
         if 0.0 < jump.by_s <= BRIDGED_S:
             self._notices.tell(
@@ -88,7 +88,7 @@ class ClockJudge:
         return False
 
     def ended_repetition(self) -> Repeated | None:
-        """The times that came again, once they have ended; None before. That they come again is told."""
+        """The times that came again, once they have ended; None before. Reports that they come again."""
         timeline = self.timeline
         now, ended = timeline.repeated, timeline.repeated_until_now()
         if ended is None:

@@ -165,9 +165,9 @@ class InnovationLog:
 
 @dataclass
 class Notices:
-    """What a running estimate tells its user.
+    """Messages of a running estimate to its user.
 
-    messages : lines to be told, the last 100 of them
+    messages : the last 100 lines
     refused  : number of frames that were not used as they came
     """
 

@@ -325,7 +325,7 @@ class LiveEstimator:
 
     @property
     def messages(self) -> list[str]:
-        """Lines to be told, in order; the last 100 of them."""
+        """The last 100 messages to the user, in order."""
         return self.notices.messages
 
     @property

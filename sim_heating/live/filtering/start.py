@@ -29,7 +29,7 @@ class Start:
     """Waits until there is enough to begin with, and chooses the temperatures of each point.
 
     source   : the control points, and what a frame is for them;  sensors : of all points
-    notices  : takes what is to be told
+    notices  : messages to the user
     profiles : of each point, once the start is made
     """
 

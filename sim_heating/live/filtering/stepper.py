@@ -92,7 +92,7 @@ class Stepper:
 
     source   : the control points, and what a frame is for them
     filters  : LANES points in each;  march : marches them
-    timeline : samples in order;  notices : takes what is to be told
+    timeline : samples in order;  notices : messages to the user
 
     now     : the last step; None before the start.  moments : snapshots in order of time, which can be returned to
     past    : steps since the start.  log : of innovations.  steps : number of steps taken
