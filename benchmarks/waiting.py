@@ -41,11 +41,9 @@ LIBRARIES = {
     "reads": READING,
     "computes": f"{READING}\nfrom sim_heating.heating.atmosphere import gravity\ngravity(0.0)",
     "draws": "import matplotlib.figure, matplotlib.backends.backend_agg, jinja2, PIL.Image",
-    "stores": "with without(*KINDS_OF_ARRAYS):\n    import netCDF4, xarray\n    xarray.Dataset({'a': ('time', [0.0])})",
+    "stores": "import netCDF4, xarray\nxarray.Dataset({'a': ('time', [0.0])})",
 }
 """Kind of work -> what a process that does it imports at least."""
-AS_A_COMMAND = "from sim_heating.base.unused_parts import KINDS_OF_ARRAYS, leave_out, without\nleave_out()"
-"""What a command does before it imports libraries: a part that can be left out is none of the floor."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def _with_output(command: Command, folder: Path) -> tuple[str, ...]:
 def _floor(command: Command) -> tuple[float, float, float]:
     """Processor time [s] of the libraries of a command, of its kernels, and of JSBSim in it."""
     imports = [LIBRARIES[kind] for kind in command.work]
-    code = [AS_A_COMMAND, *imports, "import os", "os._exit(0)"]  # ends as a command does
+    code = [*imports, "import os", "os._exit(0)"]  # ends as a command does
     libraries = _seconds(["-c", "\n".join(code)])[1]
     if not command.writes:
         return libraries, 0.0, 0.0

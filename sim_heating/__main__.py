@@ -8,9 +8,7 @@ import sys
 import threading
 from typing import Any, NoReturn
 
-from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.progress import EndingSignals
-from sim_heating.base.unused_parts import leave_out
 
 
 class _OutputFile(io.FileIO):
@@ -90,7 +88,9 @@ def _interrupted(status: int) -> int:
 
 
 class _End:
-    """Ends the process with a status, without taking down its modules one by one: half a second where all are loaded.
+    """Ends the process with a status, without taking down its modules one by one.
+
+    That saves 0.2 s of the 0.9 s of processor time that `validate` of a record would take.
 
     As the first function that is registered for the exit it is called last, after those of libraries. Without a status,
     after a traceback, Python ends as always.
@@ -111,8 +111,6 @@ class _End:
 
 def run_and_exit() -> NoReturn:
     """Run the command as a process of its own, which ends here with the status of `main`."""
-    search_seldom()
-    leave_out()
     end = _End()
     atexit.register(end)
     end.status = main()

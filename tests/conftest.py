@@ -3,6 +3,7 @@ order of files and their distribution to processes."""
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import sys
@@ -15,7 +16,6 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.parallel.threads import core_count, march_threads
 
 # Hundreds of processes import the same modules, some of them 5 s of compilation: it is done once, whatever the user's
@@ -28,7 +28,7 @@ sys.dont_write_bytecode = False
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Every search for cyclic garbage goes through the many objects of loaded modules: a seventh of the time of a picture.
-search_seldom()
+gc.set_threshold(50_000)
 
 settings.register_profile("compiled", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("compiled")

@@ -13,8 +13,8 @@ from tests.support.structure import FOLDERS, PACKAGE, PAGE, folder, imports, mod
 
 ENTRIES = 12
 """Most entries of a folder, `__init__.py` and data aside."""
-LONG = {"heating/effects": 26, "trajectory": 14, "cli": 22}
-"""Folders that may have more: the catalogue of effects, sources of trajectories, the commands."""
+LONG = {"heating/effects": 26, "trajectory": 14, "cli": 22, "live/filtering": 15}
+"""Folders that may have more: the catalogue of effects, sources of trajectories, the commands, the live filter."""
 
 
 def test_every_folder_of_the_package_is_in_the_order_of_the_data():

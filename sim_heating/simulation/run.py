@@ -20,7 +20,6 @@ from sim_heating.base.files.package import package_version
 from sim_heating.base.parallel.processes import in_copy
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.hdf5_times import without_times
-from sim_heating.base.unused_parts import KINDS_OF_ARRAYS, without
 from sim_heating.credibility.facts.of_flight import facts_of_flight
 from sim_heating.credibility.statement import Facts, Statement, assess
 from sim_heating.heating.ratio.lookup import table_ratios_at
@@ -434,15 +433,13 @@ def _picture_of(number: int, kind: str) -> str:
 
 
 def load_writers() -> None:
-    """Import what `write_run` needs: pictures, its page, its netCDF file; in a process that is this program's own."""
+    """Import what `write_run` needs: pictures, its page, its netCDF file."""
     import netCDF4  # noqa: F401
+    import xarray as xr
 
     from sim_heating.simulation.report import pages, plots  # noqa: F401
 
-    with without(*KINDS_OF_ARRAYS):
-        import xarray as xr
-
-        xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
+    xr.Dataset({"time_s": ("time", [0.0])})  # the first one looks for further libraries
 
 
 def write_run(

@@ -18,7 +18,6 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import exclusive
 from sim_heating.base.parallel import batches
 from sim_heating.base.parallel.batches import Job, run_batches
-from sim_heating.base.parallel.garbage import ALLOCATIONS
 from tests.support import batch_jobs
 from tests.support.batch_jobs import jobs
 from tests.support.paths import ROOT
@@ -55,12 +54,6 @@ def test_a_job_that_raises_is_reported_and_the_others_continue(tmp_path, workers
     assert not again.failed
     assert again.done["job-003"].read_bytes() == b"9\n"
     assert not (tmp_path / "job-003.error").exists()
-
-
-@pytest.mark.thorough
-def test_local_workers_search_for_garbage_as_seldom_as_a_command(tmp_path):
-    outcome = run_batches(jobs(2), batch_jobs.allocations_per_search, tmp_path, workers=2)
-    assert {path.read_text() for path in outcome.done.values()} == {str(ALLOCATIONS)}
 
 
 def _square(task):

@@ -111,14 +111,14 @@ def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, see
     assert late.counts.late > 50
     assert late.counts.too_late == 0
     assert_same_bits(late, in_order)
-    assert in_order.steps > 100
+    assert in_order.stepper.steps > 100
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("at_once", [1, 50, 1000])
 def test_a_flight_that_is_filtered_again_on_the_way_has_the_same_bits_in_any_order(at_once):
     straight = feed(estimator(again_s=10.0), samples())
-    assert straight._past[0].frame.time_s < BEGIN_S + 1.0
+    assert straight.stepper.past.steps[0].frame.time_s < BEGIN_S + 1.0
     assert_same_bits(feed(estimator(again_s=10.0), shuffled(5, 1.9), at_once), straight)
     assert not np.array_equal(final(straight)[2], final(feed(estimator(again_s=math.inf), samples()))[2])
 
@@ -294,8 +294,8 @@ def test_a_few_lost_frames_of_a_slow_link_are_no_jump_and_nothing_read_meanwhile
     e = feed(estimator(), [s for s in slow if isinstance(s, Reading) or not 870.0 < s.time_s < 874.0])
     assert e.messages == []
     assert e.counts.jumps == e.counts.off_clock == 0
-    read = sum(len(step.words) for step in e._past)
-    assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e._past[-1].frame.time_s)
+    read = sum(len(step.words) for step in e.stepper.past.steps)
+    assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e.stepper.past.steps[-1].frame.time_s)
 
 
 def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> list[Sample]:
@@ -316,8 +316,8 @@ def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_use
     given = stamped(by_s)
     e = feed(estimator(), [given[k] for k in arriving])
     assert e.counts.jumps == 1
-    assert e.jump is not None
-    assert e.jump.by_s == pytest.approx(by_s, abs=0.6)
+    assert e.timeline.jump is not None
+    assert e.timeline.jump.by_s == pytest.approx(by_s, abs=0.6)
     assert sum(("clock" in m and "back by about" in m) or "jumped back" in m for m in e.messages) == 1
     assert e.time_s == pytest.approx(END_S + by_s)
     found = e.estimates()[e.names[0]]
@@ -530,7 +530,7 @@ def test_names_that_the_link_does_not_have_are_told_with_the_nearest():
 def test_a_frame_that_lacks_a_column_is_told_and_not_used():
     e = estimator()
     e.add(Frame(850.0, {"alpha_deg": 40.0}))
-    assert e.refused == 1
+    assert e.notices.refused == 1
     assert "not used" in e.messages[-1]
 
 
@@ -556,4 +556,4 @@ def test_a_vehicle_in_flight_is_estimated_from_what_a_host_gives():
     e.add(*(Frame(k / 60.0, values) for k in range(601)))
     e.advance()
     assert e.estimates()["LEE_UPPER"].surface_K == pytest.approx(plugin.surface_K["LEE_UPPER"], abs=0.5)
-    assert e.steps < 60
+    assert e.stepper.steps < 60

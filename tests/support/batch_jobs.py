@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 import time
@@ -52,11 +51,6 @@ def wait_for(release: Path, task: int) -> bytes:
 def jobs(count: int) -> list[Job]:
     """Numbered jobs."""
     return [Job(f"job-{k:03d}", k) for k in range(count)]
-
-
-def allocations_per_search(task: int) -> bytes:
-    """New objects after which the process searches for cyclic garbage while it does a job."""
-    return f"{gc.get_threshold()[0]}".encode()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
 import re
@@ -26,7 +27,6 @@ DECORATORS = "base.kernels.jit"
 """Module that each module with a kernel imports."""
 
 _DIGEST = re.compile("[0-9a-f]{16}")
-_IMPORT = re.compile(r"^\s*(?:from|import) sim_heating\.([\w.]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 
 
 def _modules(package: Path) -> dict[str, Path]:
@@ -36,11 +36,15 @@ def _modules(package: Path) -> dict[str, Path]:
 
 
 def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
-    """Modules of the package that a module imports, by their absolute names."""
-    found = set()
-    for module, several, one in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", several + one))}
-    return {modules[name] for name in found if name in modules}
+    """Modules of the package that a module imports, within functions too, by their absolute names."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    within = (name.removeprefix(f"{PACKAGE.name}.") for name in names if name.startswith(f"{PACKAGE.name}."))
+    return {modules[name] for name in within if name in modules}
 
 
 def kernel_sources(package: Path = PACKAGE) -> list[Path]:
@@ -49,13 +53,12 @@ def kernel_sources(package: Path = PACKAGE) -> list[Path]:
     package : folder of the package
     returns : paths in their order
 
-    Imports are found by their absolute names in the text, since parsing all modules would cost a start a second
-    (tests/base/test_kernel_cache.py compares with a parser). A relative import would not be found. The public face of
-    the package names everything, the compiler included, and defines no kernel: it is none of them.
+    A relative import would not be found. The public face of the package names everything, the compiler included, and
+    defines no kernel: it is none of them.
     """
     modules = _modules(package)
     imports = {path: _imported(path, modules) for name, path in modules.items() if name}
-    waiting = [path for path, found in imports.items() if modules[DECORATORS] in found]
+    waiting = [path for path, imported in imports.items() if modules[DECORATORS] in imported]
     sources: set[Path] = set()
     while waiting:
         path = waiting.pop()
@@ -84,12 +87,10 @@ def file_states(package: Path = PACKAGE) -> str | None:
     """Digest of the states of all files that may be sources: names, sizes, times and numbers, without their content.
 
     package : folder of the package
-    returns : 16 hexadecimal digits, others after any change of a file; None where a change could be missed: on Windows,
-              which tells no time of change, and where a file was changed a moment ago, so that a second change could
-              have the same time
+    returns : 16 hexadecimal digits, others after any change of a file; None where a change could be missed: where a
+              file was changed a moment ago, so that a second change could have the same time. On Windows, which tells
+              no time of change, one in place that keeps the size and sets the time of writing back is missed
     """
-    if os.name == "nt":
-        return None
     states, folders, newest_s = [numba.__version__.encode()], [os.fspath(package)], 0.0
     while folders:
         with os.scandir(folders.pop()) as entries:
@@ -101,7 +102,7 @@ def file_states(package: Path = PACKAGE) -> str | None:
                         s = entry.stat()
                         state = f" {s.st_size} {s.st_mtime_ns} {s.st_ctime_ns} {s.st_ino} {s.st_dev}"
                         states.append(os.fsencode(entry.path) + state.encode())
-                        newest_s = max(newest_s, s.st_ctime)
+                        newest_s = max(newest_s, s.st_ctime, s.st_mtime)
     return None if time.time() - newest_s < SETTLED_S else hashlib.sha256(b"\n".join(sorted(states))).hexdigest()[:16]
 
 

@@ -28,7 +28,6 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.paths import bytes_digest
 from sim_heating.base.files.text import clear_partial_files, repeated_name, write_bytes_atomic, write_text_atomic
 from sim_heating.base.files.transaction import exclusive
-from sim_heating.base.parallel.garbage import search_seldom
 from sim_heating.base.parallel.threads import march_threads, one_thread
 from sim_heating.base.progress import Progress, no_progress, signals_deferred
 
@@ -304,7 +303,6 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
                     ending.enter_context(dask.config.set({"temporary-directory": files}))  # the scheduler makes one
                     cluster = _local_processes(workers, files)
                     client = ending.enter_context(Client(ending.enter_context(cluster)))
-                client.run(search_seldom, on_error="ignore")
                 yield client
             return
         try:

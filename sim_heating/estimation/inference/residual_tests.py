@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Polynomial
-from scipy.special import chdtr, chdtrc, ndtr, ndtri
+from scipy.special import chdtr, chdtrc
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
@@ -23,18 +22,6 @@ FEWEST = 8
 """Number of samples below which nothing is tested."""
 MOST_FOR_SHAPIRO = 5000
 """Number of samples up to which the p-value of Shapiro and Wilk is valid."""
-SMALL_SAMPLE = 11
-"""Number of samples up to which that p-value has a form of its own."""
-_LAST_WEIGHTS = (0.0, 0.221157, -0.147981, -2.07119, 4.434685, -2.706056), (
-    0.0, 0.042981, -0.293762, -1.752461, 5.682633, -3.582633,
-)  # fmt: skip
-"""Royston's corrections of the weights of the largest and second largest sample, in powers of 1 / sqrt(n)."""
-_MEAN, _SPREAD = (-1.5861, -0.31082, -0.083751, 0.0038915), (-0.4803, -0.082676, 0.0030302)
-"""Mean of ln(1 - W), and logarithm of its standard deviation, in powers of ln(n)."""
-_LEAST, _SMALL_MEAN, _SMALL_SPREAD = (
-    (-2.273, 0.459), (0.544, -0.39978, 0.025054, -6.714e-4), (1.3822, -0.77857, 0.062767, -0.0020322),
-)  # fmt: skip
-"""Of small samples: gamma, and the mean and the logarithm of the spread of -ln(gamma - ln(1 - W)), in powers of n."""
 
 
 @dataclass(frozen=True)
@@ -113,45 +100,15 @@ def normality(residual: FloatArray) -> HypothesisTest:
 
     Source: Shapiro and Wilk (1965) in the approximation of Royston (1995), whose p-value is valid up to 5000 samples.
     """
+    from scipy.stats import shapiro  # half a second to import; most commands test no residuals
+
     present = residual[np.isfinite(residual)]
     _require_samples(present.size)
     if np.ptp(present) == 0.0:
         raise InputError(f"residuals are all {present[0]:g}, without noise to test for normality")
     thinned = present[:: math.ceil(present.size / MOST_FOR_SHAPIRO)]
-    return _shapiro_wilk(np.sort(thinned))
-
-
-def _shapiro_wilk(x: FloatArray) -> HypothesisTest:
-    """Shapiro and Wilk's test of an ordered sample; scipy.stats has it too, but takes half a second to import.
-
-        1 - W = 1 - (sum_i a_i x_i)^2 / sum_i (x_i - mean)^2,     sum_i a_i^2 = 1
-
-    x : (sample,) ascending [-], 8 to 5000 samples, not all equal
-
-    The weights a_i and the distribution of ln(1 - W) are the polynomials of P. Royston, "Remark AS R94: A Remark on
-    Algorithm AS 181: The W-test for Normality", Applied Statistics 44 (1995) 547-551.
-    """
-    n = x.size
-    m = ndtri((np.arange(1, n + 1) - 0.375) / (n + 0.25))
-    squares, root = float(m @ m), 1.0 / math.sqrt(n)
-    last = [m[n - 1 - k] / math.sqrt(squares) + Polynomial(c)(root) for k, c in enumerate(_LAST_WEIGHTS)]
-    free = (squares - 2.0 * float(m[-2:] @ m[-2:])) / (1.0 - 2.0 * float(np.square(last).sum()))
-    a = m / math.sqrt(free)
-    a[-1], a[-2] = last
-    a[0], a[1] = -a[-1], -a[-2]
-    off = x - x.mean()
-    # as a difference of roots: 1 - W itself, which is small, would lose its digits
-    length, along = math.sqrt(float(a @ a) * float(off @ off)), float(a @ off)
-    missing = max((length - along) * (length + along) / length**2, 0.0)
-    if missing == 0.0:
-        return HypothesisTest(1.0, float(n), 1.0)
-    at, y, mean, spread = math.log(n), math.log(missing), Polynomial(_MEAN), Polynomial(_SPREAD)
-    if n <= SMALL_SAMPLE:
-        at, mean, spread = float(n), Polynomial(_SMALL_MEAN), Polynomial(_SMALL_SPREAD)
-        above = float(Polynomial(_LEAST)(at)) - y
-        y = -math.log(above) if above > 0.0 else math.inf
-    z = float((y - mean(at)) / np.exp(spread(at)))
-    return HypothesisTest(1.0 - missing, float(n), float(ndtr(-z)))
+    tested = shapiro(thinned)
+    return HypothesisTest(float(tested.statistic), float(thinned.size), float(tested.pvalue))
 
 
 def _require_samples(samples: int) -> None:

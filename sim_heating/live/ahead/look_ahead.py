@@ -306,7 +306,7 @@ class AheadOfLink:
         self._ahead = LookAhead(
             estimator.source, limits, futures, own.horizon_s, own.keep, link.declared.estimate.wander
         )
-        self._ahead.warm_up([e for f in estimator.filters for e in f.estimates()])
+        self._ahead.warm_up([e for f in estimator.stepper.filters for e in f.estimates()])
 
     def due(self, time_s: float | None) -> bool:
         """Whether a flight time [s] calls for a prediction, and time is left for one."""

@@ -1,13 +1,15 @@
-"""Options of a running estimate, and what it gives."""
+"""Options of a running estimate, and what it gives: estimates, innovations and notices."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.estimation.filter.online import PointEstimate
 
 
@@ -96,3 +98,88 @@ class Innovation(NamedTuple):
     predicted_variance_K2: float
     read_K: float
     is_left_out: bool = False
+
+
+LOG_COLUMNS = 8
+"""Columns of what is logged of a reading: time [s], number of its sensor, then as Innovation from innovation_K on."""
+
+
+class InnovationLog:
+    """What was expected of the readings of each step, until no late sample can change it any more.
+
+    sensor_names : point and name of each sensor, by its number
+    """
+
+    def __init__(self, sensor_names: Sequence[tuple[str, str]]) -> None:
+        self._sensor_names = sensor_names
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all steps and what was handed out."""
+        # (reading, LOG_COLUMNS) of each step, in order of time and sensor, from step number `_first` on
+        self._steps: list[FloatArray] = []
+        self._first = 0
+        self._handed_out_s = -math.inf
+
+    @property
+    def count(self) -> int:
+        """Number of steps whose innovations are, or were, logged."""
+        return self._first + len(self._steps)
+
+    def append(self, step: FloatArray) -> None:
+        """Log the (reading, LOG_COLUMNS) innovations of the next step."""
+        self._steps.append(step)
+
+    def cut(self, count: int) -> None:
+        """Forget all steps but the first ones, so many as `count` was at an earlier time."""
+        del self._steps[count - self._first :]
+
+    def hand_out(self, until_s: float, now_s: float, first_kept: int) -> list[Innovation]:
+        """Innovations since the last call up to a time, in order of time and sensor.
+
+        until_s    : time up to which no late sample can change them [s];  now_s : end of the last step [s]
+        first_kept : number of steps up to the oldest snapshot; those before it may be forgotten
+        """
+        if until_s <= self._handed_out_s:
+            return []
+        final = self._between(self._handed_out_s, min(until_s, now_s))
+        self._handed_out_s = min(until_s, now_s)
+        stale = first_kept - self._first
+        if all(step[-1, 0] <= self._handed_out_s for step in self._steps[:stale] if len(step)):
+            del self._steps[:stale]
+            self._first += stale
+        numbers, names = final[:, 1].astype(int).tolist(), self._sensor_names
+        columns = [final[:, k].tolist() for k in range(2, LOG_COLUMNS - 1)]
+        points, sensors = [names[n][0] for n in numbers], [names[n][1] for n in numbers]
+        return list(map(Innovation, final[:, 0].tolist(), points, sensors, *columns, (final[:, -1] > 0.0).tolist()))
+
+    def _between(self, after_s: float, until_s: float) -> FloatArray:
+        """(reading, LOG_COLUMNS) innovations later than one time and up to another [s], in order of time and sensor."""
+        chosen: list[FloatArray] = []
+        for step in reversed(self._steps):
+            if len(step) and step[-1, 0] <= after_s:
+                break
+            chosen.append(step[(step[:, 0] > after_s) & (step[:, 0] <= until_s)])
+        return np.concatenate([np.zeros((0, LOG_COLUMNS)), *reversed(chosen)])
+
+
+@dataclass
+class Notices:
+    """Messages of a running estimate to its user.
+
+    messages : the last 100 lines
+    refused  : number of frames that were not used as they came
+    """
+
+    messages: list[str] = field(default_factory=list)
+    refused: int = 0
+
+    def tell(self, message: str) -> None:
+        """Add a line."""
+        self.messages.append(message)
+        del self.messages[:-100]
+
+    def refuse(self, message: str) -> None:
+        """Count a frame that is not used as it came, and tell why."""
+        self.refused += 1
+        self.tell(message)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -178,7 +179,8 @@ class RecordPoints:
         )
 
 
-def line_tolerance(columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+@cache
+def line_tolerance(columns: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
     """(column,) distance of each column from a straight line in time that heating does not notice, and share of its
     value that is added to it [-].
     """

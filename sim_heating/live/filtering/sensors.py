@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,12 +34,20 @@ class LeftOut:
         return any(begin <= time_s <= end for begin, end in self.spans)
 
 
+class Recorders(NamedTuple):
+    """(sensor,) foot of the range and step of each recorder [K], and its largest count [-]; nan where there is none."""
+
+    foot_K: FloatArray
+    lsb_K: FloatArray
+    largest_count: FloatArray
+
+
 class SensorTable:
     """Sensors of all points by number, and what their readings are to the filter."""
 
     def __init__(self, points: Sequence[LivePoint], names: Sequence[str]) -> None:
-        self.place = [(p.name, s.name) for p in points for s in p.sensors]
-        self.numbers = {place: n for n, place in enumerate(self.place)}
+        self.point_and_name = [(p.name, s.name) for p in points for s in p.sensors]
+        self.numbers = {key: n for n, key in enumerate(self.point_and_name)}
         self.sensors = [s for p in points for s in p.sensors]
         self.point = np.array([i for i, p in enumerate(points) for _ in p.sensors], dtype=np.int64)
         self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
@@ -45,9 +55,11 @@ class SensorTable:
         self.sigma_K, self.per_K = np.array(sigma), np.array([s.noise_per_K for s in self.sensors])
         words = [s.bits is not None and s.range_K is not None for s in self.sensors]
         pairs = list(zip(self.sensors, words, strict=True))
-        self.foot = np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs])
-        self.lsb = np.array([s.lsb_K if w else np.nan for s, w in pairs])
-        self.last = np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs])
+        self.recorders = Recorders(
+            np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs]),
+            np.array([s.lsb_K if w else np.nan for s, w in pairs]),
+            np.array([2.0 ** (s.bits or 0) - 1.0 if w else np.nan for s, w in pairs]),
+        )
         self.tau_s = np.array([s.tau_s for s in self.sensors])
         self.curved = [n for n, s in enumerate(self.sensors) if s.calibration is not None]
         self.used = np.array([s.used for s in self.sensors])
@@ -58,7 +70,11 @@ class SensorTable:
             direct_terms(s, self.names[self.point[n]], np.ones(1), 1.0, np.zeros(1), np.ones(1))[0]
             for n, s in enumerate(self.sensors)
         ]
-        self._any_terms = any(np.any(t) for t in self._terms)
+
+    @cached_property
+    def _any_terms(self) -> bool:
+        """Whether an error of a sensor of its own is estimated."""
+        return any(np.any(t) for t in self._terms)
 
     @staticmethod
     def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
@@ -75,13 +91,14 @@ class SensorTable:
     def readings(self, words: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[LeftOut]) -> PointReadings:
         """Readings of the points of all filters as these take them, with what is estimated of the sensors' own errors.
 
-        words : (reading, 4) as of `_words` of the estimator;  filters : of LANES points each
+        words   : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
+        filters : of LANES points each;  out : times at which each sensor is left out
         """
         number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
         skipped = ~self.used[number]
         if any(o.spans for o in out):
             skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
-        lower, upper = word_intervals(value, self.foot[number], self.lsb[number], self.last[number])
+        lower, upper = word_intervals(value, *(column[number] for column in self.recorders))
         gain, bias = np.ones(len(t)), np.zeros(len(t))
         direct = np.zeros((len(t), max(f.most_parameters for f in filters), 3))
         for n in self.curved:

@@ -460,7 +460,7 @@ class Timeline:
             at = bisect_left(words, (t, number, -math.inf))
             if at < len(words) and words[at][:2] == (t, number):
                 return self._again(t, words[at] == word, number)
-            before, after = self._neighbours(number, at)
+            before, after = _neighbours(words, number, at)
             if _has_time_of_another(word, before, after):
                 self._repeat(t, number)
             self._note_jump(before, word)
@@ -475,12 +475,6 @@ class Timeline:
             self._last_word[number] = t, value_K
         # readings of a step may come behind its frame without being late: only one that a step has passed is
         return Placed.LATE if t <= self.newest_s and t < last_s else Placed.TAKEN
-
-    def _neighbours(self, number: int, at: int) -> tuple[Word | None, Word | None]:
-        """The readings of a sensor before and after a place among the words; None where there is none."""
-        words = self.words
-        before = next((words[k] for k in range(at - 1, -1, -1) if words[k][1] == number), None)
-        return before, next((words[k] for k in range(at, len(words)) if words[k][1] == number), None)
 
     def _note_jump(self, before: Word | None, after: Word | None) -> None:
         """Note where two readings of a sensor, one after the other in time, are far apart."""
@@ -510,6 +504,12 @@ class Timeline:
             self.differs_s = [t for t in self.differs_s if t >= before_s - words_s]
         if self.jumps:
             self.jumps = [jump for jump in self.jumps if jump[0] >= before_s - words_s]
+
+
+def _neighbours(words: Sequence[Word], number: int, index: int) -> tuple[Word | None, Word | None]:
+    """The readings of a sensor before and after an index among the readings of all; None where there is none."""
+    before = next((words[k] for k in range(index - 1, -1, -1) if words[k][1] == number), None)
+    return before, next((words[k] for k in range(index, len(words)) if words[k][1] == number), None)
 
 
 def _has_time_of_another(word: Word, before: Word | None, after: Word | None) -> bool:

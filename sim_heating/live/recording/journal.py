@@ -355,6 +355,78 @@ def _is_empty(head: JournalHead) -> bool:
 # Writing -------------------------------------------------------------------------------------------------------------
 
 
+class _Waiting:
+    """Encoded entries that wait for the disk.
+
+    dropped : number of those that were given up
+    """
+
+    def __init__(self) -> None:
+        self._entries: deque[bytes] = deque()
+        self._bytes = self.dropped = 0
+
+    @property
+    def count(self) -> int:
+        return len(self._entries)
+
+    @property
+    def first(self) -> bytes:
+        return self._entries[0]
+
+    def append(self, data: bytes) -> None:
+        self._entries.append(data)
+        self._bytes += len(data)
+
+    def pop(self) -> None:
+        self._bytes -= len(self._entries.popleft())
+
+    def drop_beyond(self, most_bytes: int) -> None:
+        """Give up the oldest entries, until no more bytes wait than that."""
+        while self._bytes > most_bytes:
+            self.pop()
+            self.dropped += 1
+
+
+class _OpenJournal:
+    """The open file of a journal, to which whole entries are appended.
+
+    size : bytes of whole entries
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._spare = [os.dup(self._file) for _ in range(SPARE)]
+        self.size = self._synced = os.lseek(self._file, 0, os.SEEK_END)
+
+    def append(self, data: bytes) -> None:
+        """Write an entry; OSError where the disk does not take all of it."""
+        written = os.write(self._file, data)
+        if written < len(data):
+            written += os.write(self._file, data[written:])
+        if written < len(data):
+            raise OSError(28, "No space left on device")
+        self.size += len(data)
+
+    def take_back(self) -> None:
+        """Remove what was written of an entry that the disk did not take."""
+        try:
+            os.ftruncate(self._file, self.size)
+            os.lseek(self._file, self.size, os.SEEK_SET)
+        except OSError:  # the next attempt begins at the same place
+            return
+
+    def sync(self) -> None:
+        """Force what was written to the disk."""
+        if self.size > self._synced:
+            size = self.size
+            os.fsync(self._file)
+            self._synced = size
+
+    def close(self) -> None:
+        for number in (self._file, *self._spare):
+            os.close(number)
+
+
 class Journal:
     """A journal that is written.
 
@@ -384,11 +456,10 @@ class Journal:
         sent_again: str = "",
         has_results: bool = True,
     ) -> None:
-        self.path, self.problem, self.dropped = path, "", 0
+        self.path, self.problem = path, ""
         self.told: list[str] = []
         self._fsync_s = fsync_s
-        self._waiting: deque[bytes] = deque()
-        self._waiting_bytes = 0
+        self._waiting = _Waiting()
         self._retry_at = 0.0
         self._lock = threading.Lock()
         self._ended = threading.Event()
@@ -411,8 +482,7 @@ class Journal:
                 started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
                 head = {"format": FORMAT, "started": started, "path": str(place.absolute()), "sent_again": sent_again}
                 _write_whole(path, _line(with_digest({**head, "link": link, "means": means})))
-            self._file = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
-            self._spare = [os.dup(self._file) for _ in range(SPARE)]
+            self._disk = _OpenJournal(path)
         except OSError as error:
             self._release()
             raise InputError(f"{display_path(path)}: {os_error_reason(error)}; name another directory") from None
@@ -421,9 +491,7 @@ class Journal:
             raise
         with _opened(path) as stream:
             self._header = stream.readline()
-        self._size = self._synced = os.lseek(self._file, 0, os.SEEK_END)
-        self._is_new = not self.is_resumed
-        self._header_due = 0 if self._is_new else self._size + HEADER_EVERY
+        self._header_due = self._disk.size + HEADER_EVERY if self.is_resumed else 0
         self._thread = threading.Thread(target=self._keep_synced, name="journal", daemon=True)
         if fsync_s > 0.0:
             self._thread.start()
@@ -453,62 +521,47 @@ class Journal:
         if (problem := too_long(body)) is not None:
             raise InputError(problem)
         entry = Entry(time.time_ns() if arrived_ns is None else arrived_ns, source, body)
-        if self._size >= self._header_due:
+        if self._disk.size >= self._header_due:
             self._repeat_header()
-        self._put(entry)
         with self._lock:
-            while self._waiting_bytes > KEPT:
-                self._waiting_bytes -= len(self._waiting.popleft())
-                self.dropped += 1
+            self._waiting.append(_encoded(entry))
+            self._waiting.drop_beyond(KEPT)
         if not self.problem or time.monotonic() >= self._retry_at:
             self._write()
 
-    def _put(self, entry: Entry) -> None:
-        with self._lock:
-            self._waiting.append(data := _encoded(entry))
-            self._waiting_bytes += len(data)
+    @property
+    def dropped(self) -> int:
+        """Number of entries that did not fit in memory while the disk took nothing."""
+        return self._waiting.dropped
 
     def _repeat_header(self) -> None:
-        self._put(Entry(time.time_ns(), MARK, HEADER + self._header))
-        self._header_due = self._size + HEADER_EVERY
+        with self._lock:
+            self._waiting.append(_encoded(Entry(time.time_ns(), MARK, HEADER + self._header)))
+        self._header_due = self._disk.size + HEADER_EVERY
 
     def _write(self) -> None:
         """Write what waits, entry by entry; on a full disk no part of an entry is left behind."""
         with self._lock:
-            while self._waiting:
-                data = self._waiting[0]
+            while self._waiting.count:
                 try:
-                    written = os.write(self._file, data)
-                    if written < len(data):
-                        written += os.write(self._file, data[written:])
-                    if written < len(data):
-                        raise OSError(28, "No space left on device")
+                    self._disk.append(self._waiting.first)
                 except OSError as error:
                     self._refused(error)
                     return
-                self._size += len(data)
-                self._waiting.popleft()
-                self._waiting_bytes -= len(data)
+                self._waiting.pop()
             self.problem = ""
         if self._fsync_s == 0.0:
             self._sync()
 
     def _refused(self, error: OSError) -> None:
-        count = f"{len(self._waiting)} " if len(self._waiting) > 1 else ""
+        count = f"{self._waiting.count} " if self._waiting.count > 1 else ""
         self.problem = f"journal {display_path(self.path)}: {os_error_reason(error)}; {count}messages wait in memory"
         self._retry_at = time.monotonic() + RETRY_S
-        try:
-            os.ftruncate(self._file, self._size)
-            os.lseek(self._file, self._size, os.SEEK_SET)
-        except OSError:  # the next attempt begins at the same place
-            return
+        self._disk.take_back()
 
     def _sync(self) -> None:
         try:
-            if self._size > self._synced:
-                size = self._size
-                os.fsync(self._file)
-                self._synced = size
+            self._disk.sync()
         except OSError as error:
             self.problem = f"journal {display_path(self.path)}: {os_error_reason(error)}"
 
@@ -528,18 +581,17 @@ class Journal:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
-        missing = len(self._waiting)
+        missing = self._waiting.count
         if is_end:
             self._repeat_header()
-            self._put(Entry(time.time_ns(), MARK, END))
+            self._waiting.append(_encoded(Entry(time.time_ns(), MARK, END)))
         self._write()
-        if self._waiting and missing:
-            reason, count = self.problem.partition(";")[0], min(missing, len(self._waiting))
+        if self._waiting.count and missing:
+            reason, count = self.problem.partition(";")[0], min(missing, self._waiting.count)
             self.problem = f"{reason}; the last {count} messages are not in it"
         self._sync()
-        for number in (self._file, *self._spare):
-            os.close(number)
-        if self._is_new and not is_end and self._size == len(self._header):
+        self._disk.close()
+        if not self.is_resumed and not is_end and self._disk.size == len(self._header):
             self.path.unlink(missing_ok=True)  # the link was not begun
         self._release()
 

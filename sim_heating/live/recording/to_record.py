@@ -23,7 +23,7 @@ from sim_heating.heating.recorded.reading import lowered_confidence
 from sim_heating.inputs.first_readings import other_start
 from sim_heating.inputs.points import conditions_behind_walls, conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record, Segments, make_record, write_record
-from sim_heating.live.filtering.estimator import BRIDGED_S
+from sim_heating.live.filtering.clock_judge import BRIDGED_S
 from sim_heating.live.filtering.heated_start import start_of_heated
 from sim_heating.live.filtering.timeline import Placed, Timeline
 from sim_heating.live.recording.journal import damage_of, journal_file, read_head, read_journal

@@ -18,7 +18,6 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 from sim_heating.base.errors import InputError, error_context
 from sim_heating.base.files import display_path, repeated_name, suggestion
 from sim_heating.base.files.units import NO_DIMENSION, Conversion, Scale, conversion, known_unit
-from sim_heating.base.parallel.garbage import without_search
 from sim_heating.trajectory.fmu.archive import DESCRIPTION, read_archive
 from sim_heating.trajectory.fmu.units import unit_of_fmu
 from sim_heating.trajectory.spec import FmuSource, FmuValue
@@ -237,8 +236,7 @@ def _description(path: Path, _: tuple[int, int, int]) -> ModelDescription:
     try:
         # Not validated at first, because FMPy rejects some valid descriptions; the schema is asked only why reading
         # failed.
-        with without_search():
-            return fmpy.read_model_description(path, validate=False)
+        return fmpy.read_model_description(path, validate=False)
     except Exception as error:  # FMPy raises plain Exceptions, lxml its own, and both Python's
         raise InputError(f"{display_path(path)}: {DESCRIPTION} {_description_fault(path, error)}") from None
 
