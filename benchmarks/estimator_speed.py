@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.estimator_cases import CASES, record_of, start_at
-from benchmarks.estimator_peers import (
-    ExtendedKalmanFilter,
-    Plain,
-    by_filterpy,
-    by_scipy,
-    by_side_by_side,
-    plain,
-)
+from benchmarks.estimator_peers import ExtendedKalmanFilter, Plain, by_filterpy, by_scipy, by_side_by_side, plain
 from benchmarks.measure import Figure, Task, Times, in_turn, save
 from benchmarks.problems import RECORD, mesh_of
 from sim_heating.base.kernels.block import LANES

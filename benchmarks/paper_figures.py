@@ -42,7 +42,9 @@ def run() -> list[Figure]:
         Figure("its processor time", processor_s, "s"),
         Figure("figures drawn", len(found.drawn), "", target=len(DRAWINGS), at_least=True),
         Figure(
-            "statements of the paper that the flights show", sum(s.observed for _, s in found.statements), "",
+            "statements of the paper that the flights show",
+            sum(s.observed for _, s in found.statements),
+            "",
             note=f"of {len(found.statements)}",
         ),
     ]

@@ -38,14 +38,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.campaign.carried import Carried, agreed, mean_estimates, read_carried
 from sim_heating.campaign.flights import CampaignFlight, flights_of_records, record_directories, with_seed
 from sim_heating.campaign.joint import agreement, groups_of
-from sim_heating.campaign.manoeuvre_fits import (
-    FitTask,
-    FittedSpan,
-    fit_job,
-    fitted_span,
-    run_fit,
-    usable,
-)  # fmt: skip
+from sim_heating.campaign.manoeuvre_fits import FitTask, FittedSpan, fit_job, fitted_span, run_fit, usable  # fmt: skip
 from sim_heating.campaign.report import FILES, PAGE, SUMMARY, write_campaign_page, write_csvs
 from sim_heating.campaign.result import CampaignResult
 from sim_heating.campaign.spec import Campaign, FlightInput, ManoeuvreSettings, load_campaign

@@ -20,13 +20,7 @@ from click.shell_completion import CompletionItem
 from sim_heating.base.errors import InputError, RunError, one_line
 from sim_heating.base.progress import EndingSignals, stating_command
 from sim_heating.cli.console import ERRORS, HelpfulGroup, show_warning, silent_console
-from sim_heating.cli.output import (
-    CommandReport,
-    name_command,
-    repeatable,
-    reporting,
-    with_common_options,
-)
+from sim_heating.cli.output import CommandReport, name_command, repeatable, reporting, with_common_options
 
 COMMANDS = {
     "run": "simulate",
@@ -178,8 +172,11 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     with reporting(given) as report:
         try:
             try:
-                with report.standard_output_reserved(), silent_console(report.is_json or report.is_quiet), \
-                        stating_command(*repeatable(given)):
+                with (
+                    report.standard_output_reserved(),
+                    silent_console(report.is_json or report.is_quiet),
+                    stating_command(*repeatable(given)),
+                ):
                     status = _status(given, report, signals)
                 signals.ignore()
             except KeyboardInterrupt:  # between the command and its answer

@@ -30,12 +30,7 @@ from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.base.report.table import Column, Table
-from sim_heating.credibility.facts.of_records import (
-    MODEL_ERROR_RATIO,
-    held_out,
-    of_several,
-    ratio_uncertainty,
-)
+from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, Statement, assess
 from sim_heating.estimation.filter.innovations import Innovations, fit_innovations
 from sim_heating.estimation.filter.process_noise import ProcessNoise
@@ -682,9 +677,7 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
     return replace(fit, iterations=steps[0])
 
 
-def _with_noisy_conditions(
-    problem: FitProblem, fit: Fit, settings: NewtonSettings | None
-) -> tuple[FitProblem, Fit]:
+def _with_noisy_conditions(problem: FitProblem, fit: Fit, settings: NewtonSettings | None) -> tuple[FitProblem, Fit]:
     """The problem with the noise of its records' conditions, and its fit from that without; as they are without any.
 
     Source: docs/theory/model_error.md, equations 9 and 10.

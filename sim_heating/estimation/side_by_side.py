@@ -16,14 +16,7 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parallel.processes import in_turn
 from sim_heating.base.parallel.threads import in_threads, thread_count
-from sim_heating.estimation.inference.newton import (
-    Evaluation,
-    Fit,
-    Iteration,
-    NewtonSettings,
-    iteration,
-    next_request,
-)
+from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration, next_request
 from sim_heating.estimation.problem import FitProblem, LastMarches
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch

@@ -35,10 +35,7 @@ from sim_heating.live.sources.arrivals import Arrivals
 from sim_heating.live.sources.decoder import message_of
 from sim_heating.live.sources.mapping import clock_skew_s
 from sim_heating.live.spec import Link
-from sim_heating.live.state import (
-    LinkState,
-    State,
-)
+from sim_heating.live.state import LinkState, State
 from sim_heating.live.types import Frame, Message, Reading, too_long
 from sim_heating.live.watch.checks import Failure, SensorChecks
 from sim_heating.live.watch.missing import Weighing

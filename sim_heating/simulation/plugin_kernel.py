@@ -64,12 +64,7 @@ from sim_heating.heating.atmosphere import HIGHEST_M, free_stream_kernel
 from sim_heating.heating.edge_flow import FLOW_WIDTH, KIND, LAMINAR_AT, LARGEST, NO_EDGE, edge_flow_kernel
 from sim_heating.heating.interface import upstream_enthalpy
 from sim_heating.heating.ratio.lookup import table_ratio
-from sim_heating.heating.reference.models import (
-    is_dense,
-    reference_film_kernel,
-    surface_angle,
-    total_enthalpy_kernel,
-)
+from sim_heating.heating.reference.models import is_dense, reference_film_kernel, surface_angle, total_enthalpy_kernel
 from sim_heating.heating.reference.rarefied import bridged_film, free_molecular_film
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.heating.reference.stagnation import COLD_WALL_K, SLOWEST_M_S, stagnation_kernel

@@ -25,14 +25,7 @@ from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.reference.flat_plate import friction_rise
 from sim_heating.inputs.declared_effects import catalysis_keys, transition_keys, turbulent_recovery
 from sim_heating.inputs.points import conditions_at_point, intermittency_along, mean_condition
-from sim_heating.inputs.record import (
-    DECLARATION,
-    Record,
-    RecordFile,
-    make_record,
-    record_directory,
-    record_texts,
-)
+from sim_heating.inputs.record import DECLARATION, Record, RecordFile, make_record, record_directory, record_texts
 from sim_heating.inputs.scenario import Scenario, load_scenario
 from sim_heating.inputs.sensor_model import SensorErrors, lags_s, lost_samples, measure, sample_times
 from sim_heating.inputs.vehicle import ControlPoint, Vehicle

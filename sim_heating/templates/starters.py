@@ -17,14 +17,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    csv_text,
-    display_path,
-    roots_of,
-    suggestion,
-    write_own_files,
-    write_text_atomic,
-)
+from sim_heating.base.files import csv_text, display_path, roots_of, suggestion, write_own_files, write_text_atomic
 from sim_heating.base.files.paths import portable_problem, real_path
 from sim_heating.base.files.text import abbreviated
 from sim_heating.base.kernels.block import CONDITION_COLUMNS

@@ -20,12 +20,7 @@ from typing import NamedTuple
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.kernels.jit import njit
 from sim_heating.base.kernels.operations import pointer
-from sim_heating.heating.atmosphere import (
-    G0_M_S2,
-    speed_of_sound_kernel,
-    standard_sound_kernel,
-    us76_kernel,
-)
+from sim_heating.heating.atmosphere import G0_M_S2, speed_of_sound_kernel, standard_sound_kernel, us76_kernel
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv
 from sim_heating.trajectory.guidance import clip, first_memory_kernel, guidance_kernel

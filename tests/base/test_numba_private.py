@@ -20,13 +20,7 @@ from numba import types
 
 from sim_heating.base.kernels import compiler
 from sim_heating.base.kernels.cache_folder import PACKAGE
-from sim_heating.base.kernels.jit import (
-    STEP_SIGNATURE,
-    address_of,
-    c_function,
-    force_inline,
-    njit,
-)
+from sim_heating.base.kernels.jit import STEP_SIGNATURE, address_of, c_function, force_inline, njit
 from sim_heating.base.kernels.numba_private import (
     c_function_is_cached,
     call_effect_at,

@@ -92,9 +92,7 @@ def texts(folder: Path, terminal: str) -> dict[str, str]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", RECORDS)
-def test_no_page_and_no_terminal_contradicts_itself(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_page_and_no_terminal_contradicts_itself(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     search_among(monkeypatch, *AMONG)
     write_record(RECORDS[kind](), tmp_path / "record")
     ran = CliRunner().invoke(cli, ["close-loop", str(tmp_path / "record"), "--out", str(tmp_path / "out")])

@@ -22,13 +22,7 @@ from sim_heating.estimation.report.report import estimate_contents
 from sim_heating.estimation.starts import STARTS
 from sim_heating.heating.ratio.lookup import table_ratios_at
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.ratio.uncertainty import (
-    CORRELATION_LENGTH,
-    UPDATE_REACH,
-    basis,
-    on_axes,
-    posterior,
-)
+from sim_heating.heating.ratio.uncertainty import CORRELATION_LENGTH, UPDATE_REACH, basis, on_axes, posterior
 from sim_heating.inputs.record import Segments, load_record
 from sim_heating.inputs.vehicle import load_vehicle
 from tests.closure.test_update_tables import POINT, TRUTH, contents, edit, estimate_of, flown_records

@@ -24,12 +24,7 @@ from sim_heating.closure.revise.evidence import flight_evidence
 from sim_heating.closure.revise.report import draw_update
 from sim_heating.closure.revise.revisions import revert
 from sim_heating.closure.revise.update import TableUpdate, prepare_update, write_update
-from sim_heating.estimation.report.estimate_file import (
-    Estimate,
-    correlations,
-    read_estimate,
-    write_estimate,
-)
+from sim_heating.estimation.report.estimate_file import Estimate, correlations, read_estimate, write_estimate
 from sim_heating.heating.ratio.table import read_ratio_table, write_ratio_table
 from sim_heating.inputs.points import point_of_record, reference_of_record
 from sim_heating.inputs.ratio_sources import write_tables

@@ -11,12 +11,7 @@ import pytest
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import check
-from sim_heating.estimation.report.estimate_file import (
-    Estimate,
-    correlations,
-    read_estimate,
-    write_estimate,
-)
+from sim_heating.estimation.report.estimate_file import Estimate, correlations, read_estimate, write_estimate
 from sim_heating.inputs.record import load_record, record_digest
 from tests.support.paths import TILE
 

@@ -16,11 +16,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files import read_csv_columns
 from sim_heating.heating.atmosphere import us76
 from sim_heating.heating.ratio.table import RatioTable
-from sim_heating.heating.surface_pressure import (
-    FractionOfStagnation,
-    ModifiedNewtonian,
-    surface_pressure,
-)
+from sim_heating.heating.surface_pressure import FractionOfStagnation, ModifiedNewtonian, surface_pressure
 from sim_heating.inputs.ratio_sources import build_tables, write_tables
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle, vehicle_directory, vehicle_names
 from sim_heating.trajectory.aero import load_aero

@@ -16,15 +16,7 @@ import pytest
 
 from benchmarks.journals import damaged_journals
 from sim_heating.base.errors import InputError
-from sim_heating.live.recording.journal import (
-    BODY,
-    HEAD,
-    NAME,
-    Journal,
-    damage_of,
-    read_head,
-    read_journal,
-)
+from sim_heating.live.recording.journal import BODY, HEAD, NAME, Journal, damage_of, read_head, read_journal
 from sim_heating.live.types import LONGEST_BODY
 
 LINK = {"format": "link/1", "vehicle": "orbiter"}

@@ -31,12 +31,7 @@ from sim_heating.inputs.scenario import load_scenario
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
 from sim_heating.simulation.fmu_export.export import export_fmu
 from sim_heating.simulation.fmu_export.heating import MODEL, THERMAL_STEP
-from sim_heating.simulation.fmu_export.parts.library import (
-    TARGETS,
-    CompilationUnit,
-    compiler_command,
-    object_code,
-)
+from sim_heating.simulation.fmu_export.parts.library import TARGETS, CompilationUnit, compiler_command, object_code
 from sim_heating.simulation.plugin import HeatingPlugin
 from sim_heating.simulation.run import fly_scenario
 from tests.support.fmu_hosts import SOURCES, Host, compile_host, link_model, run_host

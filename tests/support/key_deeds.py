@@ -725,7 +725,8 @@ def of_link(folder: Path) -> Outcome:
         "points": json.loads(json.dumps(plain(state.points))),
         "time": state.time_s,
         "title": engine.link.title,
-        "missing": plain(state.missing), "counts": dict(engine.counts),
+        "missing": plain(state.missing),
+        "counts": dict(engine.counts),
     }
 
 

@@ -15,15 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.small_fmus import (
-    closed_form,
-    description,
-    feedthrough_fmu,
-    glide_fmu,
-    library,
-    pack,
-    platform_folder,
-)
+from benchmarks.small_fmus import closed_form, description, feedthrough_fmu, glide_fmu, library, pack, platform_folder
 from sim_heating.base.errors import InputError
 from sim_heating.base.files.units import conversion, known_unit
 from sim_heating.heating.atmosphere import us76

@@ -20,13 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 
 from sim_heating.base.errors import InputError, RunError, tell
 from sim_heating.base.files.schema import documented
-from sim_heating.base.files.text import (
-    abbreviated,
-    as_builtin,
-    display_path,
-    read_text,
-    suggestion,
-)
+from sim_heating.base.files.text import abbreviated, as_builtin, display_path, read_text, suggestion
 from sim_heating.base.limits import Quantity, numbers_in, quantity, usual_remark
 
 Location = tuple[str | int, ...]

@@ -14,12 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
-from sim_heating.closure.prior.changed_flight import (
-    shift_conditions,
-    with_alpha,
-    with_density,
-    with_velocity,
-)
+from sim_heating.closure.prior.changed_flight import shift_conditions, with_alpha, with_density, with_velocity
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record

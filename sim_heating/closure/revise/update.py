@@ -18,14 +18,7 @@ from scipy.special import chdtrc
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import (
-    Roots,
-    display_path,
-    exclusive,
-    read_text,
-    roots_of,
-    text_digest,
-)
+from sim_heating.base.files import Roots, display_path, exclusive, read_text, roots_of, text_digest
 from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.files.paths import make_durable, os_error_reason, real_path
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
@@ -46,13 +39,7 @@ from sim_heating.closure.revise.revisions import (
     write_revision,
 )
 from sim_heating.closure.statement import PARTLY, UNKNOWN
-from sim_heating.estimation.report.estimate_file import (
-    NAME,
-    Estimate,
-    EstimatedParameter,
-    correlations,
-    read_estimate,
-)
+from sim_heating.estimation.report.estimate_file import NAME, Estimate, EstimatedParameter, correlations, read_estimate
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import UPDATE_REACH, Posterior, on_axes, posterior

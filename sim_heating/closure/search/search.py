@@ -49,12 +49,7 @@ from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
 from sim_heating.closure.search.trials.history_starts import history_starts
-from sim_heating.closure.search.trials.screening import (
-    fit_in_stages,
-    gains_from,
-    predicted_gains,
-    select_candidates,
-)
+from sim_heating.closure.search.trials.screening import fit_in_stages, gains_from, predicted_gains, select_candidates
 from sim_heating.closure.search.trials.trial_fit import (
     TrialFit,
     base_trial,

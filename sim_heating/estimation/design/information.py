@@ -269,9 +269,7 @@ def _pressure_slopes(
         sides.append(
             FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0))
         )
-    return [
-        (high.time_s, (high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP)) for high, low in zip(*sides, strict=True)
-    ]
+    return [(high.time_s, (high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP)) for high, low in zip(*sides, strict=True)]
 
 
 def sensitivity_to_effort(

@@ -293,9 +293,7 @@ def innovations_of_several(
     return found, ErrorState(u, P)
 
 
-def whitened(
-    record_fit: RecordFit, samples: Sequence[PredictedSamples], free: BoolArray
-) -> list[ChannelResiduals]:
+def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: BoolArray) -> list[ChannelResiduals]:
     """Residuals of the channels of one record and their sensitivities, each less what the readings before it say.
 
     record_fit : the record with its error;  samples : its channels, predicted without an error

@@ -136,9 +136,7 @@ class _Refit:
 class _Walk:
     """Refits along one parameter, outward from the values of a fit."""
 
-    def __init__(
-        self, problem: FitProblem, fit: Fit, at: int, colour: float, settings: NewtonSettings | None
-    ) -> None:
+    def __init__(self, problem: FitProblem, fit: Fit, at: int, colour: float, settings: NewtonSettings | None) -> None:
         self.problem, self.at, self.colour, self.settings = problem, at, colour, settings
         self.parameters: Sequence[Parameter] = problem.parameters
         self.parameter = self.parameters[at]

@@ -29,16 +29,7 @@ import numpy as np
 
 from sim_heating.base.arrays import BoolArray, FloatArray
 from sim_heating.base.files import CsvTable, display_path, raise_problems
-from sim_heating.base.limits import (
-    HIGH_SPEED_M_S,
-    LIMITS,
-    LOW_M,
-    LOW_RULE,
-    QUANTITIES,
-    SLOWEST_M_S,
-    USUAL,
-    Quantity,
-)
+from sim_heating.base.limits import HIGH_SPEED_M_S, LIMITS, LOW_M, LOW_RULE, QUANTITIES, SLOWEST_M_S, USUAL, Quantity
 from sim_heating.heating.atmosphere import CP_AIR, EARTH_RADIUS_M, G0_M_S2, GAMMA, HIGHEST_M, LOWEST_M, R_AIR, us76
 from sim_heating.heating.atmosphere import sutherland_viscosity as viscosity
 from sim_heating.heating.reference.stagnation import SUTTON_GRAVES

@@ -20,11 +20,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import Conditions
 from sim_heating.base.kernels.jit import njit
-from sim_heating.heating.reference.gas import (
-    PRANDTL,
-    air_kernel,
-    air_state_kernel,
-)
+from sim_heating.heating.reference.gas import PRANDTL, air_kernel, air_state_kernel
 from sim_heating.heating.reference.recovery import edge_speed, recovery_factor
 from sim_heating.heating.reference.stagnation import SLOWEST_M_S, stagnation_kernel
 

@@ -25,11 +25,7 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.files.package import read_package_table
 from sim_heating.base.kernels.jit import njit, njit_of
 from sim_heating.base.kernels.operations import pointer
-from sim_heating.heating.atmosphere import (
-    MOLAR_GAS_CONSTANT,
-    sutherland_kernel,
-    sutherland_viscosity,
-)
+from sim_heating.heating.atmosphere import MOLAR_GAS_CONSTANT, sutherland_kernel, sutherland_viscosity
 
 MOLAR_MASS_N2_O2 = 28.85064
 """Molar mass of the table's undissociated 79/21 mixture [kg/kmol]; 0.4 % below that of air with argon."""

@@ -10,14 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.base.conditions import (
-    ACCOMPANYING,
-    FRAME,
-    LINE_TOLERANCE,
-    LINE_TOLERANCE_SHARE,
-    SURFACES,
-    Conditions,
-)
+from sim_heating.base.conditions import ACCOMPANYING, FRAME, LINE_TOLERANCE, LINE_TOLERANCE_SHARE, SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import N_CONDITIONS
 from sim_heating.base.limits import LIMITS, limit_message

@@ -12,12 +12,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import file_digest
 from sim_heating.credibility.facts.of_records import MODEL_ERROR_RATIO, of_several, ratio_uncertainty
-from sim_heating.credibility.facts.sources import (
-    DeclaredInput,
-    conditions_of_record,
-    inputs_of_point,
-    inputs_of_record,
-)
+from sim_heating.credibility.facts.sources import DeclaredInput, conditions_of_record, inputs_of_point, inputs_of_record
 from sim_heating.credibility.facts.topics import topics_of_points, topics_of_record
 from sim_heating.credibility.reviews import digest_of
 from sim_heating.credibility.statement import LARGEST_SHARE, NO_READINGS, SIGMAS, Answer, Facts, Statement, assess
@@ -49,7 +44,7 @@ def credibility_of_link(
     points.sort(key=lambda p: _margin_K(state.points.get(p.name)))
     facts = of_several([_facts(engine, p, state, records.get(p.name)) for p in points])
     digests = {name: file_digest(path) for name, path in files.items() if path.is_file()}
-    conditions = tuple(_conditions(link, engine.mapping.has_model_density))
+    conditions = tuple(_conditions(link, engine.arrivals.has_model_density))
     return assess(replace(facts, conditions=conditions, files={**facts.files, **digests}))
 
 

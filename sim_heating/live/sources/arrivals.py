@@ -82,6 +82,11 @@ class Arrivals:
                 self._note_reading(sample, message.arrived_s)
         return samples
 
+    @property
+    def has_model_density(self) -> bool:
+        """Whether the density of frames is that of the standard atmosphere."""
+        return self._mapping.has_model_density
+
     def follow_clock(self, frame: Frame) -> None:
         """Take a frame for the latest, and no reading, as the clock jumped to it."""
         self.latest_frame = frame

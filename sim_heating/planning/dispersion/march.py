@@ -15,13 +15,7 @@ import numpy as np
 from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.errors import InputError
-from sim_heating.base.kernels.block import (
-    EFFECT_PARAMETERS,
-    EFFECT_WIDTH,
-    LANES,
-    N_CONDITIONS,
-    RATIO_TABLE,
-)
+from sim_heating.base.kernels.block import EFFECT_PARAMETERS, EFFECT_WIDTH, LANES, N_CONDITIONS, RATIO_TABLE
 from sim_heating.base.parameters import EFFECT_PREFIX, RATIO
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.lookup import VARIABLES

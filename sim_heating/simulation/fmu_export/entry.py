@@ -15,12 +15,7 @@ from sim_heating.base.progress import Progress, no_progress
 from sim_heating.simulation.fmu_export import entry_kernel as k
 from sim_heating.simulation.fmu_export.export import write_fmu
 from sim_heating.simulation.fmu_export.parts.image import Image, Problem, Role, identifier
-from sim_heating.simulation.fmu_export.parts.library import (
-    MODEL_SIGNATURE,
-    REACHED,
-    TIMING,
-    CompilationUnit,
-)
+from sim_heating.simulation.fmu_export.parts.library import MODEL_SIGNATURE, REACHED, TIMING, CompilationUnit
 from sim_heating.simulation.fmu_export.parts.packer import ImagePacker, Input
 from sim_heating.trajectory import guidance as gd
 from sim_heating.trajectory import manoeuvres as mv

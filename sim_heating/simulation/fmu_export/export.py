@@ -12,12 +12,7 @@ from sim_heating.base.files import exclusive
 from sim_heating.base.files.text import clear_partial_files, suggestion, write_bytes_atomic
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.inputs.vehicle import Vehicle, load_vehicle
-from sim_heating.simulation.fmu_export.heating import (
-    HeatingModel,
-    compiling_objects,
-    heating_image,
-    heating_units,
-)
+from sim_heating.simulation.fmu_export.heating import HeatingModel, compiling_objects, heating_image, heating_units
 from sim_heating.simulation.fmu_export.parts.archive import archive_bytes, require_replaceable
 from sim_heating.simulation.fmu_export.parts.description import description
 from sim_heating.simulation.fmu_export.parts.image import Image

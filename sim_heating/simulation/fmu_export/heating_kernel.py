@@ -67,14 +67,7 @@ from sim_heating.heating.ratio.lookup import invalidate_cells, largest_ratio
 from sim_heating.heating.reference.models import COLUMNS
 from sim_heating.heating.reference.recovery import point_recovery_kernel
 from sim_heating.inputs.sensor_model import indicated_kernel
-from sim_heating.march.frames import (
-    BLOCK_END,
-    BLOCK_START,
-    END_STAGE,
-    INTS_END,
-    INTS_START,
-    begin_groups,
-)
+from sim_heating.march.frames import BLOCK_END, BLOCK_START, END_STAGE, INTS_END, INTS_START, begin_groups
 from sim_heating.simulation.fmu_export.parts.library import (
     CHANGED,
     GOOD,

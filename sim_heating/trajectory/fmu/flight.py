@@ -27,16 +27,7 @@ from sim_heating.base.limits import frame_problem
 from sim_heating.base.progress import Progress
 from sim_heating.heating.atmosphere import HIGHEST_M, LOWEST_M, standard_sound_kernel
 from sim_heating.trajectory import guidance as gd
-from sim_heating.trajectory.flight import (
-    REPORT_S,
-    ROW,
-    Flight,
-    OnFrame,
-    Sampler,
-    VehicleData,
-    Window,
-    frames_within,
-)
+from sim_heating.trajectory.flight import REPORT_S, ROW, Flight, OnFrame, Sampler, VehicleData, Window, frames_within
 from sim_heating.trajectory.fmu.columns import ColumnsOfFmu, Frame, unit_of
 from sim_heating.trajectory.fmu.model import FmuModel, Value, accepted_value, item_named, read_fmu
 from sim_heating.trajectory.fmu.session import Answer, FmuSession
