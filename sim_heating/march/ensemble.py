@@ -115,7 +115,7 @@ class LaneOffsets:
 def _groups_in_order(group_of: Mapping[int, int], behind: Mapping[int, int]) -> list[int]:
     """Groups in an order in which walls upstream are before what lies behind them; empty where there is none.
 
-    group_of : point -> its group, those of points that are in none yet are of one point
+    group_of : point -> its group, those of points that are in none yet are of one point; the order without any wall
     """
     before: dict[int, set[int]] = {group: set() for group in group_of.values()}
     for i, wall in behind.items():
@@ -201,7 +201,8 @@ class Ensemble:
             group_of[i] = first
             members.setdefault(first, []).append(i)
             with_room = [f for f in dict.fromkeys([*with_room, first]) if len(members[f]) < LANES]
-        return [members[first] for first in _groups_in_order(group_of, behind)]
+        made = {i: first for first, points in members.items() for i in points}  # those of the lowest kind come first
+        return [members[first] for first in _groups_in_order(made, behind)]
 
     def _arrange(self, kinds: Sequence[int], behind: Mapping[int, int]) -> None:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
