@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from sim_heating.heating.effects import effects as effects
     from sim_heating.heating.effects import flight as flight
     from sim_heating.heating.effects import model_parameter as model_parameter
+    from sim_heating.heating.exchange.dave_ml import read_dave_ml as read_dave_ml
+    from sim_heating.heating.exchange.dave_ml import write_dave_ml as write_dave_ml
     from sim_heating.inputs.record import load_record as load_record
     from sim_heating.inputs.scenario import load_scenario as load_scenario
     from sim_heating.inputs.vehicle import load_vehicle as load_vehicle
@@ -89,6 +91,9 @@ _HOME = {
     "draw_figures": "campaign.figures.paper",
     # plan
     "plan": "planning.plan",
+    # models of other programs
+    "read_dave_ml": "heating.exchange.dave_ml",
+    "write_dave_ml": "heating.exchange.dave_ml",
     # write results into a directory, all files or none
     "write_run": "simulation.run",
     "write_records": "simulation.synthesize",

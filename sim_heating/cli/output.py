@@ -188,7 +188,7 @@ def _log_to_standard_error(context: click.Context, _: click.Parameter, count: in
     if not count:
         return
     logger, handler = logging.getLogger("sim_heating"), logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(logging.Formatter("%(relativeCreated)7.0f ms %(levelname)s %(name)s: %(message)s"))
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(LEVELS[min(count, len(LEVELS) - 1)])
@@ -208,7 +208,7 @@ COMMON_OPTIONS = (
     click.Option([QUIET_OPTION], is_flag=True, expose_value=False, help="print only warnings and errors"),
     click.Option(
         ["-v", "--verbose"], count=True, expose_value=False, callback=_log_to_standard_error,
-        help="log what is read, fitted and written to standard error; -vv: in detail",
+        help="log what is fitted and written to standard error; -vv: in detail",
     ),
 )  # fmt: skip
 """Options that the group and all its commands take. They are found in the arguments, as wrong usage is reported too."""

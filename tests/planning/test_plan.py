@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from tests.support.paths import ROOT
 
 pytest.importorskip("distributed", reason="studies need Dask and pyarrow: pip install 'sim-heating[plan]'")
 
-import dask
 import pyarrow.parquet as pq
 from threadpoolctl import threadpool_limits
 
@@ -258,10 +258,10 @@ def test_a_page_that_is_not_the_programs_own_is_reported_before_the_work_and_kep
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no file system in which nothing can be made")
-def test_worker_processes_that_do_not_start_are_reported_in_a_line(study, tmp_path, capsys):
-    """Dask has no folder to start them in."""
-    with dask.config.set({"temporary-directory": "/proc/nowhere"}):
-        assert cli.main(["plan", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]) == 1
+def test_worker_processes_that_do_not_start_are_reported_in_a_line(study, tmp_path, capsys, monkeypatch):
+    """There is no folder to start them in."""
+    monkeypatch.setattr(tempfile, "tempdir", "/proc/nowhere")
+    assert cli.main(["plan", str(study), "--out", str(tmp_path / "out"), "--workers", "2"]) == 1
     errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("dispersion:")]
     assert len(errors) == 1
     assert "the worker processes did not start" in errors[0]

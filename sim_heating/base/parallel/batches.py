@@ -297,21 +297,20 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             with ExitStack() as ending:
                 with signals_deferred():  # processes half started would not be ended
                     # Workers that a signal ends leave their files behind.
-                    files = ending.enter_context(
-                        TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
-                    )
+                    files = ending.enter_context(_folder_of_workers())
                     ending.enter_context(dask.config.set({"temporary-directory": files}))  # the scheduler makes one
                     cluster = _local_processes(workers, files)
-                    client = ending.enter_context(Client(ending.enter_context(cluster)))
+                    client = ending.enter_context(Client(ending.enter_context(cluster), set_as_default=False))
+                    ending.enter_context(client.as_current())
                 yield client
             return
         try:
-            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
+            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)  # a refused one would stay it
         except (OSError, ValueError):
             raise InputError(
                 f"--scheduler {scheduler}: no Dask scheduler answers there; start one, or omit the option"
             ) from None
-        with client:
+        with client, client.as_current():
             try:
                 client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
             except TimeoutError:
@@ -319,6 +318,18 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
                     f"--scheduler {scheduler}: the scheduler has no worker; start some with `dask worker`"
                 ) from None
             yield client
+
+
+def _folder_of_workers() -> TemporaryDirectory[str]:
+    """A folder of the files of workers; RunError where none can be made."""
+    try:
+        return TemporaryDirectory(prefix="sim_heating_workers_", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise _not_started(error) from None
+
+
+def _not_started(cause: BaseException) -> RunError:
+    return RunError(f"the worker processes did not start ({error_line(cause)}); use --workers 1 to run in this process")
 
 
 def _local_processes(workers: int | None, files: str) -> Any:
@@ -337,7 +348,4 @@ def _local_processes(workers: int | None, files: str) -> Any:
             local_directory=files,
         )  # fmt: skip
     except (RuntimeError, OSError) as error:
-        cause = error.__cause__ or error
-        raise RunError(
-            f"the worker processes did not start ({error_line(cause)}); use --workers 1 to run in this process"
-        ) from None
+        raise _not_started(error.__cause__ or error) from None

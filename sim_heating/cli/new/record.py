@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import display_path
 from sim_heating.cli.console import CONSOLE, OUT, PATH, print_table
 from sim_heating.cli.named_values import named_texts
 from sim_heating.cli.new.options import (
@@ -256,6 +255,7 @@ def _stack(layers: Sequence[str]) -> list[LayerInput]:
 
 def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput], path: Path) -> dict[str, float]:
     """Depths [m] of the sensors without one: asked for on a terminal, else an error that names the option."""
+    from sim_heating.base.files import display_path
     from sim_heating.templates.record import depth_m
 
     if names and not interactive():
