@@ -103,6 +103,7 @@ def installed(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) 
     return {**os.environ, "PYTHONPATH": str(folder)}
 
 
+@pytest.mark.thorough
 def test_examples_by_name_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
     """In an empty folder, without a compiled kernel."""
     for arguments in (["validate", "popu_mach20", "practice/p08"], ["examples", "--out", "mine"]):
@@ -118,5 +119,6 @@ def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
 
 
 @pytest.mark.thorough
-def test_the_example_of_every_help_text_runs_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
-    assert failures(tmp_path, environment=installed) == []
+def test_examples_of_help_texts_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
+    """Of short commands; `.ci/installed` runs those of the others."""
+    assert failures(tmp_path, ("validate", "predict", "estimate"), environment=installed) == []

@@ -76,6 +76,7 @@ def test_a_change_of_a_kernel_of_what_it_imports_or_of_its_data_renews_the_cache
     assert len(set(digests)) == len(digests)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "name", ["README.md", "__init__.py", "cli/__init__.py", "closure/close.py", "estimation/fit.py"]
 )
@@ -105,6 +106,7 @@ def test_the_digest_is_kept_and_found_again_after_a_change_that_leaves_size_and_
     assert known_digest(kept, package) == source_digest(package) != before
 
 
+@pytest.mark.sample(1)
 @posix
 @pytest.mark.parametrize("damage", [b"", b"0123", b"\xff" * 16, b"no digest at all"])
 def test_a_kept_digest_that_is_damaged_is_worked_out_again(settled, tmp_path, damage):

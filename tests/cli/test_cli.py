@@ -265,6 +265,7 @@ def test_a_file_of_other_origin_is_never_overwritten(workdir: Path, capsys: pyte
     assert [p.name for p in (workdir / "out").iterdir()] == ["summary.json"]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "command",
     [

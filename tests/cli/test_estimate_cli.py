@@ -280,6 +280,7 @@ def test_one_coating_of_two_points_is_tied(workdir: Path) -> None:
     assert abs(common.value - 1.0) < 3.0 * common.sigma
 
 
+@pytest.mark.thorough
 def test_a_record_without_a_vehicle_is_fitted(tmp_path: Path) -> None:
     external = tmp_path / "external"
     shutil.copytree(PRACTICE, external)
@@ -310,6 +311,7 @@ def test_the_page_fits_a_screen_a_telephone_and_paper(fit_of_first: Path) -> Non
     assert_fits(fit_of_first / "report.html")
 
 
+@pytest.mark.thorough
 def test_a_fit_of_the_stack_alone_draws_no_ratio(workdir: Path, tmp_path: Path) -> None:
     estimate("first", "--parameters", "stack.coating.thickness_factor", out=tmp_path / "fit")
     assert (tmp_path / "fit" / "fit.png").exists()

@@ -62,6 +62,7 @@ def test_a_check_of_a_vehicle_loads_no_compiler_and_no_pictures() -> None:
     assert packages_loaded("validate", str(ROOT / "aircraft_data" / "orbiter")) & HEAVY == {"numpy", "pydantic"}
 
 
+@pytest.mark.thorough
 def test_a_check_of_a_record_loads_the_atmosphere_and_no_pictures() -> None:
     needed = {"numpy", "pydantic", "numba", "llvmlite", "scipy"}
     assert packages_loaded("validate", str(ROOT / "scenarios" / "records" / "practice" / "p06")) & HEAVY == needed

@@ -55,6 +55,7 @@ def test_heating_above_an_onset_angle_is_recognised_as_such():
     assert "alpha_deg" in found.proposal()[0]
 
 
+@pytest.mark.thorough
 def test_an_error_of_the_table_makes_no_hysteresis_and_a_clock_error_does():
     _, onset = residual_with("onset")
     _, skew = residual_with("skew")

@@ -164,6 +164,7 @@ def test_what_the_tables_do_not_hold_is_named_with_what_it_costs(
     assert f"not in the tables: stack.coating.thickness_factor, {lost:.2f} K" in lines
 
 
+@pytest.mark.thorough
 def test_a_fit_from_a_start_is_compared_from_that_start(workdir: Path) -> None:
     record = load_record("first")
     declared = record.declared.model_copy(update={"segments": Segments(fit=[[85.0, 150.0]])})

@@ -112,6 +112,7 @@ def test_density_and_angle_of_attack_are_found_through_pressure_and_act_alike():
         assert second.delta_bic - best.delta_bic < 10.0
 
 
+@pytest.mark.thorough
 def test_a_predicted_gain_is_close_to_that_of_the_fit():
     base, fits = in_thin_air()
     gain, start = predicted_change_gains(base, [fits[0].change])[0]

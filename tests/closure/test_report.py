@@ -107,6 +107,7 @@ def test_closure_json_has_every_field_of_its_format():
     assert [e["name"] for e in data["effects"]] == [data["effect"]["name"]]
 
 
+@pytest.mark.thorough
 def test_a_section_that_cannot_be_made_costs_neither_page_nor_numbers(tmp_path: Path) -> None:
     textual = Correlation("alpha_deg", 0.0, 0.5, 10.0, "lost", 0.5)  # type: ignore[arg-type]
     report = replace(closed(), evidence=replace(closed().evidence, correlations=(textual,)))
@@ -245,6 +246,7 @@ def test_posteriors_have_equal_priors():
     assert sum(found.values()) == pytest.approx(1.0)
 
 
+@pytest.mark.thorough
 def test_the_folder_contains_json_history_and_page(tmp_path):
     with output_directory(tmp_path / "out", "close-loop") as folder:
         write_closure(closed(), folder)

@@ -121,6 +121,7 @@ DAMAGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("name", DAMAGED)
 def test_a_damaged_revision_is_refused_in_one_line(
     name: str, revised: Path, capsys: pytest.CaptureFixture[str]

@@ -101,6 +101,7 @@ def test_effects_of_one_flight_predict_another_and_can_be_reverted(
     assert contents(workdir / "orbiter") == before
 
 
+@pytest.mark.thorough
 def test_a_copy_has_the_effects_and_the_vehicle_stays(workdir: Path) -> None:
     before = contents(workdir / "orbiter")
     assert main(["update-tables", "first.json", "--vehicle", "./orbiter", "--out", "copies"]) == 0

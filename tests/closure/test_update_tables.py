@@ -541,6 +541,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
 }
 
 
+@pytest.mark.sample(7)
 @pytest.mark.parametrize("name", REFUSED)
 def test_inconsistent_inputs_are_refused_in_one_line(
     name: str, workdir: Path, capsys: pytest.CaptureFixture[str]

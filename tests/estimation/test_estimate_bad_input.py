@@ -149,6 +149,7 @@ def test_record_whose_sensors_are_all_stuck_is_refused():
         estimate([replace(record, thermocouples=columns)], ["ratio.scale"])
 
 
+@pytest.mark.thorough
 def test_constant_alpha_omits_its_derivative_alone(capsys, tmp_path):
     record = damaged(tmp_path, "conditions.csv", lambda c: c | {"alpha_deg": np.full(len(c["time_s"]), 40.9)})
     names = "ratio.scale,ratio.d_alpha,ratio.d_logre"

@@ -109,6 +109,7 @@ def test_a_scenario_lists_what_its_control_points_have_in_common_once() -> None:
     assert all(p.identified is None for found in lists for p in found.parameters)
 
 
+@pytest.mark.thorough
 def test_the_command_writes_what_it_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = run_json(capsys, "parameters", str(BOARD), "--out", str(tmp_path / "out"))
     written = json.loads((tmp_path / "out" / "parameters.json").read_text())

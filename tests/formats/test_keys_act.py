@@ -63,7 +63,7 @@ def stated(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[int]]:
     return found
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("key", WALKED[:SAMPLE])
 def test_key_acts(key: str, stated: dict[str, list[int]], tmp_path: Path) -> None:
     reasons = []
@@ -77,6 +77,7 @@ def test_key_acts(key: str, stated: dict[str, list[int]], tmp_path: Path) -> Non
     pytest.fail("; ".join(reasons) or "no deed states it")
 
 
+@pytest.mark.thorough
 def test_keys_that_describe_are_told_by_validate(tmp_path: Path) -> None:
     shown = set()
     for deed, document, folder in documents(tmp_path):

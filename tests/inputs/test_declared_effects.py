@@ -137,6 +137,7 @@ def test_a_scenario_can_leave_declared_transition_out(record: Record, tmp_path: 
     assert predict(laminar).segment_errors()["fit"]["rmse_K"] < 1.1 * laminar.noise_floor_K()
 
 
+@pytest.mark.thorough
 def test_a_flight_may_turn_turbulent_by_the_table_where_its_record_declares_it_laminar(tmp_path: Path) -> None:
     found = made(tmp_path, "[heating]\ntransition = false\n" + EARLY)
     assert [u.effect.name for u in found.declared.heating.effects] == ["recombination"]
@@ -187,6 +188,7 @@ def test_the_vehicles_table_and_effects_predict_a_record_that_declares_none(sile
     assert predict(silent, model, flow=flow).segment_errors()["fit"]["rmse_K"] < 1.1 * silent.noise_floor_K()
 
 
+@pytest.mark.thorough
 def test_a_record_that_declares_less_than_its_vehicle_gets_one_line(
     record: Record, silent: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -73,6 +73,7 @@ def test_manoeuvres_are_flown_at_the_speeds_of_their_names(name: str) -> None:
         assert speed == approx(mach * SHUTTLE_MACH_M_S, abs=5.0)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", ["entry_3dof", "capsule", "recorded_sts107"])
 def test_a_quick_scenario_runs_and_is_measured(name: str) -> None:
     chosen = scenario(name)

@@ -103,6 +103,7 @@ def march(
     return plain.march(time_s, history[np.newaxis], keep=plain.node_offsets(0, (0, mesh.bondline))).T
 
 
+@pytest.mark.thorough
 def test_a_prediction_is_what_the_estimator_has_when_the_future_has_come(source, futures, now) -> None:
     estimates, frame = now
     planned = LookAhead(source, {}, futures, 60.0).predict(estimates, frame)[POINT].futures["planned"]

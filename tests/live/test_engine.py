@@ -95,6 +95,7 @@ def same(a: Record, b: Record) -> bool:
     return flown and read and a.declared.stack.layer == b.declared.stack.layer
 
 
+@pytest.mark.thorough
 def test_a_link_that_was_killed_goes_on_from_its_journal_with_the_same_bits(short: Path, tmp_path, followed: State):
     made = replaying(short)
     engine = LinkEngine(made, journal_of(made, tmp_path))
@@ -224,6 +225,7 @@ def test_of_a_flight_without_an_effect_no_reading_is_left_out_however_steep_the_
     assert [line for line in engine.remarks.lines() if "left out" in line] == []
 
 
+@pytest.mark.thorough
 def test_a_link_is_waiting_then_live_then_stalled():
     port = free_port()
     made = link({"kind": "json-lines", "port": port}, output={"rate_Hz": 10.0})

@@ -164,6 +164,7 @@ def test_samples_that_pile_up_give_the_same_bits(in_order, at_once):
     assert_same_bits(feed(estimator(), samples(), at_once), in_order)
 
 
+@pytest.mark.thorough
 def test_looking_at_the_estimate_does_not_change_it(in_order):
     watched = estimator(wait_s=1.0)
     for sample in shuffled(9, 1.9):

@@ -133,6 +133,7 @@ def test_telemetry_states_no_source_and_a_surface_near_its_limit_is_told(tmp_pat
     assert "vehicle orbiter" in block["files"]
 
 
+@pytest.mark.thorough
 def test_json_is_one_object_with_the_last_state(cut: Path, tmp_path, capsys):
     found = run_json(capsys, "live", "--replay", str(cut), "--speed", "0", "--headless", "--out", str(tmp_path / "o"))
     assert found["results"] == read_json(tmp_path / "o" / "live.json")
@@ -254,6 +255,7 @@ def test_a_file_in_the_place_of_results_is_one_line(tmp_path, capsys):
     assert "is a file; name a directory for the results" in told
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
 def test_on_a_full_disk_the_estimates_are_told_and_the_command_fails_in_one_line(tmp_path, capsys):
     import resource
@@ -285,6 +287,7 @@ def recorded(folder: Path) -> Path:
     return out
 
 
+@pytest.mark.thorough
 def test_a_replay_leaves_the_journal_of_a_flight_alone(cut: Path, tmp_path, capsys):
     flight = recorded(tmp_path)
     before = {p.name: p.read_bytes() for p in flight.iterdir() if p.is_file()}

@@ -156,6 +156,7 @@ def test_a_token_that_can_be_guessed_or_does_not_fit_an_address_is_refused(token
 # Connections that ask for nothing ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_connections_that_ask_for_nothing_are_few_and_closed_and_readers_come_after_them(state, monkeypatch):
     monkeypatch.setattr("sim_heating.live.outputs.server.most_connections", lambda: 8)
     monkeypatch.setattr("sim_heating.live.outputs.server.HEADERS_S", 0.5)
@@ -262,6 +263,7 @@ def test_datagrams_together_are_the_state(state):
     assert found["points/OE/surface_K"] == state.points["OE"].surface_K
 
 
+@pytest.mark.thorough
 def test_a_display_that_comes_late_and_restarts_gets_the_lines(state):
     received: list[dict] = []
 

@@ -367,6 +367,7 @@ def test_flights_outside_the_tables_are_reported_with_the_distance_and_do_not_co
     assert any("log10_re lies outside" in line and "do not count as within" in line for line in notes_of(result))
 
 
+@pytest.mark.thorough
 def test_a_trim_beyond_the_elevons_travel_is_reported_and_does_not_count_as_within_the_limits(tmp_path):
     """The most forward centre of gravity of the aerodynamics, with the body flap fully down."""
     limits = "[trajectory.vehicle]\ncg_fraction = 0.65\nbodyflap_deg = [[0.0, 22.5]]\n"
@@ -392,6 +393,7 @@ def test_a_vehicle_without_an_elevon_is_in_trim(tmp_path):
     assert not entry.fly(first)["untrimmed_s"].any()
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -442,6 +444,7 @@ def test_every_input_is_described_with_its_size_and_unit(tmp_path):
     assert len(entry.group_descriptions) == len(entry.groups)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", sorted((SCENARIOS / "studies").glob("dispersed_*.toml")), ids=lambda p: p.stem)
 def test_shipped_dispersions_can_be_flown(path):
     entry = DispersedEntry(load_study(path))

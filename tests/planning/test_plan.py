@@ -134,6 +134,7 @@ def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(by_
     assert results(busy) == fresh
 
 
+@pytest.mark.thorough
 def test_results_name_vehicle_revision_and_study_and_agree_with_each_other(study, tmp_path, capsys):
     out = tmp_path / "out"
     printed = run_json(capsys, "plan", str(study), "--out", str(out), "--workers", "1")

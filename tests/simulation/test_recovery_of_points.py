@@ -166,6 +166,7 @@ def test_a_host_that_brings_its_own_reference_heating_gives_the_enthalpy_of_the_
     np.testing.assert_allclose(found, marched[-1], rtol=0.0, atol=0.01)
 
 
+@pytest.mark.thorough
 def test_run_synthesize_and_predict_agree_on_it(vehicle, scenario, result, tmp_path):
     columns = with_reference_heating(result)
     assert "H_r_J_kg" not in columns

@@ -250,6 +250,7 @@ def test_new_effects_are_found_checked_and_flown() -> None:
     assert "12 passed" in done.stdout
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("variable", ["alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg"])
 def test_the_practice_flight_of_a_new_effect_moves_its_variable(variable: str) -> None:
     """Within half a minute from the effect's centre to where it is hardly there: nothing else is as quick."""

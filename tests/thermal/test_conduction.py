@@ -134,6 +134,7 @@ def test_steady_layer_with_conductivity_in_temperature_obeys_kirchhoff():
     assert kirchhoff == pytest.approx(3e4 * length, rel=1e-8)
 
 
+@pytest.mark.thorough
 def test_steady_layer_with_radiation_in_depth_above_a_temperature_obeys_kirchhoff():
     # k = 1 + k_rad (T^3 - T_0^3) / 1000^3 above T_0 = 500 K
     length, k_rad, T_0 = 0.02, 1.5, 500.0

@@ -320,6 +320,7 @@ SEEN = st.builds(
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 @settings(max_examples=100, deadline=None)
 @given(st.lists(SEEN, min_size=2, max_size=12), st.floats(0.01, 2.0))
 def test_commands_stay_within_limits_and_rates_whatever_a_host_reports(seen, dt_s):

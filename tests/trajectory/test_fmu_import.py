@@ -381,6 +381,7 @@ beta_deg = 0.0
 """
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_scenario_flies_an_fmu_with_the_plug_in_alongside(binary: Path, tmp_path: Path) -> None:
     glide_fmu(tmp_path / "glide.fmu", binary, "3")
