@@ -346,7 +346,9 @@ def test_a_flight_that_ends_at_once_is_told_in_one_line(workdir: Path) -> None:
 
 EARLY = """
 import builtins, os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+# a shell's background jobs ignore the first, and those of nohup the second
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 import sim_heating.__main__ as program
 load = builtins.__import__
 def stop(name, *rest, **more):

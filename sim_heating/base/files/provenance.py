@@ -85,7 +85,8 @@ def provenance_attributes() -> dict[str, str]:
     block = provenance()
     command = None if block is None else block["command"]
     made = "written from Python" if command is None else " ".join(["sim-heating", *command])
-    history = {"history": f"sim-heating {package_version()}: {made}"}
+    # a name of a file may hold bytes that are no characters in the encoding of the system
+    history = {"history": f"sim-heating {package_version()}: {os.fsencode(made).decode(errors='replace')}"}
     return history if block is None else {**history, PROVENANCE: json.dumps(block)}
 
 
