@@ -19,8 +19,11 @@ from pathlib import Path
 EXAMPLE = re.compile(r"Example:\s+sim-heating\s+(.+?)\s*(?:\n\s*\n|\Z)", re.DOTALL)
 FIRST = ("synthesize", "run", "estimate", "close-loop")
 """Commands whose examples write what those of others read."""
-LONG = ("campaign", "design", "live")
-"""Commands whose examples take minutes, or as long as a flight: run where they are named."""
+LONG = ("campaign", "design", "live", "credibility")
+"""Commands run only where they are named: their examples take minutes, or as long as a flight, or are about measurements
+of the person's own."""
+LAST = ("examples",)
+"""Commands whose examples write files that those of others would read."""
 TEMPERATURES = "time_s,surface_K,bond_K\n" + "".join(f"{t},{300 + 2 * t},{300 + 0.5 * t}\n" for t in range(0, 101, 5))
 """Readings that `new record --csv temperatures.csv` is about: a file that its reader has."""
 
@@ -42,7 +45,12 @@ def examples() -> Iterator[str]:
                 yield from walk(below)
 
     found = list(dict.fromkeys(walk(cli)))
-    yield from sorted(found, key=lambda line: FIRST.index(word) if (word := line.split()[0]) in FIRST else len(FIRST))
+
+    def place(line: str) -> int:
+        word = line.split()[0]
+        return FIRST.index(word) if word in FIRST else len(FIRST) + (word in LAST)
+
+    yield from sorted(found, key=place)
 
 
 def failures(folder: Path, only: tuple[str, ...] = (), environment: Mapping[str, str] | None = None) -> list[str]:
