@@ -20,8 +20,8 @@ EXAMPLE = re.compile(r"Example:\s+sim-heating\s+(.+?)\s*(?:\n\s*\n|\Z)", re.DOTA
 FIRST = ("synthesize", "run", "estimate", "close-loop")
 """Commands whose examples write what those of others read."""
 LONG = ("campaign", "design", "live", "credibility")
-"""Commands run only where they are named: their examples take minutes, or as long as a flight, or are about measurements
-of the person's own."""
+"""Commands run only where they are named: their examples take minutes, or as long as a flight, or are about a person's
+own measurements."""
 LAST = ("examples",)
 """Commands whose examples write files that those of others would read."""
 TEMPERATURES = "time_s,surface_K,bond_K\n" + "".join(f"{t},{300 + 2 * t},{300 + 0.5 * t}\n" for t in range(0, 101, 5))
