@@ -121,4 +121,4 @@ def test_the_wheel_says_that_it_is_typed(built: dict[str, Path]) -> None:
 @pytest.mark.thorough
 def test_examples_of_help_texts_run_from_the_wheel(installed: dict[str, str], tmp_path: Path) -> None:
     """Of short commands; `.ci/installed` runs those of the others."""
-    assert failures(tmp_path, ("validate", "predict", "estimate"), environment=installed) == []
+    assert failures(tmp_path, ("synthesize", "estimate", "validate", "predict"), environment=installed) == []
