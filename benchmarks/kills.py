@@ -254,15 +254,16 @@ close_loop = false
 [fit]
 parameters = ["ratio.scale"]
 [[flight]]
-records = "{flight}"
+{flight}
 """
+"""A campaign of one point; its flight is given in the keys of [[flight]]."""
 
 
 @cache
 def campaign(flight: str) -> Path:
     """A campaign of the record of a flight, that others fly to fit one manoeuvre."""
     path = inputs() / f"{flight}_campaign.toml"
-    path.write_text(CAMPAIGN.format(vehicle=inputs() / "orbiter", point=POINT, flight=flight))
+    path.write_text(CAMPAIGN.format(vehicle=inputs() / "orbiter", point=POINT, flight=f'records = "{flight}"'))
     return path
 
 

@@ -20,30 +20,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.kills import POINT, fit, inputs
+from benchmarks.kills import CAMPAIGN, POINT, fit, inputs
 from benchmarks.measure import Figure
 from sim_heating.base.files import MARKER, results_digest
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE_S, AFTERWARDS_S = 120.0, 10.0
 """Time after a signal within which a command ends, and after it the processes that it started [s]."""
-CAMPAIGN = """format = "campaign/1"
-title = "Two measurements"
-vehicle = "{vehicle}"
-control_points = ["{point}"]
-close_loop = false
-[fit]
-parameters = ["ratio.scale"]
-[[flight]]
-scenario = "before.toml"
-seeds = [11, 12]
-"""
+TWO_MEASUREMENTS = 'scenario = "before.toml"\nseeds = [11, 12]'
+"""The flight of the campaign."""
 
 
 def commands() -> dict[str, str]:
     """Long commands by name; OUT is the folder of their results."""
     home = inputs()
-    (home / "campaign.toml").write_text(CAMPAIGN.format(vehicle=home / "orbiter", point=POINT))
+    (home / "campaign.toml").write_text(CAMPAIGN.format(vehicle=home / "orbiter", point=POINT, flight=TWO_MEASUREMENTS))
     return {
         "run": f"run {home}/before.toml --out OUT",
         "synthesize": f"synthesize {home}/before.toml --out OUT",

@@ -23,8 +23,8 @@ from sim_heating.heating.reference.models import reference_heating
 from sim_heating.heating.surface_pressure import FractionOfStagnation, surface_pressure
 from sim_heating.inputs.record import Record
 
-ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg", "jets")
-"""Columns that a trajectory that is merged with them may be earlier or later than."""
+ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
+"""Columns of angles, which a trajectory that is merged with them, and with the jets, may be earlier or later than."""
 SHARPENINGS, SMOOTHED_STEP_S = 12, 0.5
 """Iterations that undo a mean, and the step of the times that it is taken at [s]."""
 HEATED = 0.15
@@ -52,7 +52,7 @@ def shift_conditions(record: Record, later_s: FloatArray | float) -> Record:
 def shift_trajectory(record: Record, later_s: float) -> Record:
     """The record with velocity, altitude and air of a flight that was later by some seconds, and the angles stated."""
     flown, shifted = record.conditions, shift_conditions(record, later_s)
-    kept = {name: flown[name] for name in ANGLES if name in flown}
+    kept = {name: flown[name] for name in (*ANGLES, "jets") if name in flown}
     turned = _changed(shifted, {"alpha_deg": kept.pop("alpha_deg")})
     return replace(turned, conditions=turned.conditions.with_columns(**kept))
 

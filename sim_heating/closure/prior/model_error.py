@@ -14,7 +14,7 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
-from sim_heating.closure.prior.changed_flight import shift_conditions, with_alpha, with_density, with_velocity
+from sim_heating.closure.prior.changed_flight import ANGLES, shift_conditions, with_alpha, with_density, with_velocity
 from sim_heating.estimation.inference.model_error import HeatingErrorPrior
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
 from sim_heating.inputs.points import conditions_of_record
@@ -33,7 +33,6 @@ one clock.
 Reynolds and Mach number stay as stated: when an onset is reached is what its own parameter says, and a derivative along
 the flight's error could not say it.
 """
-TURNED = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
 CLOCK_SIGMAS = 3.0
 """Standard deviations by which the clock of a flight may be off, as far as the record allows."""
 
@@ -151,9 +150,11 @@ class SmoothFlightError:
             other = with_alpha(other, float(by["alpha_bias_deg"][0]))
         stretched_s = float(by["time_stretch"][0]) * (t - t[0]) if "time_stretch" in by else 0.0
         other = shift_conditions(other, stretched_s + (float(by["time_shift_s"][0]) if "time_shift_s" in by else 0.0))
-        turned = shift_conditions(flown, stretched_s).conditions if self.has_one_clock else flown.conditions
         heated = conditions_of_record(other)
-        columns = {n: heated[n] for n in FROM_FLIGHT if n in heated} | {n: turned[n] for n in TURNED}
+        columns = {n: heated[n] for n in FROM_FLIGHT if n in heated}
+        if self.has_one_clock:  # its shift is no direction; angles stay without their bias
+            turned = shift_conditions(flown, stretched_s).conditions
+            columns |= {n: turned[n] for n in ANGLES}
         stated = flown.declared.heating
         # the recovery of the point may follow from its reference heating
         recovery = stated.recovery if stated.reference == "columns" else stated.recovery_of_point.kind
