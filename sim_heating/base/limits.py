@@ -378,9 +378,15 @@ def usual_remark(name: str, value: float) -> str | None:
 
 
 def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:
-    """Location and value of each number of nested lists; of a number by itself, with the location ()."""
+    """Location and value of each number of nested lists; of a number by itself, with the location ().
+
+    An integer beyond all floating-point numbers counts as infinite.
+    """
     if type(value) is float or (isinstance(value, (int, float)) and not isinstance(value, bool)):
-        yield (), float(value)
+        try:
+            yield (), float(value)
+        except OverflowError:
+            yield (), math.inf if value > 0 else -math.inf
     elif isinstance(value, (list, tuple)):
         for i, item in zip(count(), value, strict=False):
             yield from (((i, *place), number) for place, number in numbers_in(item))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import warnings
@@ -14,7 +15,7 @@ import pytest
 
 from sim_heating.base.errors import InputError, UnusualWarning
 from sim_heating.base.files import check, read_csv_columns, write_csv
-from sim_heating.base.limits import QUANTITIES, UNITS, USUAL, quantity
+from sim_heating.base.limits import QUANTITIES, UNITS, USUAL, numbers_in, quantity
 from sim_heating.cli import main
 from sim_heating.cli.path_check import check_path
 from sim_heating.heating.recorded.plausible import standing_out
@@ -294,3 +295,7 @@ def test_every_usual_range_is_within_the_possible_one_and_has_a_source() -> None
             assert known.lowest <= usual.lowest, name
             assert usual.highest <= known.highest, name
     assert USUAL.keys() - QUANTITIES.keys() <= {n for n in USUAL if any(n.endswith(unit) for unit in UNITS)}
+
+
+def test_an_integer_beyond_all_floating_point_numbers_is_infinite() -> None:
+    assert list(numbers_in([2, 10**400, -(10**400)])) == [((0,), 2.0), ((1,), math.inf), ((2,), -math.inf)]
