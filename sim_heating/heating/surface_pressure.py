@@ -164,7 +164,8 @@ def surface_pressure(model: ModifiedNewtonian | FractionOfStagnation, conditions
         bad = np.flatnonzero(c[name] <= 0.0)
         if bad.size:
             raise InputError(f"conditions, row {bad[0] + 1}, column {name}: {c[name][bad[0]]} (must be above 0)")
-    columns = "p_inf_Pa rho_kg_m3 velocity_m_s T_inf_K alpha_deg beta_deg elevon_deg bodyflap_deg".split()
+    angles = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
+    columns = ("p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K", *angles)
     flight, out = np.column_stack([c[name] for name in columns]), np.empty(len(c))
     _surface_pressures(flight, model.parameters(), out)
     return out
