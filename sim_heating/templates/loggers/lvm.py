@@ -127,7 +127,7 @@ def _joined(segments: Sequence[Segment]) -> Block:
     """
     first, begin = segments[0]
     end = last = x_first = math.nan
-    blocks = []
+    blocks: list[Block] = []
     for block, stamp in segments:
         if len(segments) == 1 or not block.lines:
             return block
