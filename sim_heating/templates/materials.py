@@ -10,14 +10,15 @@ from pathlib import Path
 
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import display_path, nearest_name, read_toml
+from sim_heating.base.files.units import converted
 from sim_heating.inputs.vehicle import library_materials, vehicle_folders
 from sim_heating.templates.quantities import NUMBER, quantity
 from sim_heating.thermal.stack import Material
 
 FOLDER = "materials"
 """Folder of general materials, next to those of the vehicles."""
-LAYER = re.compile(rf"\s*(.+?)[\s,:=]+({NUMBER})\s*([A-Za-zµμ\"]*)\s*")
-"""Pattern of a layer: a material, a thickness, a unit."""
+LAYER = re.compile(rf"\s*(.+?)[\s,:=]+({NUMBER})\s*([A-Za-zµμ\"]*(?:/[a-z]+2)?)\s*")
+"""Pattern of a layer: a material, a thickness or a mass per area, a unit."""
 EXAMPLE = '"copper 3 mm"'
 SYNONYMS = (
     (r"alumin(i?)um", "al"), (r"titanium", "ti"), (r"stainless", "ss"), (r"\bsteel\b", ""),
@@ -88,6 +89,8 @@ def find_material(name: str) -> tuple[str, Material]:
 def layer_input(text: str, option: str = "--layer") -> LayerInput:
     """A layer from a text such as `LI-900 51 mm`; units of length: mm, m, in, mil, um and others.
 
+    A coating that is applied by weight has its mass per area, `RCG 0.6 kg/m2`, over the density of its material.
+
     raises : InputError, one line, with what is wrong
     """
     found = LAYER.fullmatch(text)
@@ -95,9 +98,11 @@ def layer_input(text: str, option: str = "--layer") -> LayerInput:
         raise InputError(f"{option} `{text}`: write a material and a thickness with its unit, such as {EXAMPLE}")
     if not found[3]:
         raise InputError(f"{option} `{text}`: the thickness has no unit; write such as {EXAMPLE} (mm, m, in, mil, um)")
-    thickness_m = quantity(f"{found[2]} {found[3]}", "m", f"{option} `{text}`", EXAMPLE, "thickness_m")
     name, material = find_material(found[1])
-    return LayerInput(name, material, thickness_m)
+    applied = f"{found[2]} {found[3]}"
+    if converted(found[3], "kg/m2") is not None:
+        applied = f"{quantity(applied, 'kg/m2', f'{option} `{text}`', EXAMPLE) / material.density_kg_m3:.12g} m"
+    return LayerInput(name, material, quantity(applied, "m", f"{option} `{text}`", EXAMPLE, "thickness_m"))
 
 
 def describe_source(name: str, material: Material) -> str:

@@ -36,6 +36,7 @@ from sim_heating.templates.loggers.clocks import (
 )
 from sim_heating.templates.loggers.files import kind_of_file, read_table
 from sim_heating.templates.loggers.layout_file import LayoutColumn, LoggerLayout
+from sim_heating.templates.loggers.lvm import is_lvm, lvm_block
 from sim_heating.templates.loggers.numbers import Numbers, Signs, number_signs, numbers_of, shown_cell
 from sim_heating.templates.loggers.readings import OPEN, far_off, fault_codes, lost_codes
 from sim_heating.templates.loggers.text import decoded, is_clock, is_number, rows_block, text_block
@@ -201,7 +202,7 @@ def read_measured_csv(
     separator, decimal, dates : between cells; decimal sign; order of dates, `day-first`, `month-first`, `year-first`
     lost      : readings that stand for a lost sample
     repeated  : `spread` or `first`: what is done with several rows of one time
-    sheet     : of a workbook, or group of a TDMS file
+    sheet     : of a workbook, group of a TDMS file, or segment of an LVM file by its number
     layout    : what other files of the recorder had in common; the arguments prevail over it
     kinds     : kinds of columns that are needed beside the time; those of others are not checked
     raises    : InputError, one line, where the file cannot be read so, with the option that helps
@@ -253,7 +254,8 @@ def _block(path: Path, chosen: LoggerLayout) -> Block:
     """The rows of data of a file of any kind."""
     kind = kind_of_file(path)
     if not kind:
-        return text_block(path, decoded(path), chosen.separator)
+        text = decoded(path)
+        return lvm_block(path, text, chosen.sheet) if is_lvm(text) else text_block(path, text, chosen.separator)
     table = read_table(path, kind, chosen.sheet)
     if isinstance(table, Block):
         return table

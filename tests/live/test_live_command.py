@@ -211,6 +211,8 @@ def test_what_a_running_estimate_cannot_have_is_refused_by_validate_and_at_the_s
         told = the_error(capsys, "validate", str(path), *root)
         assert problem in told
         assert the_error(capsys, "live", str(path), "--headless", "--out", str(tmp_path / str(k)), *root) == told
+    path.write_text(f"{path.read_text()}\njump_s = 3.5")  # as the last of them proposes
+    assert main(["validate", str(path), *root]) == 0
 
 
 @pytest.mark.thorough

@@ -186,6 +186,17 @@ def test_a_limit_costs_cross_range(limited_flight):
 
 
 @pytest.mark.thorough
+def test_a_bondline_is_hottest_in_the_soak_after_the_entry():
+    peaks = []
+    for soak_s in (0.0, 1800.0):
+        searched = search.EntrySearch(study_of('[[limit]]\ncontrol_point = "V07T9730"', soak_s=soak_s))
+        flown = searched.conditions(searched.guess())
+        peaks.append(searched.peaks(searched.march(flown, searched.models))[0])
+    assert peaks[1].surface_K == peaks[0].surface_K
+    assert peaks[1].bondline_K > peaks[0].bondline_K + 5.0
+
+
+@pytest.mark.thorough
 def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
     entry = fly_optimal(study_of(COLD_LIMIT, intervals=25, mesh_tolerance=1e-3, probability=0.9))
     inside = np.mean(peaks_with_drawn_tables(entry, 150, 7, 4.0)[0] <= 1900.0)

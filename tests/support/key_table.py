@@ -16,7 +16,6 @@ VALUES: dict[str, list[Any]] = {
     "ReferenceHeating.wall_enthalpy": [{"cp_J_kgK": 1004.5}],
     "Envelope.boundary": [[{"name": "other", "along": "drag_factor", "at": [1.0], "across": "alpha_offset_deg",
                             "values": [-8.0, 0.0]}]],
-    "EstimateSettings.jump_s": [10.0],
     "FitSettings.start": ["circuit", "circuit:10"],
     "ParameterSettings.parameters": [["ratio.scale", "stack.coating.thickness_factor", "clock.skew"]],
     "Replay.record": ["second/record"],
@@ -54,10 +53,12 @@ _SHOWN = {
     "OutputSettings.port OutputSettings.lines",
     "tests/live/test_ahead.py": "AheadSettings.every_s AheadSettings.keep AheadSettings.scenario LinkFile.ahead",
     "tests/live/test_engine.py": "OutputSettings.rate_Hz",
+    "tests/live/test_live_command.py": "EstimateSettings.jump_s",
     "tests/live/test_journal.py": "JournalSettings.fsync_s LinkFile.journal",
     "tests/planning/test_optimal_entry.py": (
         "OptimalStudyFile.alpha_limits_deg OptimalStudyFile.bank_limits_deg OptimalStudyFile.duration_s "
         "OptimalStudyFile.end OptimalStudyFile.initial OptimalStudyFile.intervals OptimalStudyFile.limit "
+        "OptimalStudyFile.soak_s "
         "OptimalStudyFile.mesh_tolerance OptimalStudyFile.probability OptimalStudyFile.state "
         "OptimalStudyFile.tolerance_K OptimalStudyFile.vehicle FinalState.altitude_m FinalState.gamma_deg "
         "FinalState.velocity_m_s StudyFile.optimal"
@@ -86,8 +87,5 @@ _SHOWN = {
     "tests/planning/test_envelope.py": "Envelope.refinements Envelope.elevon_arm_m",
     "tests/planning/test_envelope_boundary.py": "EnvelopeBoundary.inside",
 }
-UNSHOWN = ("OptimalStudyFile.soak_s", "EstimateSettings.jump_s")
-"""Keys whose action no test shows: the optimal entry's limited points have no bondline that would soak, and no link of
-the walk has a jump."""
 ELSEWHERE: dict[str, str] = {key: test for test, keys in _SHOWN.items() for key in keys.split()}
 """Keys that act only with a network, a solver, a compiler or another process: the test that shows it."""

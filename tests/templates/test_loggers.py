@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -310,6 +311,13 @@ def test_readings_that_are_stated_as_lost_are_lost_samples() -> None:
     assert np.isnan(T).tolist() == [False, True, False, True, False]
 
 
+@pytest.mark.parametrize("cell", ["21,5 kelvin 30", "n/a 30", "NaN 30", "null 30", "--- 30"])
+def test_a_cell_of_several_values_is_no_lost_sample(cell: str) -> None:
+    path = rows("Time (s);TC1", [f"{2 * k};{300 + k},5 kelvin" for k in range(20)] + [f"40;{cell}", "42;320,5 kelvin"])
+    with pytest.raises(InputError, match=f"row 22, column TC1: `{cell}` is no number in the layout"):
+        read_measured_csv(path)
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -422,11 +430,57 @@ def test_an_old_workbook_is_read_as_a_new_one_is() -> None:
     assert found.zero_s == datetime(2024, 5, 3, 10, 45, tzinfo=UTC).timestamp()
 
 
+def second_segment(text: str, names: str = "TC1\tTC2", x0: int = 0) -> str:
+    """The segment of an LVM file once more, begun ten minutes later."""
+    later = text[text.index("Channels") :].replace("14:41:45.51", "14:51:45.51").replace("TC1\tTC2", names)
+    return re.sub(r"(?m)^(\d+)\.0+(?=\t\d)", lambda m: f"{int(m[1]) + x0}.0", later)
+
+
+def test_segments_of_an_lvm_file_follow_by_their_dates_and_times() -> None:
+    text = (LOGGERS / "labview.lvm").read_text()
+    Path("a.lvm").write_text(text + second_segment(text))
+    both = read_measured_csv(Path("a.lvm"))
+    assert span_s(both) == pytest.approx(720.0)
+    assert len(both.rows) == 2 * 61
+    alone = read_measured_csv(Path("a.lvm"), sheet="2")
+    assert (span_s(alone), range_K(alone)) == (120.0, pytest.approx(range_K(both)))
+
+
+def test_segments_whose_times_go_on_count_from_the_first() -> None:
+    text = (LOGGERS / "labview.lvm").read_text()
+    Path("a.lvm").write_text(text + second_segment(text, x0=600))
+    assert span_s(read_measured_csv(Path("a.lvm"))) == pytest.approx(720.0)
+
+
+def test_channels_of_an_lvm_file_with_times_of_their_own_share_a_column() -> None:
+    multi = re.sub(r"(?m)^(\d+\.0+)\t([\d.]+)\t([\d.]+)", r"\1\t\2\t\1\t\3", (LOGGERS / "labview.lvm").read_text())
+    multi = multi.replace("X_Columns\tOne", "X_Columns\tMulti").replace("TC1\tTC2", "TC1\tX_Value\tTC2")
+    multi = re.sub(r"(?m)^((?:Date|Time|Y_Unit_Label)\t[^\t\n]+)\t(?=[^\t\n]+)", r"\1\t\t", multi)
+    Path("a.lvm").write_text(multi)
+    assert (span_s(read_measured_csv(Path("a.lvm"))), len(read_measured_csv(Path("a.lvm")).rows)) == (120.0, 61)
+    Path("a.lvm").write_text(multi.replace("\t14:41:45.51\t\t14:41:45.51", "\t14:41:45.51\t\t14:41:46.51"))
+    apart = read_measured_csv(Path("a.lvm"))  # a second later
+    assert (span_s(apart), len(apart.rows)) == (pytest.approx(121.0), 2 * 61)
+
+
+@pytest.mark.parametrize("delta", ["2.000000\t2.000000", "2.000000\t4.000000"])
+def test_times_that_only_the_header_of_an_lvm_file_states(delta: str) -> None:
+    text = re.sub(r"(?m)^\d+\.0+(?=\t\d)", "", (LOGGERS / "labview.lvm").read_text())
+    text = text.replace("X_Columns\tOne", "X_Columns\tNo").replace("2.000000\t2.000000", delta)
+    Path("a.lvm").write_text(text)
+    found = read_measured_csv(Path("a.lvm"))
+    assert span_s(found) == 60.0 * float(delta.split("\t")[1])
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text + text[text.index("Channels") :], "a second segment begins; export each segment alone"),
-        (lambda text: text.replace("X_Columns\tOne", "X_Columns\tMulti"), "the sensors have times of their own"),
+        (
+            lambda text: text + text[text.index("Channels") :],
+            "before the one above ends; choose one segment",
+        ),
+        (lambda text: text + second_segment(text, "TC1\tTC3"), "differ; choose one segment, --sheet 1"),
+        (lambda text: text + second_segment(text, x0=900), "state different times; choose one segment, --sheet 1"),
         (lambda text: text[: text.rindex("***End_of_Header***")], "header of the LabVIEW file does not end"),
     ],
 )

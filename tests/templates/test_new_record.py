@@ -353,6 +353,12 @@ def test_materials_are_found_by_the_names_that_people_use() -> None:
     assert layer_input("LI-900, 15 mil").thickness_m == pytest.approx(3.81e-4)
 
 
+@pytest.mark.parametrize("applied", ["0.63391 kg/m2", "633.91 g/m2", "0.063391 g/cm2"])
+def test_a_coating_applied_by_weight_is_as_thick_as_its_density_says(applied: str) -> None:
+    coating = layer_input(f"RCG {applied}")
+    assert coating.thickness_m * coating.material.density_kg_m3 == pytest.approx(0.63391)
+
+
 def test_every_general_material_states_its_source_and_can_be_an_outermost_layer() -> None:
     files = sorted((AIRCRAFT / "materials").glob("*.toml"))
     assert len(files) >= 8

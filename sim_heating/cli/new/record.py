@@ -127,7 +127,9 @@ if TYPE_CHECKING:
 @click.option(
     "--repeated", type=click.Choice(["spread", "first"]), help="rows of one time: even until the next, or the first one"
 )
-@click.option("--sheet", metavar="NAME", help="sheet of a workbook, or group of a TDMS file")
+@click.option(
+    "--sheet", metavar="NAME", help="sheet of a workbook, group of a TDMS file, or segment of an LVM file, by number"
+)
 @click.option("--layout", "layout_file", type=PATH, metavar="FILE", help="layout that was kept of another file (TOML)")
 @click.option("--keep-layout", type=PATH, metavar="FILE", help="write the layout of this file, for --layout")
 @quantity_option(

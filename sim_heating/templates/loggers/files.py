@@ -61,7 +61,7 @@ def _workbook(path: Path, sheet: str | None) -> list[list[str]]:
         for name, table in pd.read_excel(path, sheet_name=None, header=None, dtype=object).items()
         if table.size
     }
-    name = _chosen(path, "sheet", [str(s) for s in sheets], sheet)
+    name = chosen_name(path, "sheet", [str(s) for s in sheets], sheet)
     return [[cell_text(v) for v in row] for row in sheets[name].itertuples(index=False)]
 
 
@@ -70,7 +70,7 @@ def _tdms(path: Path, group: str | None) -> Block:
 
     read = TdmsFile.read(str(path))
     groups = {g.name: g for g in read.groups() if any(len(c) for c in g.channels())}
-    channels = groups[_chosen(path, "group", list(groups), group)].channels()
+    channels = groups[chosen_name(path, "group", list(groups), group)].channels()
     columns: dict[str, object] = {}
     units: dict[str, str] = {}
     steps = {float(c.properties["wf_increment"]) for c in channels if c.properties.get("wf_increment")}
@@ -88,7 +88,11 @@ def _tdms(path: Path, group: str | None) -> Block:
     return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
 
 
-def _chosen(path: Path, what: str, names: list[str], chosen: str | None) -> str:
+def chosen_name(path: Path, what: str, names: list[str], chosen: str | None) -> str:
+    """The name that was chosen, or the only one; `what` it is a name of, such as a sheet, in words.
+
+    raises : InputError, one line with the names, where there is no such name, or none was chosen of several
+    """
     if chosen is not None and chosen not in names:
         raise InputError(
             f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}"

@@ -54,7 +54,7 @@ class LoggerLayout(Declared):
     dates: Literal["day-first", "month-first", "year-first"] | None = Field(
         default=None, description="order of dates as 03/05/2024"
     )
-    sheet: str | None = Field(default=None, description="sheet of a workbook, or group of a TDMS file")
+    sheet: str | None = Field(default=None, description="sheet of a workbook, group of TDMS, or segment of LVM")
     time: str | None = Field(default=None, description="column of the time")
     time_unit: str | None = Field(default=None, description="unit of the time, or the layout of its clock as `hh:mm`")
     period_s: float | None = Field(default=None, gt=0.0, description="time between rows, in place of a column")

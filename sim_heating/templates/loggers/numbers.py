@@ -18,8 +18,8 @@ from sim_heating.templates.loggers.block import Block
 
 BLANKS = "\u00a0\u202f'"
 """Thousands signs that are no decimal sign."""
-TORN = re.compile(r"(?i)(?:nan\s+)?[+-]?[.,]?\d")
-"""How a cell begins that holds a number, or several, and is not read in the layout of the file."""
+TORN = re.compile(r"(?i)(?:(?:#?n/?an?|null|none|-+)\s+)?[+-]?[.,]?\d")
+"""How a cell begins that holds a number, or several, also behind a lost one, but not in the layout of the file."""
 PLAIN_CHARACTERS = set("0123456789.+-eE")
 WITH_UNIT = re.compile(r"([+-]?[\d.,'\u00a0\u202f]*\d[.,]?(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:+-].*)")
 GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{0}\d{{3}})+"

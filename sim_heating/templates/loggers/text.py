@@ -72,8 +72,6 @@ def text_block(path: Path, text: str, separator: str | None = None) -> Block:
     if numbered and (stated := re.fullmatch(r"sep=(.)\s*", numbered[0][1].strip('"'))):
         separator, numbered = separator or stated[1], numbered[1:]
     recorder = _recorder(numbered)
-    if recorder == "LabVIEW LVM":
-        return _lvm(path, numbered)
     numbered, monitored = _without_arrows(numbered)
     if monitored:
         recorder = "serial monitor"
@@ -90,8 +88,6 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
     first = lines[0][1].lstrip('"') if lines else ""
     if first.startswith(("TOA5", "TOACI1")):
         return f"Campbell {first[:6].rstrip(',' + chr(34))}"
-    if first.startswith("LabVIEW Measurement"):
-        return "LabVIEW LVM"
     if "Plot Title" in first:
         return "HOBO"
     return ""
@@ -354,54 +350,3 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
 
 def _is_clock_word(cell: str) -> bool:
     return re.fullmatch(r"(?i)[dhmsy:/ .\-]{4,}|ts|rn", cell) is not None
-
-
-def _lvm(path: Path, numbered: list[tuple[int, str]]) -> Block:
-    """The block of a LabVIEW measurement file, whose header states separator, decimal sign and units.
-
-    source : NI, Specification for the LabVIEW Measurement File (.lvm)
-    """
-    file = display_path(path)
-    header: dict[str, list[str]] = {}
-    ends = [k for k, (_, line) in enumerate(numbered) if line.startswith("***End_of_Header***")]
-    if not ends or any(line.startswith("Channels") for _, line in numbered[ends[-1] :]):
-        raise InputError(f"{file}: the header of the LabVIEW file does not end; it may have been cut off")
-    sign = {"comma": ","}.get(
-        next((line.split()[-1].lower() for _, line in numbered[:10] if line.startswith("Separator")), ""), "\t"
-    )
-    if len(ends) > 2:
-        raise InputError(f"{file}, row {numbered[ends[2]][0]}: a second segment begins; export each segment alone")
-    for _, (key, *values) in split_lines(numbered[: ends[-1]], sign):
-        header[key] = values
-    if header.get("X_Columns", ["One"])[0] == "Multi":
-        raise InputError(
-            f"{file}: X_Columns is Multi: the sensors have times of their own; export with one column of time"
-        )
-    decimal = (header.get("Decimal_Separator") or ["."])[0] or "."
-    (names_line, heads), *body = split_lines(numbered[ends[-1] + 1 :], sign)
-    names = [n or f"column{k + 1}" for k, n in enumerate(heads)]
-    units = ["", *header.get("Y_Unit_Label", [])]
-    width = len(_trimmed(names))
-    if names[width - 1] == "Comment":
-        width -= 1
-    rows = [(i, list(cells[:width])) for i, cells in body]
-    if not rows:
-        raise InputError(f"{file}: no rows of numbers below the header; it may have been cut off")
-    step = [float(v.replace(",", ".")) for v in header.get("Delta_X", []) if v]
-    has_time = header.get("X_Columns", ["One"])[0] != "No"
-    if has_time:
-        names[0], units[0] = "X_Value", "s"
-        if (header.get("X_Dimension") or ["Time"])[0] not in ("Time", ""):
-            raise InputError(f"{file}: X_Dimension is {header['X_Dimension'][0]} and no time; give --period")
-    elif step:
-        names = ["X_Value", *names[1:]] if not rows[0][1][0] else ["X_Value", *names]
-        rows = [
-            (i, [repr(step[0] * k).replace(".", decimal), *(c[1:] if not c[0] else c)]) for k, (i, c) in enumerate(rows)
-        ]
-        units[0], width = "s", len(names[:width])
-    cells = tuple(list(c) for c in zip(*(_filled(c, width) for _, c in rows), strict=True))
-    return Block(
-        path, tuple(names[:width]), tuple(_filled(units, width)), cells, tuple(i for i, _ in rows), sign,
-        decimal, names_line,
-        f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
-    )  # fmt: skip

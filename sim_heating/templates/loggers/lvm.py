@@ -1,0 +1,178 @@
+"""Measurement files of LabVIEW (.lvm): a header, then segments, each with a header and rows.
+
+source : NI, Specification for the LabVIEW Measurement File (.lvm)
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from sim_heating.base.errors import InputError
+from sim_heating.base.files import display_path
+from sim_heating.templates.loggers.block import Block
+from sim_heating.templates.loggers.files import chosen_name
+from sim_heating.templates.loggers.numbers import shown_cell
+from sim_heating.templates.loggers.text import SEPARATORS, Row, split_lines
+
+END = "***End_of_Header***"
+HEADER_KEYS = re.compile(r"Channels|Samples|Date|Time|[XY]_(Unit_Label|Dimension)|X0|Delta_X|Notes|(Test|UUT)_\w+")
+"""Keys of the header of a segment."""
+CLOCK_JITTER = 0.05
+"""Most difference of the stamps of two segments from X values that go on, as a part of the time between them."""
+Segment = tuple[Block, float | None]
+"""Its columns, the first one of time where there is one, and the seconds at which it begins by its date and time."""
+
+
+def is_lvm(text: str) -> bool:
+    """Whether a text is a measurement file of LabVIEW."""
+    return text.lstrip().startswith("LabVIEW Measurement")
+
+
+def lvm_block(path: Path, text: str, sheet: str | None = None) -> Block:
+    """The block of a measurement file: one column of time, one a channel, its segments one below the other.
+
+    sheet  : number of a segment, `1` the first; None for all of them
+    raises : InputError, one line, where a header does not end, or nothing states how the segments follow each other
+    """
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    numbered = [(i, line) for i, line in enumerate(lines, 1) if line.strip(" \t,;")]
+    sign = "," if any(re.match(r"Separator[\t,]\s*Comma", line) for _, line in numbered[:10]) else "\t"
+    rows = split_lines(numbered, sign)
+    ends = [k for k, (_, cells) in enumerate(rows) if cells[0] == END]
+    if len(ends) < 2 or any(cells[0] == "Channels" for _, cells in rows[ends[-1] :]):
+        raise InputError(f"{display_path(path)}: the header of the LabVIEW file does not end; it may have been cut off")
+    header = {cells[0]: cells[1] for _, cells in rows[: ends[0]] if len(cells) > 1}
+    begins = [_header_begin(rows, end) for end in ends[1:]]
+    segments = [
+        _segment(path, rows[begin:end], rows[end + 1 : next_one], header, sign)
+        for begin, end, next_one in zip(begins, ends[1:], [*begins[1:], len(rows)], strict=True)
+    ]
+    if sheet is None:
+        return _joined(segments)
+    chosen = chosen_name(path, "segment", [str(k) for k in range(1, len(segments) + 1)], sheet)
+    block = segments[int(chosen) - 1][0]
+    return replace(block, about=f"{block.about}, segment {chosen}")
+
+
+def _header_begin(rows: Sequence[Row], end: int) -> int:
+    while HEADER_KEYS.fullmatch(rows[end - 1][1][0]):
+        end -= 1
+    return end
+
+
+def _segment(path: Path, head: Sequence[Row], below: Sequence[Row], header: dict[str, str], sign: str) -> Segment:
+    """A segment of the rows of its header and of its names and readings.
+
+    header : of the file
+    raises : InputError, one line, where there are no readings
+    """
+    if len(below) < 2:
+        raise InputError(f"{display_path(path)}: no rows of numbers below the header; it may have been cut off")
+    (names_line, names), *body = below
+    stated = {cells[0]: cells for _, cells in head}
+
+    def of_channel(key: str, k: int) -> str:
+        return next(iter(stated.get(key, ())[k : k + 1]), "")
+
+    x_columns, decimal = header.get("X_Columns", "One"), header.get("Decimal_Separator") or "."
+    if x_columns == "No" and names[0] != "X_Value":
+        names, body = ["X_Value", *names], [(i, ["", *cells]) for i, cells in body]
+    width = len(names) - (names[-1] == "Comment")
+    while width > 1 and not names[width - 1]:
+        width -= 1
+    columns = [[cells[k] if k < len(cells) else "" for _, cells in body] for k in range(width)]
+    channels = [k for k in range(width) if k and not (x_columns == "Multi" and names[k] == "X_Value")]
+    begin = {k: _seconds(of_channel("Date", k), of_channel("Time", k), decimal) for k in channels}
+    block = Block(
+        path, tuple(names[k] or f"column{k + 1}" for k in channels),
+        tuple(of_channel("Y_Unit_Label", k) for k in channels),
+        tuple(columns[k] for k in channels), tuple(i for i, _ in body), sign, decimal, names_line,
+        f"LabVIEW LVM, cells separated by {SEPARATORS[sign]}",
+    )  # fmt: skip
+    if of_channel("X_Dimension", 1) not in ("Time", ""):
+        return block, None
+    if x_columns == "One":
+        lines, cells = block.lines, [columns[0], *block.cells]
+    elif x_columns == "Multi" or of_channel("Delta_X", 1):
+        readings: dict[float, dict[int, tuple[int, str]]] = {}
+        for k, texts in zip(channels, block.cells, strict=True):
+            shift = (begin[k] or 0.0) - (begin[channels[0]] or 0.0)
+            x0, step = (_number(block, 0, of_channel(key, k) or "0") for key in ("X0", "Delta_X"))
+            for j, (line, cell) in enumerate(zip(block.lines, texts, strict=True)):
+                if cell:
+                    x = x0 + step * j if x_columns == "No" else _number(block, j, columns[k - 1][j])
+                    readings.setdefault(shift + x, {})[k] = line, cell
+        rows = sorted(readings.items())
+        lines = tuple(min(row.values())[0] for _, row in rows)
+        cells = [[_text(x, decimal) for x, _ in rows], *([row.get(k, (0, ""))[1] for _, row in rows] for k in channels)]
+    else:
+        return block, None
+    return replace(
+        block, names=("X_Value", *block.names), units=(of_channel("X_Unit_Label", 1) or "s", *block.units),
+        cells=tuple(cells), lines=lines,
+    ), begin[channels[0]]  # fmt: skip
+
+
+def _joined(segments: Sequence[Segment]) -> Block:
+    """Segments one below the other, with times counted from the first.
+
+    X values that begin anew count from the date and time of their segment, those that go on from those of the first.
+
+    raises : InputError, one line with the option that chooses a segment, where neither fits or the channels differ
+    """
+    first, begin = segments[0]
+    end = last = x_first = math.nan
+    blocks: list[Block] = []
+    for block, stamp in segments:
+        if len(segments) == 1 or not block.lines:
+            return block
+        where = f"{display_path(block.path)}, row {block.names_line}"
+        remedy = f"choose one segment, --sheet 1 to --sheet {len(segments)}"
+        if (block.names, block.units) != (first.names, first.units) or block.units[0] != "s":
+            raise InputError(f"{where}: a segment begins whose columns or unit of time differ; {remedy}")
+        x = [_number(block, j, cell) for j, cell in enumerate(block.cells[0])]
+        apart = None if stamp is None or begin is None else stamp - begin
+        shift = 0.0
+        if not blocks:
+            x_first = x[0]
+        elif x[0] <= last:
+            shift = apart or 0.0
+        elif apart and abs(x[0] - x_first - apart) > CLOCK_JITTER * apart:
+            raise InputError(f"{where}: X_Value and the date and time of the segment state different times; {remedy}")
+        if x[0] + shift <= end:
+            raise InputError(f"{where}: a segment begins before the one above ends; {remedy}")
+        end, last = x[-1] + shift, x[-1]
+        times = [_text(t + shift, block.decimal) for t in x] if shift else block.cells[0]
+        blocks.append(replace(block, cells=(times, *block.cells[1:])))
+    columns = zip(*(b.cells for b in blocks), strict=True)
+    return replace(
+        first, cells=tuple([c for cells in column for c in cells] for column in columns),
+        lines=tuple(line for b in blocks for line in b.lines), about=f"{first.about}, {len(blocks)} segments",
+    )  # fmt: skip
+
+
+def _seconds(date: str, time: str, decimal: str) -> float | None:
+    """Seconds of a date and time of day, `2023/09/21` and `14:41:45.51`; None where they are none."""
+    clock, _, fraction = time.replace(decimal, ".").partition(".")
+    try:
+        at = datetime.strptime(f"{date} {clock}", "%Y/%m/%d %H:%M:%S")
+    except ValueError:
+        return None
+    return (at - datetime(1904, 1, 1)).total_seconds() + (float(f"0.{fraction}") if fraction.isdigit() else 0.0)
+
+
+def _number(block: Block, row: int, cell: str) -> float:
+    """The number of a cell; InputError with the row where there is none."""
+    try:
+        return float(cell.replace(block.decimal, "."))
+    except ValueError:
+        raise InputError(f"{block.at(row, 'X_Value')}: `{shown_cell(cell)}` is not a number; mend it") from None
+
+
+def _text(x: float, decimal: str) -> str:
+    return repr(round(x, 9)).replace(".", decimal)
