@@ -19,7 +19,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ sigma = 0.02
 """
 TASKS = {"batches", "flights", "fits", "finished", "tables", "joint", "closed"}
 """Folders of a study and a campaign with what is finished of them."""
-MOST = 200
+MOST = 40
 """Kills of a command at most, where it has more file operations."""
 VELOCITIES_M_S = {"before": 6500.0, "after": 6800.0}
 
@@ -460,7 +460,7 @@ def run(most: int = MOST) -> list[Figure]:
     for command in COMMANDS:
         for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
             label = f"{command}, {'new' if fresh else 'existing'} directory"
-            rows[label] = keep(label, lambda c=command, f=fresh: _row(c, f, most))
+            rows[label] = keep(label, partial(_row, command, fresh, most))
             click.echo(f"{label}: {rows[label]}")
     figures = [
         Figure("commands and kinds of directory", len(rows), ""),

@@ -26,11 +26,11 @@ class Sizes:
     kills    : of a link, None for one at each file operation;  signals : at random moments
     """
 
-    payloads: int = 5000
-    disks: int = 30
-    moves: int = 100
-    results: int = 120
-    kills: int | None = None
+    payloads: int = 1000
+    disks: int = 10
+    moves: int = 30
+    results: int = 30
+    kills: int | None = 60
     signals: int = 210
 
 
