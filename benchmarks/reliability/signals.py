@@ -20,11 +20,11 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.journals import SIGNALS, take_signals
 from benchmarks.kills import CAMPAIGN, POINT, fit, inputs
 from benchmarks.measure import Figure, Keep
 from sim_heating.base.files import MARKER, results_digest
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE_S, AFTERWARDS_S = 120.0, 10.0
 """Time after a signal within which a command ends, and after it the processes that it started [s]."""
 LONGEST_S = 20.0
@@ -71,10 +71,6 @@ def start(arguments: str, place: Path) -> subprocess.Popen[bytes]:
     temporary = place / "tmp"
     temporary.mkdir(parents=True)
     command = [sys.executable, "-m", "sim_heating", *arguments.replace("OUT", str(place / "out")).split(), "--json"]
-
-    def take_signals() -> None:
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_DFL)
 
     with (place / "stdout").open("wb") as out, (place / "stderr").open("wb") as err:
         return subprocess.Popen(
