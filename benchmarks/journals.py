@@ -217,6 +217,15 @@ TCP = 'kind = "json-lines"\ntransport = "tcp-server"\n'
 """A source of lines that others send."""
 
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def take_signals() -> None:
+    """In a process to be started: take ending signals, which a shell lets its background processes ignore."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+
+
 class Running:
     """The command `live` in another process, with a source over TCP.
 
@@ -242,7 +251,9 @@ class Running:
         if limit:
             command = ["sh", "-c", f'ulimit {limit}; exec "$0" "$@"', *command]
         with_more = os.environ | (environment or {})
-        self.process = subprocess.Popen(command, stdout=self._told, stderr=self._told, env=with_more)
+        self.process = subprocess.Popen(
+            command, stdout=self._told, stderr=self._told, env=with_more, preexec_fn=take_signals
+        )
 
     def connected(self) -> socket.socket | None:
         """A connection to its source, once it listens; None where it has ended."""

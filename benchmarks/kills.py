@@ -1,5 +1,7 @@
 """Every command that writes, killed at every one of its file operations: what readers then see, and what is left.
 
+    python -m benchmarks kills    # goes on where it was interrupted, from out/kills
+
 A forked child runs the writing part of a command and kills itself (SIGKILL) just before its n-th operation on a file
 below the folder of results: opening for writing, renaming, removing, creating or removing a directory. Then a reader
 comes, which must find the results of before or those of after, whole; then the same command runs again, and must leave
@@ -17,7 +19,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +27,8 @@ import click
 import xarray as xr
 
 import sim_heating as sh
-from benchmarks.measure import Figure, save
-from sim_heating.base.files import MARKER, file_digest, results_digest, settle
+from benchmarks.measure import Figure, kept, save
+from sim_heating.base.files import MARKER, file_digest, results_digest, settle_below
 from sim_heating.base.files.package import data_folders
 from sim_heating.simulation.fmu_export.ssp import export_ssp
 
@@ -68,6 +70,10 @@ quantiles = [0.5]
 name = "stack.emissivity_factor"
 sigma = 0.02
 """
+TASKS = {"batches", "flights", "fits", "finished", "tables", "joint", "closed"}
+"""Folders of a study and a campaign with what is finished of them."""
+MOST = 40
+"""Kills of a command at most, where it has more file operations."""
 VELOCITIES_M_S = {"before": 6500.0, "after": 6800.0}
 
 
@@ -237,14 +243,23 @@ def _writers() -> Mapping[str, Callable[[str], Callable[[Path], object]]]:
         drawn = draw_figures([inputs() / flight], [5, 6])
         return lambda out: write_figures(drawn, out)
 
-    return {"run": run, "synthesize": synthesize, "predict": predict, "estimate": estimate,
-            "close-loop": close_loop, "plan": plan, "figures": figures}  # fmt: skip
+    def design(flight: str) -> Callable[[Path], object]:
+        designed = sh.design(inputs() / f"{flight}.toml", evaluations=2)
+        return lambda out: sh.write_design(designed, out)
+
+    return {"run": run, "synthesize": synthesize, "predict": predict, "estimate": estimate, "close-loop": close_loop,
+            "plan": plan, "figures": figures, "design": design}  # fmt: skip
+
+
+@cache
+def _writer(command: str, flight: str) -> Callable[[Path], object]:
+    return _writers()[command](flight)
 
 
 COMMANDS = (
     "run", "synthesize", "predict", "estimate", "close-loop", "plan", "figures", "update-tables",
     "revert", "fmu export", "fmu export --ssp", "design", "campaign", "new record", "new scenario", "new vehicle",
-    "new study", "new effect",
+    "new study", "new effect", "examples",
 )  # fmt: skip
 CAMPAIGN = """format = "campaign/1"
 title = "Measurements of one manoeuvre"
@@ -279,17 +294,18 @@ def readings(flight: str) -> Path:
 
 def arguments(command: str, flight: str) -> list[str] | None:
     """Arguments of a command that is run as a whole, OUT for the folder of its results; None for another."""
-    home, speed = inputs(), f"{VELOCITIES_M_S[flight]:g}m/s"
+    speed = f"{VELOCITIES_M_S[flight]:g}m/s"
+    point = "WING_LE" if flight == "before" else "BODYFLAP"
     plate = f"--csv {readings(flight)} --depth TC1=back --lamp unknown".split()
     more = {
-        "design": ["design", str(home / f"{flight}.toml"), "--evaluations", "2"],
         "campaign": ["campaign", str(campaign(flight)), "--workers", "1"],
         "new record": ["new", "record", *plate, "--layer", "copper 3 mm"],
-        "new scenario": ["new", "scenario", "--vehicle", str(home / "orbiter"), "--speed", speed, "--point", POINT],
-        "new study": ["new", "study", "dispersion", "--scenario", str(home / f"{flight}.toml")],
-        "new effect": ["new", "effect", f"{flight}-shock", "--vehicle", str(home / "orbiter"), "--point", POINT],
+        "new scenario": ["new", "scenario", "--vehicle", "orbiter", "--speed", speed, "--point", point],
+        "new study": ["new", "study", "envelope", "--scenario", "scenarios/entry_3dof.toml", "--point", point],
+        "new effect": ["new", "effect", "shock", "--variable", "alpha_deg" if flight == "before" else "mach"],
         "new vehicle": ["new", "vehicle", "--length", "2m", "--mass", f"{VELOCITIES_M_S[flight] / 10:g}kg",
-                        "--area", "3m2", "--nose-radius", "1.2m"],
+                        "--area", "3m2", "--nose-radius", "1.2m", "--point", "NOSE=copper 3 mm"],
+        "examples": ["examples"],
     }  # fmt: skip
     return [*more[command], "--out", "OUT", "--quiet"] if command in more else None
 
@@ -300,9 +316,8 @@ def case(command: str, fresh: bool = False) -> Case:
 
     fresh : into a place where nothing is yet
     """
-    writers = _writers()
-    if command in writers:
-        before, after = (writers[command](flight) for flight in VELOCITIES_M_S)
+    if command in _writers():
+        before, after = (_writer(command, flight) for flight in VELOCITIES_M_S)
 
         def prepare(folder: Path) -> None:
             if not fresh:
@@ -377,9 +392,15 @@ def state(folder: Path) -> dict[str, str]:
     return files
 
 
-def without_ledger(files: Mapping[str, str]) -> dict[str, str]:
-    """The files that are results: finished batches of a study are kept whatever happens."""
-    return {name: digest for name, digest in files.items() if "batches" not in Path(name).parts}
+def readable(files: Mapping[str, str]) -> dict[str, str]:
+    """The files that are results of the whole command, by `state`.
+
+    Those of its finished tasks, which are kept whatever happens, count only where they are not whole.
+    """
+    return {
+        name: digest for name, digest in files.items()
+        if not TASKS & set(Path(name).parts) or (Path(name).name == MARKER and digest != "whole")
+    }  # fmt: skip
 
 
 def _without_remains(files: Mapping[str, str]) -> dict[str, str]:
@@ -387,38 +408,38 @@ def _without_remains(files: Mapping[str, str]) -> dict[str, str]:
     return {name: digest for name, digest in files.items() if ".partial-" not in name and not name.endswith(".lock")}
 
 
-def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path) -> Counter[str]:
+def kill_and_judge(chosen: Case, numbers: Sequence[int] | None, folder: Path, most: int | None = None) -> Counter[str]:
     """Kill a case at file operations, and count what readers find and what the same command leaves then.
 
     numbers : of the operations; all where None
     folder  : empty, for the files
+    most    : where there are more operations than this, so many of them, the first and the last among them
     """
 
-    def begin(name: str) -> Path:
-        shutil.rmtree(folder / name, ignore_errors=True)
-        (folder / name).mkdir()
-        chosen.prepare(folder / name)
-        return folder / name
-
-    place = begin("whole")
-    before = without_ledger(state(place))
+    place = folder / "case"  # always the same: files name others relative to themselves
+    place.mkdir()
+    chosen.prepare(place)
+    before = readable(state(place))
+    prepared = shutil.copytree(place, folder / "prepared", symlinks=True)
     found = operations(lambda: chosen.act(place), place)
     after = state(place)
     counted: Counter[str] = Counter(operations=len(found))
-    prepared = begin("prepared")
-    for number in range(len(found)) if numbers is None else (n % len(found) for n in numbers):
-        shutil.rmtree(folder / "killed", ignore_errors=True)
-        place = shutil.copytree(prepared, folder / "killed", symlinks=True)
-        if not killed(lambda: chosen.act(place), place, number):  # noqa: B023
+    if numbers is None:
+        numbers = range(len(found))
+        if most is not None and len(found) > most:
+            numbers = sorted({round(k * (len(found) - 1) / (most - 1)) for k in range(most)})
+    for number in (n % len(found) for n in numbers):
+        shutil.rmtree(place)
+        shutil.copytree(prepared, place, symlinks=True)
+        if not killed(lambda: chosen.act(place), place, number):
             counted["not killed"] += 1
             continue
         counted["kills"] += 1
-        settle(place / chosen.results)
-        files = without_ledger(state(place))
-        seen = _without_remains(files)
-        kind = "before" if seen == before else "after" if seen == without_ledger(after) else "mixed"
+        settle_below(place)
+        seen = readable(_without_remains(state(place)))
+        kind = "before" if seen == before else "after" if seen == readable(after) else "mixed"
         counted[f"readers find: {kind}"] += 1
-        again = _forked(lambda: chosen.act(place), place, None)[0]  # noqa: B023
+        again = _forked(lambda: chosen.act(place), place, None)[0]
         # What has been done to a vehicle is refused a second time: evidence would count twice. Nothing is written then,
         # so that a lock whose owner was killed in the act of removing it stays for the next writer.
         done = chosen.results != "out" and kind == "after"
@@ -433,22 +454,25 @@ def bad(counted: Mapping[str, int]) -> int:
     return sum(counted.get(name, 0) for name in ("readers find: mixed", "again: differs or refused", "not killed"))
 
 
-def run() -> list[Figure]:
-    """Kill all commands at all operations."""
-    rows: dict[str, dict[str, int]] = {}
-    with tempfile.TemporaryDirectory() as name:
-        for command in COMMANDS:
-            for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
-                folder = Path(name) / f"{len(rows)}"
-                folder.mkdir()
-                label = f"{command}, {'new' if fresh else 'existing'} directory"
-                rows[label] = dict(kill_and_judge(case(command, fresh), None, folder))
-                click.echo(f"{label}: {rows[label]}")
-    kills = sum(row["kills"] for row in rows.values())
+def run(most: int = MOST) -> list[Figure]:
+    """Kill all commands, each at all its operations; at `most` of those of a command that has more, evenly spread."""
+    keep, rows = kept(Path("out") / "kills"), dict[str, dict[str, int]]()
+    for command in COMMANDS:
+        for fresh in (False, True) if command not in ("update-tables", "revert") else (False,):
+            label = f"{command}, {'new' if fresh else 'existing'} directory"
+            rows[label] = keep(label, partial(_row, command, fresh, most))
+            click.echo(f"{label}: {rows[label]}")
     figures = [
         Figure("commands and kinds of directory", len(rows), ""),
-        Figure("kills, one at each file operation", kills, ""),
+        Figure("file operations", sum(row["operations"] for row in rows.values()), ""),
+        Figure("kills, one at each file operation", sum(row["kills"] for row in rows.values()), "",
+               note=f"at {most} of those of a command that has more"),
         Figure("mixed results for a reader, or not the same results again", sum(map(bad, rows.values())), "", 0),
-    ]
+    ]  # fmt: skip
     save("kills", figures, {"commands": rows})
     return figures
+
+
+def _row(command: str, fresh: bool, most: int) -> Counter[str]:
+    with tempfile.TemporaryDirectory() as name:
+        return kill_and_judge(case(command, fresh), None, Path(name), most)

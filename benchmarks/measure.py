@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,8 @@ class Times:
 
 
 Task = Callable[[], object]
+Keep = Callable[[str, Callable[[], Any]], Any]
+"""Name of a task and the task -> its result (`kept`)."""
 
 
 def in_turn(tasks: Mapping[str, Task], rounds: int, prepare: Mapping[str, Task] | None = None) -> Times:
@@ -120,6 +123,24 @@ def save(name: str, figures: list[Figure], more: Mapping[str, object] | None = N
     }
     path.write_text(json.dumps(content, indent=1) + "\n")
     return path
+
+
+def kept(folder: Path) -> Keep:
+    """A function that runs a task, or reads what an earlier run that was interrupted has of it, by the task's name.
+
+    Results are plain data. They are kept in a folder that is removed where the code has changed.
+    """
+
+    def keep(name: str, task: Callable[[], Any]) -> Any:
+        path = folder / f"{name.replace('/', ' ')}.json"
+        if not path.is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            partial = path.with_suffix(".partial")
+            partial.write_text(json.dumps(task()))
+            partial.replace(path)
+        return json.loads(path.read_text())
+
+    return keep
 
 
 def _processor() -> str:

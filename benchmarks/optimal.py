@@ -122,7 +122,7 @@ def first_study() -> OptimalStudy:
     scenario = load_scenario(path)
     table = optimal_table(scenario, scenario.names)
     with tempfile.TemporaryDirectory() as folder:
-        made = write_new_study(folder, "optimal", path, optimal=table.values, above=table.above)
+        made = write_new_study(folder, "optimal", path, optimal=table.values, above=table.above, check=load_study)
         study = load_study(made).optimal()
     assert study is not None
     return study

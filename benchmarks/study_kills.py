@@ -18,7 +18,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.kills import inputs, snapshot, without_ledger
+from benchmarks.kills import inputs, readable, snapshot
 from benchmarks.measure import Figure, save
 from sim_heating.planning.plan import LEDGER, PAGE, SUMMARY
 
@@ -71,14 +71,14 @@ def run() -> list[Figure]:
         text = (inputs() / "after_study.toml").read_text()
         study.write_text(text.replace("flights = 12", f"flights = {FLIGHTS}").replace("scrambles = 3", "scrambles = 6"))
         assert start(study, Path(name) / "whole", 2).wait() == 0
-        whole = without_ledger(snapshot(Path(name) / "whole"))
+        whole = readable(snapshot(Path(name) / "whole"))
         for number in range(KILLS):
             out = Path(name) / f"killed_{number}"
             kills += kill_once(study, out, moments.randint(0, MOST_BATCHES), moments.uniform(0.0, 0.3))
             if (out / SUMMARY).exists() and not (out / PAGE).exists():
                 faults.append(f"kill {number}: a summary without its page")
             kept = finished(out)
-            if start(study, out, 1).wait() != 0 or without_ledger(snapshot(out)) != whole:
+            if start(study, out, 1).wait() != 0 or readable(snapshot(out)) != whole:
                 faults.append(f"kill {number}: other results")
             if {p: t for p, t in finished(out).items() if p in kept} != kept:
                 faults.append(f"kill {number}: a finished batch was computed again")

@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.browser import CHROMIUM, Browser
 from benchmarks.journals import POINT, Running, free_port, hostile, message, missing, reading_K, wrong_units
-from benchmarks.measure import Figure
+from benchmarks.measure import Figure, Keep
 from benchmarks.served import Loop
 from sim_heating.inputs.record import load_record
 from sim_heating.live.recording.journal import read_journal
@@ -315,7 +315,7 @@ def _never_sent(records: Path) -> int:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def figures(payloads: int, disks: int, moves: int, seed: int) -> Iterator[Figure]:
+def figures(payloads: int, disks: int, moves: int, seed: int, keep: Keep) -> Iterator[Figure]:
     """All of them; what is counted has a goal of 0."""
     tried: dict[str, tuple[Callable[[], dict[str, int]], str]] = {
         f"MQTT broker and page in a browser ({POINT})": (lambda: hostile_topics(payloads, seed), "payloads"),
@@ -324,7 +324,7 @@ def figures(payloads: int, disks: int, moves: int, seed: int) -> Iterator[Figure
         "time in messages that is set": (lambda: set_stamps(moves, seed), "moves"),
     }
     for title, (act, size) in tried.items():
-        counted = act()
+        counted = keep(title, act)
         yield Figure(f"{title}: {size}", counted[size], "")
         faults = {n: c for n, c in counted.items() if n not in (size, "messages") and "went back" not in n}
         note = ", ".join(f"{c} {n}" for n, c in faults.items())

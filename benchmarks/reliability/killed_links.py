@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.journals import POINT, message, missing, wrong_units
 from benchmarks.kills import killed, operations
-from benchmarks.measure import Figure
+from benchmarks.measure import Figure, Keep
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import results_digest, settle
 from sim_heating.cli import main
@@ -83,9 +83,9 @@ def _bodies(out: Path) -> list[bytes]:
         return []
 
 
-def figures(kills: int | None, seed: int) -> list[Figure]:
+def figures(kills: int | None, seed: int, keep: Keep) -> list[Figure]:
     """Killed links, and what went wrong."""
-    counted = killed_links(kills, seed)
+    counted = keep("killed links", lambda: killed_links(kills, seed))
     note = ", ".join(f"{n} {what}" for what, n in counted.items() if what != "kills")
     return [
         Figure("kills of a link at its file operations", counted["kills"], ""),

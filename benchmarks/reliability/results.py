@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.kills import inputs, state
-from benchmarks.measure import Figure
+from benchmarks.measure import Figure, Keep
 from sim_heating.base.files import MARKER
 from sim_heating.cli import main
 
@@ -105,9 +105,9 @@ def _judge(arguments: list[str], out: Path, path: Path, whole: dict[str, str], c
         yield "not the whole results"
 
 
-def figures(times: int, seed: int) -> list[Figure]:
+def figures(times: int, seed: int, keep: Keep) -> list[Figure]:
     """Damaged results, and what went wrong."""
-    counted, faults = damaged_results(times, seed)
+    counted, faults = keep("damaged results", lambda: damaged_results(times, seed))
     note = ", ".join(f"{n} {what}" for what, n in counted.items())
     return [
         Figure("damaged results", times, "", note=note),

@@ -16,17 +16,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.journals import SIGNALS, take_signals
 from benchmarks.kills import CAMPAIGN, POINT, fit, inputs
-from benchmarks.measure import Figure
+from benchmarks.measure import Figure, Keep
 from sim_heating.base.files import MARKER, results_digest
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE_S, AFTERWARDS_S = 120.0, 10.0
 """Time after a signal within which a command ends, and after it the processes that it started [s]."""
+LONGEST_S = 20.0
+"""Latest moment of a signal to a link that follows a long flight [s]."""
 TWO_MEASUREMENTS = 'scenario = "before.toml"\nseeds = [11, 12]'
 """The flight of the campaign."""
 
@@ -69,10 +71,6 @@ def start(arguments: str, place: Path) -> subprocess.Popen[bytes]:
     temporary = place / "tmp"
     temporary.mkdir(parents=True)
     command = [sys.executable, "-m", "sim_heating", *arguments.replace("OUT", str(place / "out")).split(), "--json"]
-
-    def take_signals() -> None:
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_DFL)
 
     with (place / "stdout").open("wb") as out, (place / "stderr").open("wb") as err:
         return subprocess.Popen(
@@ -135,39 +133,38 @@ def _left(leader: int, place: Path) -> list[str]:
     return faults
 
 
-def signals(count: int, seed: int, chosen: Mapping[str, str] | None = None) -> tuple[dict[str, int], list[str]]:
-    """Send signals to commands in turn, at random moments.
-
-    returns : signals by command; faults, each with its command, signal and moment
-    """
-    rng, told, sent = random.Random(seed), list[str](), dict[str, int]()
-    arguments = commands() if chosen is None else chosen
-    takes_s: dict[str, float] = {}
+def signals(name: str, arguments: str, count: int, seed: int) -> list[str]:
+    """Send signals to a command at random moments; faults, each with its signal and moment."""
+    rng, told = random.Random(f"{seed}:{name}"), list[str]()
     with TemporaryDirectory() as folder:
+        takes_s = duration_s(arguments, Path(folder) / "whole")
         for k in range(count):
-            name = list(arguments)[k % len(arguments)]
-            if name not in takes_s:
-                begun = time.monotonic()
-                process = start(arguments[name], Path(folder) / f"whole_{len(takes_s)}")
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(20.0)
-                if process.poll() is None:  # a link of a long flight
-                    process.send_signal(signal.SIGINT)
-                    process.wait()
-                takes_s[name] = time.monotonic() - begun
-            number, moment_s = rng.choice(SIGNALS), rng.uniform(0.1, takes_s[name])
-            faults = signalled(arguments[name], number, moment_s, Path(folder) / f"{k}")
-            sent[name] = sent.get(name, 0) + 1
+            number, moment_s = rng.choice(SIGNALS), rng.uniform(0.1, takes_s)
+            faults = signalled(arguments, number, moment_s, Path(folder) / f"{k}")
             told += [f"{name}, {number.name} after {moment_s:.2f} s: {fault}" for fault in faults]
-    return sent, told
+    return told
 
 
-def figures(count: int, seed: int) -> list[Figure]:
-    """Signals, and what went wrong."""
-    sent, faults = signals(count, seed)
-    note = ", ".join(f"{n} {name}" for name, n in sent.items())
+def duration_s(arguments: str, place: Path) -> float:
+    """Time that a command takes, at most LONGEST_S of a link that follows a long flight [s]."""
+    begun = time.monotonic()
+    process = start(arguments, place)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(LONGEST_S)
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        process.wait()
+    return min(time.monotonic() - begun, LONGEST_S)
+
+
+def figures(count: int, seed: int, keep: Keep) -> list[Figure]:
+    """Signals to each of the commands, `count` in all, and what went wrong."""
+    each = -(-count // len(commands()))
+    faults = list[str]()
+    for name, arguments in commands().items():
+        faults += keep(f"signals to {name}", partial(signals, name, arguments, each, seed))
     return [
-        Figure("signals at random moments", sum(sent.values()), "", note=note),
+        Figure("signals at random moments", each * len(commands()), "", note=f"{each} to each command"),
         Figure("of these: wrong status, no object of --json, or anything left", len(faults), "", 0.0,
                note="; ".join(faults)[:2000]),
     ]  # fmt: skip

@@ -253,7 +253,7 @@ USUAL: dict[str, Usual] = {
         # Columns of conditions
         "altitude_m": (-500.0, 4e5, "the Dead Sea to a low orbit"),
         "velocity_m_s": (0.0, 1.35e4, "the fastest entry from a solar orbit had 12.9 km/s"),
-        # the lowest measured: F. J. Schmidlin, First observation of mesopause temperatures lower than 100 K,
+        # the lowest measured, cited from memory, not read: F. J. Schmidlin, mesopause temperatures lower than 100 K,
         # Geophysical Research Letters 19 (1992), 1643-1646
         "T_inf_K": (100.0, 1500.0, "the coldest mesopause to the thermosphere"),
         "stream_K": (35.0, 1500.0, "wind tunnels to the thermosphere"),

@@ -90,11 +90,11 @@ def _names() -> Iterator[tuple[str, str]]:
 
 
 def _copy(out: Path) -> list[Path]:
-    """Copy the data folders; names of the files below the folder.
+    """Copy the data folders, all files or none; names of the files below the folder.
 
     raises : InputError where another file has one of the names, unless others may be replaced
     """
-    from sim_heating.base.files import OR_FORCE, replaces_others
+    from sim_heating.base.files import OR_FORCE, replace_files, replaces_others
     from sim_heating.base.files.package import data_folders
 
     copies: dict[Path, bytes] = {}
@@ -102,10 +102,9 @@ def _copy(out: Path) -> list[Path]:
         root = next(folder for folder in data_folders(name) if folder.is_dir())
         for path in sorted(p for p in root.rglob("*") if p.is_file() and "__pycache__" not in p.parts):
             copies[name / path.relative_to(root)] = path.read_bytes()
-    changed = [f for f, data in copies.items() if (out / f).exists() and (out / f).read_bytes() != data]
+    new = {f: data for f, data in copies.items() if not (out / f).exists() or (out / f).read_bytes() != data}
+    changed = [f for f in new if (out / f).exists()]
     if changed and not replaces_others():
         raise InputError(f"{out / changed[0]}: is not the shipped file; copy into another folder{OR_FORCE}")
-    for file, data in copies.items():
-        (out / file).parent.mkdir(parents=True, exist_ok=True)
-        (out / file).write_bytes(data)
+    replace_files(out, {file.as_posix(): data for file, data in new.items()})
     return list(copies)

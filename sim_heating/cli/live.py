@@ -166,6 +166,9 @@ def _follow(
             waiting=lambda: progress_line(link.title),
         )  # fmt: skip
         ended = True
+    except KeyboardInterrupt:
+        print_warning(f"{directory / NAME} keeps what came: the same command goes on from it")
+        raise
     finally:
         journal.close(is_end=ended)
     if journal.problem:

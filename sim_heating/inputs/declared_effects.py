@@ -160,6 +160,14 @@ class Catalysis(Declared):
     confidence: str = ""
     note: str = ""
 
+    @model_validator(mode="after")
+    def _check_effect(self) -> Catalysis:
+        try:
+            _ = self.effects
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
     @property
     def effects(self) -> tuple[EffectUse, ...]:
         """The effect that it declares; none for a fully catalytic wall, which is that of the tables."""

@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import os
 import signal
+import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -78,12 +79,22 @@ _Item = Message | _Failed | None
 """A message that is kept, why a source failed, or the end of one."""
 
 
+class Stop(asyncio.Event):
+    """A request to end a link by itself.
+
+    has_begun : whether all is compiled that the first samples run, and sources are opened
+    at_once   : whether it ends without waiting for a step of the engine, which its thread then ends alone
+    """
+
+    has_begun = at_once = False
+
+
 async def run_link(
     engine: LinkEngine,
     outputs: Sequence[Output] = (),
     *,
     on_state: Callable[[State], None] | None = None,
-    stop: asyncio.Event | None = None,
+    stop: Stop | None = None,
     resume: bool = False,
     open_sources: Sources = open_source,
     waiting: Waiting | None = None,
@@ -98,7 +109,7 @@ async def run_link(
     returns  : the last state
     raises   : InputError where a source or an output cannot be opened
     """
-    link, stop = engine.link, stop or asyncio.Event()
+    link, stop = engine.link, stop or Stop()
     told = _Faults(engine.remarks.add)
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
@@ -109,6 +120,7 @@ async def run_link(
     loop.set_exception_handler(told.of_loop)
     try:
         await loop.run_in_executor(worker, engine.prepare)
+        stop.has_begun = True
         for output in outputs:
             await output.start()
             started.append(output)
@@ -143,7 +155,7 @@ async def run_link(
         for output in started:
             with told.caught("ending a page or display"):
                 await output.stop()
-        worker.shutdown()
+        worker.shutdown(wait=not stop.at_once, cancel_futures=stop.at_once)
         engine.stop()
         loop.set_exception_handler(handled)
 
@@ -303,20 +315,51 @@ def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State]
                 output.publish(published)
 
 
+class _AtOnce(KeyboardInterrupt):
+    """A link ends without its results; its journal keeps what came."""
+
+
+STILL_AT_WORK = (
+    "the estimate is still at work on what came; Ctrl-C again ends at once without results, which the same command "
+    "then makes from the journal"
+)
+
+
 @contextlib.contextmanager
-def _ending_signals(stop: asyncio.Event) -> Iterator[None]:
-    """Ctrl-C and a request to end let the link end by itself, so that its results are written."""
-    loop, before = asyncio.get_running_loop(), dict[int, Any]()
+def _ending_signals(stop: Stop) -> Iterator[None]:
+    """Ctrl-C and a request to end let the link end by itself, so that its results are written.
+
+    Before it has begun, and at a second request that is not the same one, it ends at once by the handlers of before.
+    """
+    loop, before, waits = asyncio.get_running_loop(), dict[int, Any](), list[asyncio.TimerHandle]()
+
+    def tell() -> None:
+        if stop.is_set():
+            warnings.warn(STILL_AT_WORK, stacklevel=2)
+
+    def end(number: int) -> None:
+        if stop.has_begun and not stop.is_set():
+            stop.set()
+            waits.append(loop.call_later(2.0 * SAME_REQUEST_S, tell))
+        elif not stop.has_begun or loop.time() > waits[0].when() - SAME_REQUEST_S:
+            handler, stop.at_once = before[number], True
+            try:
+                (handler if callable(handler) else signal.default_int_handler)(number, None)
+            except KeyboardInterrupt:
+                raise _AtOnce from None
+
     if os.name == "posix":
         for number in (signal.SIGINT, signal.SIGTERM):
             before[number] = signal.getsignal(number)
             try:
-                loop.add_signal_handler(number, stop.set)
+                loop.add_signal_handler(number, end, number)
             except (RuntimeError, ValueError):  # not the main thread, which alone handles signals
                 before.pop(number)
     try:
         yield
     finally:
+        for wait in waits:
+            wait.cancel()
         for handled, handler in before.items():
             loop.remove_signal_handler(handled)
             signal.signal(handled, handler)
@@ -326,12 +369,14 @@ def run(engine: LinkEngine, outputs: Sequence[Output] = (), **options: Any) -> S
     """Run a link in this thread until its sources end, or Ctrl-C; arguments, result and errors as `run_link`."""
 
     async def main() -> State:
-        stop = asyncio.Event()
+        stop = Stop()
         with _ending_signals(stop):
             return await run_link(engine, outputs, stop=stop, **options)
 
     try:
         return asyncio.run(main())
+    except _AtOnce:
+        raise
     except KeyboardInterrupt:  # where signals cannot be handled within the loop
         engine.end()
         return engine.state()

@@ -7,7 +7,8 @@ import os
 import re
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,9 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES
 from sim_heating.base.errors import InputError
-from sim_heating.base.files import csv_text, display_path, roots_of, suggestion, write_own_files, write_text_atomic
+from sim_heating.base.files import csv_text, display_path, exclusive, roots_of, suggestion, write_own_files
 from sim_heating.base.files.paths import portable_problem, real_path
-from sim_heating.base.files.text import abbreviated
+from sim_heating.base.files.text import PARTIAL, abbreviated, clear_partial_files
 from sim_heating.base.kernels.block import CONDITION_COLUMNS
 from sim_heating.heating.effects import effects
 from sim_heating.heating.recorded.reading import OPTION, lowered_confidence
@@ -122,7 +123,7 @@ def write_new_scenario(
     }
     text = render_toml("scenario.toml.j2", "scenario", **values)
     if flown.text is not None:
-        _write(out, {TRAJECTORY: flown.text}, _no_check)
+        _write(out, {TRAJECTORY: flown.text}, lambda path: None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what is derived, which the notes tell
         return _write(out, {SCENARIO: text}, lambda path: _check_scenario(path, root)), list(flown.notes)
@@ -192,29 +193,38 @@ def _check_scenario(path: Path, root: str | os.PathLike[str] | None = None) -> N
     check_scenario(load_scenario(path, root=root))
 
 
-def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callable[[Path], None]) -> Path:
+def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callable[[Path], object]) -> Path:
     """Write files into a directory, all or none, after the first of them was checked where it will be.
 
+    check  : raises InputError where the file does not work
     raises : InputError where the check fails, or a file of a name exists that this program did not write
     """
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    first = next(iter(files))
-    # Checked under another name in the same place, since it names files relative to itself.
-    with tempfile.NamedTemporaryFile(prefix=".new-", suffix=f"-{first}", dir=folder, delete=False) as trial:
-        place = Path(trial.name)
-    try:
-        write_text_atomic(place, files[first])
-        check(place)
-    except InputError as error:
-        shown = (line.replace(display_path(place), display_path(folder / first)) for line in error.problems)
-        raise InputError(*shown) from None
-    finally:
-        place.unlink(missing_ok=True)
-        if not any(folder.iterdir()):
-            folder.rmdir()
-    write_own_files(folder, COMMAND, files)
+    folder, first = Path(out), next(iter(files))
+    with _trial(folder, first, files[first]) as trial:
+        try:
+            check(trial)
+        except InputError as error:
+            shown = (line.replace(display_path(trial), display_path(folder / first)) for line in error.problems)
+            raise InputError(*shown) from None
+        write_own_files(folder, COMMAND, files)
     return folder / first
+
+
+@contextmanager
+def _trial(folder: Path, name: str, text: str) -> Iterator[Path]:
+    """A file under another name where it will be, since it names files relative to itself; removed in the end.
+
+    What a killed process left of an earlier one is removed, and the directory where nothing was written into it.
+    """
+    with exclusive(folder):
+        clear_partial_files(folder)
+        handle, path = tempfile.mkstemp(prefix=f".{PARTIAL}", suffix=f".{name}", dir=folder)
+        os.close(handle)
+        try:
+            Path(path).write_text(text, encoding="utf-8")
+            yield Path(path)
+        finally:
+            Path(path).unlink(missing_ok=True)
 
 
 def write_new_study(
@@ -227,6 +237,7 @@ def write_new_study(
     flights: int = 128,
     optimal: Mapping[str, Any] | None = None,
     above: Mapping[str, Mapping[str, str]] | None = None,
+    check: Callable[[Path], object],
 ) -> Path:
     """Write DIR/study.toml, a study of the flight of a scenario.
 
@@ -234,6 +245,7 @@ def write_new_study(
     flights : of a dispersion, a power of two
     optimal : contents of the table [optimal]
     above   : control point -> limit of it -> why it is above the vehicle's own, for the comments of [optimal]
+    check   : called with the file before it is in the directory; raises InputError where it does not work
     returns : the file
     raises  : InputError where the scenario or a point does not work, or the flights are no power of two
     """
@@ -258,11 +270,7 @@ def write_new_study(
     if kind == "optimal":
         values |= {"optimal": optimal, "above": above}
     values["offsets"] = [-4.0, -2.0, 0.0, 2.0]
-    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", "study", **values)}, _no_check)
-
-
-def _no_check(path: Path) -> None:
-    """A study is checked by the command, which knows planning."""
+    return _write(out, {STUDY: render_toml(f"study_{kind}.toml.j2", "study", **values)}, check)
 
 
 def write_new_effect(
@@ -370,12 +378,8 @@ def practice_bell(
 def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, FloatArray]:
     """The variable of an effect along its practice flight, and `heat`, the part of the heating of each sample [-]."""
     text = render_toml("effect_scenario.toml.j2", "scenario", **values).split("[[truth.effect]]")[0]
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(prefix=".new-", suffix=".toml", dir=folder, delete=False) as trial:
-        place = Path(trial.name)
-    try:
-        write_text_atomic(place, text)
-        scenario = load_scenario(place)
+    with _trial(folder, "scenario.toml", text) as trial:
+        scenario = load_scenario(trial)
         if values["variable"] == "wall_K":
             result = run(scenario)
             flown = result.flight.conditions
@@ -384,10 +388,6 @@ def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, Float
         else:
             flown = fly_scenario(scenario).conditions
             wall = {}
-    finally:
-        place.unlink(missing_ok=True)
-        if not any(folder.iterdir()):
-            folder.rmdir()
     heat = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3 * flown.duration_s
     return {**{n: flown[n] for n in flown.names}, **wall, "heat": heat / np.sum(heat)}
 

@@ -50,5 +50,5 @@ def test_a_killed_link_is_gone_on_with() -> None:
 
 
 def test_signals_leave_the_status_the_object_and_nothing_else() -> None:
-    chosen = {name: text for name, text in commands().items() if name in ("run", "new effect")}
-    assert signals(2, 1, chosen)[1] == []
+    for name in ("run", "new effect"):
+        assert signals(name, commands()[name], count=1, seed=1) == []

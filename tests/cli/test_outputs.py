@@ -102,7 +102,12 @@ def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("command", "fresh", "moments"),
-    [("predict", False, (3, 42)), ("synthesize", True, (9, 46)), ("fmu export", False, (8,))],
+    [
+        ("predict", False, (3, 42)),
+        ("synthesize", True, (9, 46)),
+        ("fmu export", False, (8,)),
+        ("new study", True, (4,)),
+    ],
 )
 @posix
 def test_a_command_killed_at_a_file_operation_leaves_whole_results_and_can_be_repeated(

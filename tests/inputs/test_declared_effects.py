@@ -114,6 +114,7 @@ def test_recombination_is_no_candidate(record: Record) -> None:
         ('ratio_table_turbulent = "ratio_table_turbulent.csv"', "", "name the turbulent table, or give `factor`"),
         ("running_length_m = 19.33", "", "needs the edge of the point"),
         ("factor = 16.0", "factor = -16.0", "factor"),
+        ("factor = 16.0", "factor = 1e10", r"record.toml.*catalysis.*1e\+10 is outside its bounds"),
     ],
 )
 def test_a_wrong_declaration_gets_a_line(record: Record, tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
+import signal
 import socket
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sim_heating.base.progress import SAME_REQUEST_S
 from sim_heating.inputs.record import Record, load_record
 from sim_heating.live.engine import LinkEngine
 from sim_heating.live.recording.journal import NAME, Journal
 from sim_heating.live.recording.to_record import link_of, to_record
-from sim_heating.live.run import run, run_link
+from sim_heating.live.run import Stop, _ending_signals, run, run_link
 from sim_heating.live.spec import Link, make_link
 from sim_heating.live.state import State, plain, state_json
 from sim_heating.live.types import Message
@@ -233,7 +237,7 @@ def test_a_link_is_waiting_then_live_then_stalled():
     states: list[State] = []
 
     async def main() -> None:
-        stop = asyncio.Event()
+        stop = Stop()
         task = asyncio.create_task(run_link(engine, on_state=states.append, stop=stop))
         await asyncio.sleep(0.5)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
@@ -263,3 +267,23 @@ def test_a_problem_of_a_source_ends_the_link_with_its_line(tmp_path):
         with pytest.raises(ValueError, match="is in use"):
             run(LinkEngine(made))
         assert time.monotonic() - begun < 60.0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def test_a_second_request_ends_a_link_whose_estimate_is_still_at_work() -> None:
+    async def ask(*, begins: bool) -> list[bool]:
+        stop = Stop()
+        stop.has_begun = begins
+        with _ending_signals(stop), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what a second request does
+            for _ in range(3):
+                signal.raise_signal(signal.SIGINT)
+                await asyncio.sleep(0.6 * SAME_REQUEST_S)
+                seen.append(stop.is_set())
+        return seen
+
+    for begins, answered in ((False, 0), (True, 2)):
+        seen: list[bool] = []
+        with pytest.raises(KeyboardInterrupt):
+            asyncio.run(ask(begins=begins))
+        assert seen == [True] * answered, "the first request lets it end by itself, one at once after it is the same"

@@ -204,6 +204,13 @@ def test_a_new_study_of_a_new_scenario_validates(kind: str) -> None:
         assert "was changed since" in str(edited.exception)
 
 
+def test_a_study_that_does_not_work_is_not_written(tmp_path: Path) -> None:
+    flown = ROOT / "scenarios" / "popu_mach20.toml"
+    said = str(run("new", "study", "dispersion", "--scenario", str(flown), "--out", str(tmp_path / "study")).exception)
+    assert "study.toml, [dispersion], input 1: trajectory: source" in said
+    assert not (tmp_path / "study").exists()
+
+
 @pytest.mark.thorough
 def test_the_shipped_entry_makes_a_study_of_an_optimal_entry_that_plan_solves() -> None:
     """One point that its flight does not heat to a limit. All four points of the scenario: `python -m benchmarks

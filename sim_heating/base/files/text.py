@@ -223,6 +223,10 @@ def clear_partial_files(directory: str | os.PathLike[str], name: str = "") -> No
     with suppress(OSError):
         for path in list(Path(directory).iterdir()):
             start, found, end = path.name.rpartition(PARTIAL)
-            ours = found and len(end) == RANDOM_LENGTH and (start == prefix if name else start.startswith("."))
+            ours = (
+                found
+                and len(end.partition(".")[0]) == RANDOM_LENGTH
+                and (start == prefix if name else start.startswith("."))
+            )
             if ours and path.is_file() and not path.is_symlink():
                 path.unlink()

@@ -99,7 +99,7 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
       sim-heating new study dispersion --scenario flight/scenario.toml --out study
       sim-heating plan study/study.toml --out study/results
     """
-    from sim_heating.cli.path_check import check_path
+    from sim_heating.cli.path_check import CheckedPath, check_path
     from sim_heating.templates.starters import write_new_study
 
     more: dict[str, Any] = {}
@@ -113,7 +113,11 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
             progress(0.1, COMPILING)
             table = optimal_table(base, points or base.names)
         more, notes = {"optimal": table.values, "above": table.above}, table.notes
-    path = write_new_study(out, kind, scenario, title=title, points=points, flights=flights, **more)
+    checked = list[CheckedPath]()
+    path = write_new_study(
+        out, kind, scenario, title=title, points=points, flights=flights,
+        check=lambda file: checked.append(check_path(file)), **more,
+    )  # fmt: skip
     if notes:
         print_notes(notes)
-    print_made(check_path(path).summary, path, f"sim-heating plan {path} --out {out}/results", notes=notes)
+    print_made(checked[0].summary, path, f"sim-heating plan {path} --out {out}/results", notes=notes)
