@@ -286,10 +286,10 @@ def fraction(B: FloatArray, a: int, lane: int) -> float:
 def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
     """Ratio of all lanes from the variables in CELL_X, and the number of these variables off the axes of the table."""
     # All lanes are searched when one has left: rare in a flight, and the test stays free of branches.
-    left = 0
+    lanes_to_search = 0
     for a in range(VARIABLES):
-        left += lanes_outside_cell(B, a)
-    if left > 0:
+        lanes_to_search += lanes_outside_cell(B, a)
+    if lanes_to_search > 0:
         for lane in range(LANES):
             _cache_cell(B, table, J[k.RATIO_TABLE + lane], lane)
     for lane in range(LANES):

@@ -37,21 +37,21 @@ RULE = re.compile(r"^[\s|+\-=]{3,}$")
 class FlightFields:
     """The fields of a file that are flight conditions.
 
-    path         : of the file
-    columns      : column -> (row,) in its unit; NaN where a cell holds no number
-    fields       : column -> the field that it comes from
-    asked        : column -> field whose unit is not known
-    unused       : fields that are no condition
-    empty        : fields of conditions without any number
-    header       : `# key: value` lines above the names
-    lines        : (row,) line of the file
-    numbers      : field -> (row,) as in the file; NaN where a cell holds no number
+    path                : of the file
+    columns             : column -> (row,) in its unit; NaN where a cell holds no number
+    fields              : column -> the field that it comes from
+    fields_without_unit : column -> field whose unit is not known
+    unused              : fields that are no condition
+    empty               : fields of conditions without any number
+    header              : `# key: value` lines above the names
+    lines               : (row,) line of the file
+    numbers             : field -> (row,) as in the file; NaN where a cell holds no number
     """
 
     path: Path
     columns: Mapping[str, FloatArray]
     fields: Mapping[str, FlightField]
-    asked: Mapping[str, FlightField]
+    fields_without_unit: Mapping[str, FlightField]
     unused: tuple[str, ...]
     empty: tuple[str, ...]
     header: dict[str, str]
@@ -61,7 +61,7 @@ class FlightFields:
     @property
     def without_unit(self) -> list[str]:
         """Fields of conditions whose unit is not known."""
-        return [f.name for f in self.asked.values()]
+        return [f.name for f in self.fields_without_unit.values()]
 
     @property
     def notes(self) -> list[str]:
@@ -74,10 +74,13 @@ class FlightFields:
         return [f"read {', '.join(renamed)}"] if renamed else []
 
     def replaced(
-        self, columns: Mapping[str, FloatArray], fields: Mapping[str, FlightField], asked: Mapping[str, FlightField]
+        self,
+        columns: Mapping[str, FloatArray],
+        fields: Mapping[str, FlightField],
+        fields_without_unit: Mapping[str, FlightField],
     ) -> FlightFields:
         """The fields of the file with other columns, and other fields that are asked for."""
-        return replace(self, columns=columns, fields=fields, asked=asked)
+        return replace(self, columns=columns, fields=fields, fields_without_unit=fields_without_unit)
 
     def table(self, columns: Mapping[str, FloatArray]) -> CsvTable:
         """Columns as a table whose rows are those of the file."""
@@ -135,24 +138,24 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     numbers = {name: _numbers(cells[name]) for name in names}
     columns: dict[str, FloatArray] = {}
     used: dict[str, FlightField] = {}
-    asked: dict[str, FlightField] = {}
+    fields_without_unit: dict[str, FlightField] = {}
     empty: list[str] = []
-    taken: set[str] = set()
+    matched: set[str] = set()
     for column, fields in by_column.items():
-        taken |= {f.name for f in fields}
+        matched |= {f.name for f in fields}
         filled = [f for f in fields if not np.all(np.isnan(numbers[f.name]))]
         empty += [f.name for f in fields if f not in filled]
-        known = [f for f in filled if f.unit is not None]
-        if filled and not known:
-            asked[column] = filled[0]
-        if known:
-            used[column], columns[column] = _one(path, column, known, numbers)
+        with_unit = [f for f in filled if f.unit is not None]
+        if filled and not with_unit:
+            fields_without_unit[column] = filled[0]
+        if with_unit:
+            used[column], columns[column] = _one(path, column, with_unit, numbers)
     for column, value in declared.items():
         if isinstance(value, ConditionField) and value.constant is not None:
             columns[column] = np.full(len(lines), value.constant)
-    unused = tuple(n for n in names if n not in taken)
+    unused = tuple(n for n in names if n not in matched)
     rows = np.array(lines, dtype=np.int64)
-    return FlightFields(path, columns, used, asked, unused, tuple(empty), header, rows, numbers)
+    return FlightFields(path, columns, used, fields_without_unit, unused, tuple(empty), header, rows, numbers)
 
 
 def _one(
@@ -232,14 +235,14 @@ def _rows(path: Path, text: str) -> Rows:
     body = split[first:]
     ragged = [i for i, c in body if len(c) != width]
     if ragged and sign != " ":
-        more = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
-        rule = f"does not have {width} cells as the other rows; mend or remove it{more}"
+        count = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
+        rule = f"does not have {width} cells as the other rows; mend or remove it{count}"
         raise InputError(f"{file}, row {ragged[0]}: {rule}")
-    whole = [(i, c) for i, c in body if len(c) == width]
-    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in whole[0][1])
-    cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in whole]
+    complete = [(i, c) for i, c in body if len(c) == width]
+    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in complete[0][1])
+    cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in complete]
     columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*cells, strict=True), strict=True))
-    return names, units, columns, [i for i, _ in whole], header
+    return names, units, columns, [i for i, _ in complete], header
 
 
 def _json_rows(path: Path, text: str) -> Rows:
@@ -247,15 +250,15 @@ def _json_rows(path: Path, text: str) -> Rows:
     file = display_path(path)
     try:
         if text.lstrip().startswith("["):
-            found = [(k, row) for k, row in enumerate(json.loads(text), 1)]
+            numbered = [(k, row) for k, row in enumerate(json.loads(text), 1)]
         else:
-            found = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+            numbered = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     except json.JSONDecodeError as error:
         raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
     except RecursionError:
         raise InputError(f"{file}: objects or lists are nested too deeply; give one object a line") from None
-    rows = [(i, row) for i, row in found if isinstance(row, dict)]
-    if not rows or len(rows) != len(found):
+    rows = [(i, row) for i, row in numbered if isinstance(row, dict)]
+    if not rows or len(rows) != len(numbered):
         raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")
     names = list(dict.fromkeys(name for _, row in rows for name in row))
     return names, {}, {n: [row.get(n) for _, row in rows] for n in names}, [i for i, _ in rows], {}
