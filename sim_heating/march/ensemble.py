@@ -130,7 +130,7 @@ class PointLanes(NamedTuple):
     """Lanes of points of one wall: (point, 5) where the block of its group and the integers of that begin and end, and
     the number of the lane in it; elements of the wall."""
 
-    places: IntArray
+    positions: IntArray
     elements: Elements
 
 
@@ -201,8 +201,10 @@ class Ensemble:
             group_of[i] = first
             members.setdefault(first, []).append(i)
             with_room = [f for f in dict.fromkeys([*with_room, first]) if len(members[f]) < LANES]
-        made = {i: first for first, points in members.items() for i in points}  # those of the lowest kind come first
-        return [members[first] for first in _groups_in_order(made, behind)]
+        first_of = {
+            i: first for first, points in members.items() for i in points
+        }  # those of the lowest kind come first
+        return [members[first] for first in _groups_in_order(first_of, behind)]
 
     def _arrange(self, kinds: Sequence[int], behind: Mapping[int, int]) -> None:
         """Put models of one kind and like node counts into groups of LANES; the last one of a group fills it up."""
@@ -216,12 +218,14 @@ class Ensemble:
         # Lanes without a point repeat the last one, so that they never fail by themselves.
         self.lanes = np.array([group + [group[-1]] * (LANES - len(group)) for group in members]).ravel()
         self.lane_offsets = [LaneOffsets(0, 0, 0, 0)] * len(self.models)
-        made: dict[tuple[int, int], Elements] = {}
+        by_wall: dict[tuple[int, int], Elements] = {}
         for m, mesh in zip(self.models, self.meshes, strict=True):
             # most lanes of a march with sensitivities are of one wall
-            if (id(m.construction), id(mesh)) not in made:
-                made[id(m.construction), id(mesh)] = elements_of(m.construction, mesh)
-        self._elements = [made[id(m.construction), id(mesh)] for m, mesh in zip(self.models, self.meshes, strict=True)]
+            if (id(m.construction), id(mesh)) not in by_wall:
+                by_wall[id(m.construction), id(mesh)] = elements_of(m.construction, mesh)
+        self._elements = [
+            by_wall[id(m.construction), id(mesh)] for m, mesh in zip(self.models, self.meshes, strict=True)
+        ]
         for g, group in enumerate(members):
             for lane, i in enumerate(group):
                 end = LANES if i == group[-1] else lane + 1
@@ -268,8 +272,8 @@ class Ensemble:
 
     def _pack_stack(self, i: int) -> None:
         """Write the part of a point's stack that does not depend on its parameters."""
-        model, mesh, place = self.models[i], self.meshes[i], self.lane_offsets[i]
-        B, J, lanes = self.block(place.group), self.integers(place.group), slice(place.lane, place.end)
+        model, mesh, offsets = self.models[i], self.meshes[i], self.lane_offsets[i]
+        B, J, lanes = self.block(offsets.group), self.integers(offsets.group), slice(offsets.lane, offsets.end)
         tables = self.point_tables(model)
         nodes = block.node_integers(J)
         materials = np.array(tables.materials)[mesh.layer]
@@ -298,12 +302,12 @@ class Ensemble:
             (block.PRESSURE_TABLE, tables.pressures), (block.EMISSIVITY_TABLE, tables.emissivity),
             (block.ENTHALPY_TABLE, tables.enthalpy),
         ):  # fmt: skip
-            J[row + place.lane : row + place.end] = value
+            J[row + offsets.lane : row + offsets.end] = value
 
     def _pack_heating(self, i: int) -> None:
         """Write the part of a point's heating that does not depend on its parameters."""
-        place, uses = self.lane_offsets[i], kernel_effects(self.models[i])
-        J = self.integers(place.group)
+        offsets, uses = self.lane_offsets[i], kernel_effects(self.models[i])
+        J = self.integers(offsets.group)
         modes = [u.effect.mode for u in uses]
         lagging = [k for k, u in enumerate(uses) if u.effect.lags]
         turning = [k for k, u in enumerate(uses) if u.effect.name == TRANSITION]
@@ -315,8 +319,8 @@ class Ensemble:
             (block.LAG_SLOT, lagging[0] if lagging else block.NONE),
             (block.TRANSITION_SLOT, turning[0] if turning else block.NONE),
         ):  # fmt: skip
-            J[row + place.lane : row + place.end] = value
-        for lane in range(place.lane, place.end):
+            J[row + offsets.lane : row + offsets.end] = value
+        for lane in range(offsets.lane, offsets.end):
             for k, used in enumerate(uses):
                 J[block.EFFECT_CODES + lane * block.EFFECT_SLOTS + k] = self._codes[used.effect]
 
@@ -343,14 +347,14 @@ class Ensemble:
         A march then begins with `reset`, `restore` or `set_profile`. Source: docs/theory/equations_thermal_step.md,
         eq. 8.
         """
-        place, elements = self.lane_offsets[model], self._elements[model]
-        B, J = self.block(place.group), self.integers(place.group)
-        set_point(B, J, place.lane, place.end, elements, stack, heating)
+        offsets, elements = self.lane_offsets[model], self._elements[model]
+        B, J = self.block(offsets.group), self.integers(offsets.group)
+        set_point(B, J, offsets.lane, offsets.end, elements, stack, heating)
 
     def lanes_of(self, models: Sequence[int]) -> PointLanes:
         """The own lanes of points of one wall, as `write_lanes` takes them."""
-        places = [(*self.groups[self.lane_offsets[i].group], self.lane_offsets[i].lane) for i in models]
-        return PointLanes(np.array(places, dtype=np.int64), self._elements[models[0]])
+        positions = [(*self.groups[self.lane_offsets[i].group], self.lane_offsets[i].lane) for i in models]
+        return PointLanes(np.array(positions, dtype=np.int64), self._elements[models[0]])
 
     def write_lanes(self, state: FloatArray, lanes: PointLanes, stack: FloatArray, heating: FloatArray) -> None:
         """Write parameter values of points of one wall into their own lanes of a state of this ensemble, or of a copy.
@@ -362,7 +366,7 @@ class Ensemble:
         evaluated again before the next step, and nobody would do so for those. Source:
         docs/theory/equations_thermal_step.md, eq. 8.
         """
-        set_lanes(state, self.ints, lanes.places, lanes.elements, stack, heating)
+        set_lanes(state, self.ints, lanes.positions, lanes.elements, stack, heating)
 
     # State -----------------------------------------------------------------------------------------------------------
 
@@ -386,9 +390,9 @@ class Ensemble:
             B[block.scalar_row(block.COLUMN)] = -1.0
 
     def _set_profile(self, i: int, temperature_K: FloatArray) -> None:
-        place = self.lane_offsets[i]
-        B, J = self.block(place.group), self.integers(place.group)
-        set_temperatures(B, place.lane, place.end, J[block.N_NODES], temperature_K)
+        offsets = self.lane_offsets[i]
+        B, J = self.block(offsets.group), self.integers(offsets.group)
+        set_temperatures(B, offsets.lane, offsets.end, J[block.N_NODES], temperature_K)
 
     def set_profile(self, model: int, temperature_K: ArrayLike) -> None:
         """Set all node temperatures of one point; a march begins with them, a single step needs `begin` first.
@@ -428,9 +432,9 @@ class Ensemble:
 
         model : number of the point
         """
-        place = self.lane_offsets[model]
-        nodes = block.node_rows(self.block(place.group))
-        return nodes[: self.meshes[model].nodes, block.T, place.lane].copy()
+        offsets = self.lane_offsets[model]
+        nodes = block.node_rows(self.block(offsets.group))
+        return nodes[: self.meshes[model].nodes, block.T, offsets.lane].copy()
 
     def stage_temperatures(self, model: int) -> FloatArray:
         """(node,) temperatures of a point [K] at the middle stage of its last step, t_n + gamma dt, outermost first.
@@ -439,9 +443,9 @@ class Ensemble:
 
         With those at both ends of the step they define the parabola of docs/theory/equations_march.md, equation 4.
         """
-        place = self.lane_offsets[model]
-        nodes = block.node_rows(self.block(place.group))
-        return nodes[: self.meshes[model].nodes, block.T_STAGE, place.lane].copy()
+        offsets = self.lane_offsets[model]
+        nodes = block.node_rows(self.block(offsets.group))
+        return nodes[: self.meshes[model].nodes, block.T_STAGE, offsets.lane].copy()
 
     def node_offsets(self, model: int, nodes: Iterable[int] | None = None) -> IntArray:
         """(node,) offsets in `state` of node temperatures [K] of a point.
@@ -449,8 +453,8 @@ class Ensemble:
         model : number of the point
         nodes : nodes wanted, 0 at the surface; by default all of the point
         """
-        wanted = range(self.meshes[model].nodes) if nodes is None else nodes
-        return np.array([self.lane_offsets[model].temperature(node) for node in wanted], dtype=np.int64)
+        selected = range(self.meshes[model].nodes) if nodes is None else nodes
+        return np.array([self.lane_offsets[model].temperature(node) for node in selected], dtype=np.int64)
 
     def outputs(self) -> IntArray:
         """Offsets in `state` of the temperatures [K] of surface, bondline and each sensor of each point, in this order.
@@ -466,7 +470,7 @@ class Ensemble:
         Source: docs/theory/equations_march.md, equation 18.
         """
         # FILM has one row a stage; the third is that of the end of a step, where the samples are.
-        return np.array([place.scalar(block.FILM + 2) for place in self.lane_offsets], dtype=np.int64)
+        return np.array([offsets.scalar(block.FILM + 2) for offsets in self.lane_offsets], dtype=np.int64)
 
     def heat_offsets(self) -> IntArray:
         """(3, point) offsets in `state` of the heat that enters the wall and that leaves at the back [W/m2], and of
@@ -475,7 +479,7 @@ class Ensemble:
         Source: docs/theory/equations_thermal_step.md, equations 14 and 30.
         """
         rows = (block.STAGE_IN, block.STAGE_OUT, block.STAGE_SURROUNDINGS4 + 2)
-        return np.array([[place.scalar(row) for place in self.lane_offsets] for row in rows], dtype=np.int64)
+        return np.array([[offsets.scalar(row) for offsets in self.lane_offsets] for row in rows], dtype=np.int64)
 
     @property
     def film_kg_m2_s(self) -> FloatArray:
@@ -528,7 +532,7 @@ class Ensemble:
         return self._scalars(block.ENERGY_OUT)
 
     def _scalars(self, row: int) -> FloatArray:
-        return np.array([self.state[place.scalar(row)] for place in self.lane_offsets])
+        return np.array([self.state[offsets.scalar(row)] for offsets in self.lane_offsets])
 
     # Moving ----------------------------------------------------------------------------------------------------------
 
@@ -601,19 +605,19 @@ class Ensemble:
         time_s, histories = np.ascontiguousarray(time_s, dtype=float), np.ascontiguousarray(histories, dtype=float)
 
         # Groups share nothing that changes: results do not depend on threads. The kernel releases the interpreter.
-        def one(g: int) -> None:
+        def march_one(g: int) -> None:
             start, end = self.groups[g, BLOCK_START], self.groups[g, BLOCK_END]
-            mine = np.flatnonzero((kept >= start) & (kept < end))
-            part = self.march_lanes(g, time_s, histories, flights[g], step, kept[mine])
-            if len(part):
-                out[:, mine] = part
+            columns = np.flatnonzero((kept >= start) & (kept < end))
+            rows = self.march_lanes(g, time_s, histories, flights[g], step, kept[columns])
+            if len(rows):
+                out[:, columns] = rows
 
         groups = range(len(self.groups))
         if len(groups) > 1 and len(time_s) * len(self.models) > THREADED_POINT_STEPS:
-            in_threads(one, len(groups))
+            in_threads(march_one, len(groups))
         else:
             for g in groups:
-                one(g)
+                march_one(g)
         self._check_effects(time_s, histories, which)
         self.check()
         return out
@@ -634,8 +638,10 @@ class Ensemble:
         equations 1, 2.
         """
         out = np.empty((len(time_s) if len(kept) else 0, len(kept)))
-        along = Flights(time_s, histories, flights)
-        march_group(self.lane_group(group), along, longest_step_s, kept - self.groups[group, BLOCK_START], out)
+        flights_of_group = Flights(time_s, histories, flights)
+        march_group(
+            self.lane_group(group), flights_of_group, longest_step_s, kept - self.groups[group, BLOCK_START], out
+        )
         return out
 
     def _check_march(
@@ -643,8 +649,8 @@ class Ensemble:
     ) -> None:
         shape = np.shape(histories)
         if np.ndim(time_s) != 1 or len(shape) != 3 or shape[1:] != (len(time_s), N_CONDITIONS):
-            wanted = f"(flight, {len(time_s)} times, {N_CONDITIONS} conditions)"
-            raise InputError(f"march: histories are {shape}; they must be {wanted}")
+            expected = f"(flight, {len(time_s)} times, {N_CONDITIONS} conditions)"
+            raise InputError(f"march: histories are {shape}; they must be {expected}")
         if len(time_s) == 0 or not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0.0):
             raise InputError("march: time_s must be finite and increase from sample to sample")
         if len(which) != len(self.models) or not all(0 <= w < shape[0] for w in which):
@@ -660,7 +666,7 @@ class Ensemble:
         """(point,) whose step did not converge, whose surface temperature [K] is not a number, or whose moisture has no
         unique temperature (docs/theory/equations_march.md, equation 22).
         """
-        surface = np.array([self.state[place.temperature(0)] for place in self.lane_offsets])
+        surface = np.array([self.state[offsets.temperature(0)] for offsets in self.lane_offsets])
         away = np.array([model.runs_away for model in self.models])
         return np.asarray((self.failures > 0.0) | ~np.isfinite(surface) | away)
 

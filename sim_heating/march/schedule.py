@@ -62,7 +62,7 @@ def _ends(ensemble: Ensemble, time_s: FloatArray, flown: FloatArray, divided: In
 
 def _halve(ensemble: Ensemble, span_s: FloatArray, ends: FloatArray) -> list[float]:
     """March an interval between two condition vectors (2, condition); ends of its steps [s], its own left out."""
-    found: list[float] = []
+    step_ends: list[float] = []
     begin, length = 0, FINEST
     while begin < FINEST:
         before, done = ensemble.snapshot(), ensemble.steps[0]
@@ -74,6 +74,6 @@ def _halve(ensemble: Ensemble, span_s: FloatArray, ends: FloatArray) -> list[flo
             length //= 2
         else:
             begin += length
-            found.append(float(span_s[0] + begin / FINEST * (span_s[1] - span_s[0])))
+            step_ends.append(float(span_s[0] + begin / FINEST * (span_s[1] - span_s[0])))
             length = begin & -begin
-    return found[:-1]
+    return step_ends[:-1]
