@@ -449,9 +449,9 @@ def _read_grid(path: Path, *, deflected: bool) -> Grid:
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
-    known = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
-    known |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
-    raise_problems([line for name, limits in known.items() for line in range_problems(table, name, limits)])
+    ranges = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
+    ranges |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
+    raise_problems([line for name, limits in ranges.items() for line in range_problems(table, name, limits)])
     # Of a repeated point the last row would silently be taken.
     _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)
@@ -475,17 +475,17 @@ def _extend_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: Fl
     full = values.copy()
     # From the highest Mach number down, as the gap above the tested alphas takes the increments of the next higher one.
     for m in range(mach.size - 1, -1, -1):
-        known = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
-        if known.size == 0 or (m == mach.size - 1 and known[-1] != alpha.size - 1) or known[0] != 0:
+        tested = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
+        if tested.size == 0 or (m == mach.size - 1 and tested[-1] != alpha.size - 1) or tested[0] != 0:
             raise InputError(
                 f"{display_path(path)}: Mach {mach[m]:g} lacks alphas or deflections; fill the hole in the table"
             )
         for index in np.ndindex(values.shape[2:]):
-            line = values[(m, known, *index)]
-            full[(m, slice(None), *index)] = np.interp(alpha, alpha[known], line)
+            line = values[(m, tested, *index)]
+            full[(m, slice(None), *index)] = np.interp(alpha, alpha[tested], line)
         if m < mach.size - 1:
-            beyond = slice(known[-1] + 1, None)
-            full[m, beyond] = full[m, known[-1]] + full[m + 1, beyond] - full[m + 1, known[-1]]
+            beyond = slice(tested[-1] + 1, None)
+            full[m, beyond] = full[m, tested[-1]] + full[m + 1, beyond] - full[m + 1, tested[-1]]
     return full
 
 

@@ -125,14 +125,14 @@ def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
     Temperature, pressure, Mach and Reynolds number come from sim_heating.heating.atmosphere; bank, heading and
     longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
     """
-    given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
+    columns = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
     # Conditions are interpolated linearly: a heading that passes north would sweep through all others in between.
     for i in ANGLE_COLUMNS:
-        given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
-    given |= free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
-    given["qbar_Pa"] = 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2
-    order = STATE + tuple(name for name in given if name not in STATE)
-    return Conditions({name: given[name] for name in order})
+        columns[ROW[i]] = np.unwrap(columns[ROW[i]], period=360.0)
+    columns |= free_stream(columns["altitude_m"], columns["velocity_m_s"], columns["rho_kg_m3"], length_m)
+    columns["qbar_Pa"] = 0.5 * columns["rho_kg_m3"] * columns["velocity_m_s"] ** 2
+    order = STATE + tuple(name for name in columns if name not in STATE)
+    return Conditions({name: columns[name] for name in order})
 
 
 class Sampler:
@@ -197,8 +197,8 @@ def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: Flo
         i, j = open_ends.pop()
         if j - i < 2:
             continue
-        share = ((time[i + 1 : j] - time[i]) / (time[j] - time[i]))[:, None]
-        line = values[i] + share * (values[j] - values[i])
+        fraction = ((time[i + 1 : j] - time[i]) / (time[j] - time[i]))[:, None]
+        line = values[i] + fraction * (values[j] - values[i])
         distance = np.max(np.abs(values[i + 1 : j] - line) / allowed[i + 1 : j], axis=1)
         k = i + 1 + int(np.argmax(distance))
         # Along a straight line alpha may still move far, and what a point derives from it is curved.
@@ -215,10 +215,10 @@ def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: Flo
 def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
     """Row at a time between two frames, linear; angles take the short way round."""
     # A sample may be due up to _TOLERANCE_S after the frame; it takes the frame and is not extrapolated.
-    share = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
+    fraction = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
     step = after - before
     for i in ANGLE_COLUMNS:
         step[i] = (step[i] + 180.0) % 360.0 - 180.0
-    row = before + share * step
+    row = before + fraction * step
     row[0] = time_s
     return row

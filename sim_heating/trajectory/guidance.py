@@ -96,12 +96,14 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
     raises : InputError where the file is damaged, or absent and the scenario does not give all that is needed
     """
     path = Path(vehicle_dir) / GUIDANCE
-    own = load_guidance(vehicle_dir).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
-    given = changes.model_dump(exclude_none=True)
+    of_vehicle = (
+        load_guidance(vehicle_dir).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
+    )
+    of_scenario = changes.model_dump(exclude_none=True)
     # The two ways of reversing the bank exclude each other: that of a scenario replaces the vehicle's.
-    if "target" in given or "reversals_m_s" in given:
-        own = {k: v for k, v in own.items() if k not in ("target", "reversals_m_s")}
-    merged = own | given
+    if "target" in of_scenario or "reversals_m_s" in of_scenario:
+        of_vehicle = {k: v for k, v in of_vehicle.items() if k not in ("target", "reversals_m_s")}
+    merged = of_vehicle | of_scenario
     missing = [k for k in ("alpha_deg", "drag_m_s2") if merged.get(k) is None]
     if missing:
         raise InputError(f"{path}: file not found; give {' and '.join(missing)} in [trajectory.guidance]")
@@ -355,9 +357,9 @@ class EntryGuidance:
 
 def guidance_events(time_s: float, sign: float, phase: float, memory: FloatArray) -> list[tuple[float, str]]:
     """Events of guidance between two steps, (time [s], text): a new phase, a bank reversal."""
-    found = []
+    events = []
     if phase != memory[PHASE]:
-        found.append((time_s, PHASE_NAMES[int(memory[PHASE])]))
+        events.append((time_s, PHASE_NAMES[int(memory[PHASE])]))
     if sign != memory[SIGN]:
-        found.append((time_s, f"bank reversal to the {'right' if memory[SIGN] > 0.0 else 'left'}"))
-    return found
+        events.append((time_s, f"bank reversal to the {'right' if memory[SIGN] > 0.0 else 'left'}"))
+    return events

@@ -162,9 +162,9 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
         # Speed and Mach are passed from above. They are NaN before the first frame of a host, and NaN passes nothing.
         passed = b >= value if which == 0 else a > value >= b
         if passed and state[started + m] < 0.0:
-            share = 0.0 if which == 0 else (a - value) / (a - b)
+            fraction = 0.0 if which == 0 else (a - value) / (a - b)
             # The instant of the crossing, not that of the frame: the manoeuvre does not depend on the frame rate.
-            start = value if which == 0 else state[before] + (now[at] - state[before]) * share
+            start = value if which == 0 else state[before] + (now[at] - state[before]) * fraction
             state[started + m] = earliest_start(script, state, started, script[entry + CHANNEL], start)
     for i in range(3):
         state[before + i] = now[at + i]
@@ -195,8 +195,8 @@ def offsets_kernel(
             continue
         while since > script[point + 2]:
             point += 2
-        share = (since - script[point]) / (script[point + 2] - script[point])
-        value = script[point + 1] + share * (script[point + 3] - script[point + 1])
+        fraction = (since - script[point]) / (script[point + 2] - script[point])
+        value = script[point + 1] + fraction * (script[point + 3] - script[point + 1])
         out[at + int(script[entry + CHANNEL])] += value
         # Of several manoeuvres at once the most open pitch mode prevails.
         out[at + PITCH] = max(out[at + PITCH], script[entry + PITCH_MODE])
@@ -260,13 +260,13 @@ def manoeuvre_events(
     manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf
 ) -> list[tuple[float, str]]:
     """(time, text) of manoeuvres begun, and of those whose trigger was never met."""
-    found = []
+    events = []
     for m, s in zip(manoeuvres, started_s, strict=True):
         if 0.0 <= s < until_s:
-            found.append((float(s), f"{m.kind} at {trigger_text(m)}"))
+            events.append((float(s), f"{m.kind} at {trigger_text(m)}"))
         elif np.isfinite(until_s):
-            found.append((float(until_s), f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}"))
-    return sorted(found, key=lambda e: e[0])
+            events.append((float(until_s), f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}"))
+    return sorted(events, key=lambda e: e[0])
 
 
 def trigger_text(m: Manoeuvre) -> str:

@@ -324,14 +324,14 @@ def runge_kutta_step(
     kx, ky, kz, lx, ly, lz = vx, vy, vz, work[K1], work[K1 + 1], work[K1 + 2]
     sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
     for stage in range(1, 4):
-        share, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
-        h = share * dt_s
+        fraction, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
+        h = fraction * dt_s
         px, py, pz = x + h * kx, y + h * ky, z + h * kz
         kx, ky, kz = vx + h * lx, vy + h * ly, vz + h * lz
         at_stage = Controls(
-            state[ALPHA] + share * (alpha - state[ALPHA]), state[BANK] + share * (bank - state[BANK]),
-            state[BETA] + share * (beta - state[BETA]), state[D_ELEVON] + share * (d_elevon - state[D_ELEVON]),
-            state[D_FLAP] + share * (d_flap - state[D_FLAP]),
+            state[ALPHA] + fraction * (alpha - state[ALPHA]), state[BANK] + fraction * (bank - state[BANK]),
+            state[BETA] + fraction * (beta - state[BETA]), state[D_ELEVON] + fraction * (d_elevon - state[D_ELEVON]),
+            state[D_FLAP] + fraction * (d_flap - state[D_FLAP]),
         )  # fmt: skip
         lx, ly, lz = forces_kernel(px, py, pz, kx, ky, kz, at_stage, flight, aero).acceleration_m_s2
         sx, sy, sz = sx + weight * kx, sy + weight * ky, sz + weight * kz

@@ -79,18 +79,18 @@ def read_conditions(
 
     A warning states which columns were renamed, converted or taken from the standard atmosphere.
     """
-    found = read_recording(path, length_m, surfaces, fields)
-    table = found.table
+    recording = read_recording(path, length_m, surfaces, fields)
+    table = recording.table
     spared = [name for name in SURFACES if name not in surfaces]
     table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))
-    if found.notes:
-        warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
+    if recording.notes:
+        warnings.warn(f"{display_path(path)}: {'; '.join(recording.notes)}", stacklevel=2)
     tell(unusual_values(table))
-    given = dict(table.columns)
-    derived = derived_conditions(given, length_m=length_m).columns
+    stated = dict(table.columns)
+    derived = derived_conditions(stated, length_m=length_m).columns
     # A column of the file takes precedence over the derived one.
-    columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
+    columns = derived | {"qbar_Pa": 0.5 * stated["rho_kg_m3"] * stated["velocity_m_s"] ** 2} | stated
     order = STATE + tuple(name for name in columns if name not in STATE)
     return Conditions({name: columns[name] for name in order})
 

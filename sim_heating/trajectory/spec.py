@@ -316,10 +316,10 @@ class _Triggered(Convertible):
 
     @model_validator(mode="after")
     def _check_trigger(self) -> _Triggered:
-        given = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
-        if len(given) != 1:
+        triggers = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
+        if len(triggers) != 1:
             raise ValueError(
-                "give exactly one of at_velocity_m_s, at_mach, at_time_s, not " + (" and ".join(given) or "none")
+                "give exactly one of at_velocity_m_s, at_mach, at_time_s, not " + (" and ".join(triggers) or "none")
             )
         return self
 
@@ -518,19 +518,19 @@ class FmuSource(Convertible):
 
     @field_validator("start", "inputs", mode="before")
     @classmethod
-    def _check_dotted_names(cls, given: Any, info: ValidationInfo) -> Any:
+    def _check_dotted_names(cls, tables: Any, info: ValidationInfo) -> Any:
         """Rejects a name with dots and without quotes, which TOML reads as a table."""
-        known = (FmuValue if info.field_name == "start" else FmuInput).model_fields
-        for name, table in given.items() if isinstance(given, dict) else ():
-            if isinstance(table, dict) and table and not known.keys() & table.keys():
+        keys = (FmuValue if info.field_name == "start" else FmuInput).model_fields
+        for name, table in tables.items() if isinstance(tables, dict) else ():
+            if isinstance(table, dict) and table and not keys.keys() & table.keys():
                 raise ValueError(f'write a name with dots in quotes, "{name}.{next(iter(table))}" = ...')
-        return given
+        return tables
 
     @property
     def commands(self) -> set[str]:
         """Commands of guidance and manoeuvres that the FMU takes."""
-        given = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
-        return {command for command in given if command is not None}
+        sources = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
+        return {command for command in sources if command is not None}
 
 
 class TrajectorySpec(Convertible):

@@ -164,8 +164,8 @@ def lift_drag_kernel(
         # The polar is trimmed; between its last row and the lowest tabulated Mach number lift and drag are blended.
         cl_low, cd_low = polar_kernel(mach, alpha_deg, aero)
         top = aero[int(aero[AT_LOW]) + 5 * (rows - 1)]
-        share = clip((mach - top) / (bottom - top), 0.0, 1.0)
-        cl, cd = cl_low + share * (cl - cl_low), cd_low + share * (cd - cd_low)
+        fraction = clip((mach - top) / (bottom - top), 0.0, 1.0)
+        cl, cd = cl_low + fraction * (cl - cl_low), cd_low + fraction * (cd - cd_low)
     return cl, cd, cd * c - cl * s, elevon
 
 

@@ -170,8 +170,8 @@ class FmuSession:
         self._deadline = None
         if line.endswith(NO_ANSWER):
             raise RunError(f"{display_path(self.path)}: {self._end_reason(when)}{self._last_output()}")
-        found: dict[str, Any] = json.loads(line)
-        return found
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
     def _end_reason(self, when: str) -> str:
         status = self._process.wait()

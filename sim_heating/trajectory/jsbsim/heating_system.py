@@ -119,8 +119,8 @@ def _of(operator: str, *arguments: Any) -> ET.Element:
     return element
 
 
-def _in_one(x: ArrayLike, y: ArrayLike, of: str) -> ET.Element:
-    return nd_table([np.asarray(x, dtype=float)], np.asarray(y, dtype=float), [of])
+def _in_one(x: ArrayLike, y: ArrayLike, variable: str) -> ET.Element:
+    return nd_table([np.asarray(x, dtype=float)], np.asarray(y, dtype=float), [variable])
 
 
 def jsbsim_system_text(

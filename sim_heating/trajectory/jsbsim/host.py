@@ -149,8 +149,8 @@ class JSBSimHost:
             source = VEHICLE_READS[column]
             if column in OTHER_READS and self.fdm.get_property_manager().get_node(source.name) is None:
                 absent, source = source.name, OTHER_READS[column]
-                taken = f"read from {source.name}" if isinstance(source, PropertyRead) else f"{source:g}"
-                self.notes.append(f"{column} is {taken}: this aircraft has no {absent}")
+                origin = f"read from {source.name}" if isinstance(source, PropertyRead) else f"{source:g}"
+                self.notes.append(f"{column} is {origin}: this aircraft has no {absent}")
         if isinstance(source, PropertyRead):
             with error_context(f"reads, `{column}`"):
                 return self.getter(source.name), source.factor
@@ -169,11 +169,11 @@ class JSBSimHost:
 
         raises : InputError with the nearest name where there is no such property
         """
-        found = self.fdm.get_property_manager().get_node(name)
-        if found is None:
-            known = [*_properties(self.fdm), *self._published]
-            raise InputError(f"{name}: this aircraft has no such JSBSim property{suggestion(name, known, cutoff=0.0)}")
-        return found
+        node = self.fdm.get_property_manager().get_node(name)
+        if node is None:
+            names = [*_properties(self.fdm), *self._published]
+            raise InputError(f"{name}: this aircraft has no such JSBSim property{suggestion(name, names, cutoff=0.0)}")
+        return node
 
     def getter(self, name: str) -> Callable[[], float]:
         """The reading function of a property; see `node`."""
@@ -283,8 +283,8 @@ def open_vehicle(
                 Path(folder), model, rate_hz=rate_hz, reads=VEHICLE_READS, dispersions=dispersions or Dispersions()
             )
         except InputError as error:  # the vehicle's own file in place of the folder that is about to vanish
-            written, own = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
-            raise InputError(*(p.replace(written, own) for p in error.problems)) from error
+            written, control = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
+            raise InputError(*(p.replace(written, control) for p in error.problems)) from error
 
 
 class _Log(jsbsim.FGLogger):  # type: ignore[misc]  # untyped
@@ -333,7 +333,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     read_xml(file)
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
-    place = display_path(aircraft_path / model)
+    name = display_path(aircraft_path / model)
     fdm = jsbsim.FGFDMExec(None)
     log = _Log()
     try:
@@ -345,7 +345,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     except JSBSIM_ERRORS as error:
         _keep(fdm)
         reason = " ".join(str(error).split())
-        raise InputError(f"{place}: JSBSim cannot load it{log.where()}: {reason}") from error
+        raise InputError(f"{name}: JSBSim cannot load it{log.where()}: {reason}") from error
     finally:
         if before is None:
             del os.environ["JSBSIM_DEBUG"]
@@ -353,7 +353,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
             os.environ["JSBSIM_DEBUG"] = before
     if not loaded:
         _keep(fdm)
-        raise InputError(f"{place}: JSBSim cannot load it{log.where()}")
+        raise InputError(f"{name}: JSBSim cannot load it{log.where()}")
     _discard_outputs(fdm)
     return fdm
 

@@ -60,8 +60,8 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
     systems = Path(folder) / MODEL / "Systems"
     systems.mkdir(parents=True)
     (systems / CONTROL).write_bytes(content)
-    whole = with_low_speed(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
-    (systems.parent / f"{MODEL}.xml").write_text(aircraft_xml(whole), encoding="utf-8")
+    from_rest = with_low_speed(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
+    (systems.parent / f"{MODEL}.xml").write_text(aircraft_xml(from_rest), encoding="utf-8")
     return MODEL
 
 
@@ -82,8 +82,8 @@ def _finer_in_alpha(grid: Grid) -> Grid:
     # JSBSim interpolates linearly, which would overestimate the drag between widely spaced alphas.
     alpha = np.union1d(grid.alpha_deg, np.arange(0.0, POLAR_ALPHA_DEG + 1.0, POLAR_STEP_DEG))
     i = cells_of(grid.alpha_deg, alpha)
-    share = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
-    values = (1.0 - share) * grid.values[:, i] + share * grid.values[:, i + 1]
+    fraction = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
+    values = (1.0 - fraction) * grid.values[:, i] + fraction * grid.values[:, i + 1]
     return Grid(grid.mach, alpha, grid.deflection_deg, values)
 
 
@@ -239,8 +239,8 @@ def _product(name: str, *factors: float | str) -> Element:
     return _element("product", _property(name), *rest)
 
 
-def _sum(names: list[str], *more: Element) -> Element:
-    return _element("sum", *(_property(n) for n in names), *more)
+def _sum(names: list[str], *terms: Element) -> Element:
+    return _element("sum", *(_property(n) for n in names), *terms)
 
 
 def _pitch(names: list[str], damping: Damping) -> Element:
