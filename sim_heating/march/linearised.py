@@ -278,7 +278,7 @@ class LinearMarch:
 
     def _offsets(self, m: int) -> PerturbedOffsets:
         """Offsets of the perturbed lanes of each track, with m columns for each lane."""
-        faces = ACTS_ALONG_GAP if self.nominal.integers(0)[GAPS] == 1 else ACTS_AT_FACES
+        faces = ACTS_ALONG_GAP if self.nominal.memory.integers(0)[GAPS] == 1 else ACTS_AT_FACES
         if (m, faces) not in self._cached_offsets:
             self._cached_offsets[m, faces] = self._find_offsets(m, faces)
         return self._cached_offsets[m, faces]
@@ -319,16 +319,16 @@ class LinearMarch:
         """Give a point new parameter values in all its lanes, without a model made for each; its tables stay.
 
         i      : number of the track
-        values : of the stack and the heating, as of `Ensemble.set_values`, where the parameter of a name has a value by
-                 so much larger; that of no name is the point itself
+        values : of the stack and the heating, as of `PointWriter.set_values`, where the parameter of a name has a value
+                 by so much larger; that of no name is the point itself
 
         Source: docs/theory/equations_march.md, equations 9 and 10.
         """
-        self.nominal.set_values(i, *values("", 0.0))
+        self.nominal.writer.set_values(i, *values("", 0.0))
         if self.perturbed is not None:
             for k, perturbed in enumerate(self._lanes):
                 if perturbed.track == i:
-                    self.perturbed.set_values(k, *values(perturbed.name, perturbed.by))
+                    self.perturbed.writer.set_values(k, *values(perturbed.name, perturbed.by))
 
     def move(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
         """Go over to other steps, conditions, samples and starts.
@@ -433,7 +433,7 @@ class LinearMarch:
         """
         self.nominal.reset()
         if self.perturbed is not None:
-            self.perturbed.clear()
+            self.perturbed.counters.clear()
         started = [profile is None or bool(np.all(profile > 0.0)) for profile in initial_K]
         for i, profile in enumerate(initial_K):
             # The perturbed lanes take their temperatures from the nominal ones at every stage.

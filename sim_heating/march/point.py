@@ -1,5 +1,7 @@
 """Model of a control point for the kernels: construction, sensors, ratio table, parameters and effects, and the numbers
 that a lane takes from them.
+
+Source: docs/theory/equations.md, equations 5 and 6.
 """
 
 from __future__ import annotations

@@ -65,11 +65,11 @@ def _halve(ensemble: Ensemble, span_s: FloatArray, ends: FloatArray) -> list[flo
     step_ends: list[float] = []
     begin, length = 0, FINEST
     while begin < FINEST:
-        before, done = ensemble.snapshot(), ensemble.steps[0]
+        before, done = ensemble.snapshot(), ensemble.counters.steps[0]
         after = (begin + length) / FINEST
         then = ends[1] if begin + length == FINEST else ends[0] + after * (ends[1] - ends[0])
         ensemble.advance(then[np.newaxis], (span_s[1] - span_s[0]) * length / FINEST)
-        if ensemble.steps[0] - done > 1.0 and length > 1:
+        if ensemble.counters.steps[0] - done > 1.0 and length > 1:
             ensemble.restore(before)
             length //= 2
         else:

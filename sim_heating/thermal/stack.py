@@ -3,6 +3,8 @@
 One schema for flight records and vehicle directories. Lengths in m from the outer surface, temperatures in K,
 pressures in Pa.
 Property tables are linear between their points and constant beyond the ends; in pressure linear in log10(p).
+
+Source: docs/theory/equations.md, equations 1 and 18.
 """
 
 from __future__ import annotations
