@@ -1,4 +1,6 @@
-"""A flown trajectory, and how the frames of every source become flight conditions."""
+"""A flown trajectory, and how the frames of every source become flight conditions.
+
+Source: docs/theory/equations.md, section 6."""
 
 from __future__ import annotations
 
@@ -92,7 +94,8 @@ class Flight:
 
 
 def frames_within(rows: Sequence[FloatArray], windows: Sequence[Window]) -> FloatArray:
-    """(frame, len(FRAME)) those of a flight's frames that lie within its manoeuvres or shortly after one.
+    """(frame, len(FRAME)) frames of a flight, each number in the unit of its column, within a manoeuvre or shortly
+    after one [s].
 
     rows : frames in the order of conditions.FRAME, or of ROW
     """
@@ -120,10 +123,13 @@ def check_samples(flight: Flight, sample_s: float) -> None:
 
 
 def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
-    """Conditions in the contract's columns from (time, len(ROW)) rows.
+    """Conditions in the contract's columns from (time, len(ROW)) rows [s], [m], [m/s], [deg], [kg/m3].
 
     Temperature, pressure, Mach and Reynolds number come from sim_heating.heating.atmosphere; bank, heading and
     longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
+
+    Source: US Standard Atmosphere 1976 for the temperature; docs/theory/equations_reference_heating.md, equations 1
+    to 3.
     """
     columns = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
     # Conditions are interpolated linearly: a heading that passes north would sweep through all others in between.
@@ -153,7 +159,7 @@ class Sampler:
         self._next_s = -np.inf
 
     def add(self, row: FloatArray) -> None:
-        """Add one frame; frames must be in order of time."""
+        """Add one frame, (len(ROW),) in the units of its columns; frames must be in order of time [s]."""
         if row[0] >= self._next_s - _TOLERANCE_S:
             self._store(row)
         # A frame at the time of a sample is that sample.

@@ -56,7 +56,8 @@ class Offsets(NamedTuple):
 
 
 def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
-    """Polygon from 0 through (value, hold_s) at a rate and back to 0; moves below SMALLEST are ignored."""
+    """Polygon [(s, offset)] from 0 through (value, hold_s) at a rate [1/s] and back to 0; moves below SMALLEST are
+    ignored."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
         # A move of no length would be an edge of no duration, and `offsets_kernel` divides by the duration.
@@ -110,7 +111,7 @@ _SHAPES: dict[str, tuple[int, Callable[[Any], Polygon]]] = {
 
 
 def polygon(manoeuvre: Manoeuvre) -> Polygon:
-    """[(seconds since trigger, offset), ...] of a manoeuvre, 0 at both ends."""
+    """Times since the trigger [s] and offsets ([deg], or [-] of jets) of a manoeuvre, 0 at both ends."""
     return _SHAPES[manoeuvre.kind][1](manoeuvre)
 
 
@@ -133,7 +134,7 @@ TRIGGER, VALUE, CHANNEL, PITCH_MODE, FIRST, LAST = range(6)
 
 
 def compile_script(manoeuvres: Sequence[Manoeuvre]) -> FloatArray:
-    """A list of manoeuvres as one flat block, in its order."""
+    """A list of manoeuvres as one flat block, in its order: times [s], triggers [s], [m/s] or [-], offsets [deg]."""
     plan: list[float] = [len(manoeuvres)]
     points: list[float] = []
     for m in manoeuvres:
@@ -172,7 +173,7 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
 
 @njit
 def earliest_start(script: FloatArray, state: FloatArray, started: int, channel: float, start_s: float) -> float:
-    """The given start, or the end of the last manoeuvre on the same channel where that is later."""
+    """The given start [s], or the end of the last manoeuvre on the same channel where that is later."""
     for m in range(int(script[COUNT])):
         entry = PLAN + ENTRY * m
         if state[started + m] >= 0.0 and script[entry + CHANNEL] == channel:
@@ -184,7 +185,8 @@ def earliest_start(script: FloatArray, state: FloatArray, started: int, channel:
 def offsets_kernel(
     script: FloatArray, state: FloatArray, started: int, time_s: float, out: FloatArray, at: int
 ) -> None:
-    """Write the offsets of all running manoeuvres at a time into out, six numbers from position `at`."""
+    """Write the offsets [deg], jets [-], of all running manoeuvres at a time [s] into out, six numbers from position
+    `at`."""
     for i in range(6):
         out[at + i] = 0.0
     for m in range(int(script[COUNT])):
@@ -215,7 +217,8 @@ class ManoeuvreScript:
         self._none = Offsets()
 
     def offsets(self, time_s: float, velocity_m_s: float, mach: float) -> Offsets:
-        """Offsets at this frame; a trigger that lies between the last frame and this one starts at its own instant."""
+        """Offsets [deg], jets [-], at this frame; a trigger that lies between the last frame and this one starts at
+        its own instant."""
         if not self.manoeuvres:
             return self._none
         self._now[:] = time_s, velocity_m_s, mach
@@ -234,7 +237,7 @@ class ManoeuvreScript:
         return self._state[: len(self.manoeuvres)]
 
     def windows(self, until_s: float = np.inf) -> list[Window]:
-        """Windows of the flown manoeuvres in order of time; the end of the flight truncates them."""
+        """Windows [s] of the flown manoeuvres in order of time; the end of the flight truncates them."""
         return manoeuvre_windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
@@ -247,7 +250,7 @@ NOT_FLOWN = "trigger never met; manoeuvre not flown"
 
 
 def manoeuvre_windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
-    """Windows of the started manoeuvres, by their start."""
+    """Windows [s] of the started manoeuvres, by their start."""
     flown = [
         Window(m.kind, float(s), float(min(s + polygon(m)[-1][0], until_s)))
         for m, s in zip(manoeuvres, started_s, strict=True)
@@ -259,7 +262,7 @@ def manoeuvre_windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, un
 def manoeuvre_events(
     manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf
 ) -> list[tuple[float, str]]:
-    """(time, text) of manoeuvres begun, and of those whose trigger was never met."""
+    """Times [s] and texts of manoeuvres begun, and of those whose trigger was never met."""
     events = []
     for m, s in zip(manoeuvres, started_s, strict=True):
         if 0.0 <= s < until_s:

@@ -1,9 +1,9 @@
 """A flight as it was recorded: conditions from a file, by the names and units of its columns.
 
 Time, altitude, speed and angles are required. Density is taken as recorded, else from the dynamic pressure `q_Pa`, from
-pressure and temperature, or of the standard atmosphere; temperature, pressure, Mach and Reynolds number are derived
-where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are absent.
-Further columns of numbers are kept where the names are those of the contract.
+pressure and temperature, or of the US Standard Atmosphere 1976; temperature, pressure, Mach and Reynolds number are
+derived where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are
+absent. Further columns of numbers are kept where the names are those of the contract.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ OPTIONAL = (
 def fly(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
-    """The recorded flight of spec.file, one frame a row; nothing is resampled and there are no events.
+    """The recorded flight of spec.file, one frame a row ([s], [m], [m/s], [deg], [kg/m3]); nothing is resampled and
+    there are no events.
 
     spec.file : path, which the reader of a scenario has made relative to the scenario
     on_frame  : called for each row with its values in the order of conditions.FRAME; the array is reused

@@ -18,7 +18,8 @@ from sim_heating.base.kernels.jit import njit
 
 
 def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, float]]]) -> FloatArray:
-    """Block of scalars and schedules [(x, value), ...] with x rising; an empty schedule reads as 0 everywhere."""
+    """Block of scalars and schedules [(x, value), ...] with x rising, [-] or [m/s] or [m]; an empty schedule is 0
+    everywhere."""
     tables = [np.array(s, dtype=float).reshape(-1, 2) for s in schedules]
     start = len(scalars) + 2 * len(tables)
     parts: list[float] = list(scalars)
@@ -38,7 +39,8 @@ def schedule_positions(first: int, schedules: int) -> Sequence[int]:
 
 @njit
 def scheduled(block: FloatArray, entry: int, x: float) -> float:
-    """Value at x of the schedule whose (start, points) are at `entry`; constant beyond its ends."""
+    """Value at x of the schedule whose (start, points) are at `entry`, in its unit ([deg], [m/s2], [Pa] ...);
+    constant beyond its ends."""
     start, points = int(block[entry]), int(block[entry + 1])
     if points == 0:
         return 0.0
@@ -54,7 +56,8 @@ def scheduled(block: FloatArray, entry: int, x: float) -> float:
 
 @njit
 def schedule_slope(block: FloatArray, entry: int, x: float) -> float:
-    """Derivative at x of a schedule, from the right at a point; 0 beyond its ends."""
+    """Derivative at x of a schedule, in its unit over that of x ([deg] per Mach ...), from the right at a point; 0
+    beyond its ends."""
     start, points = int(block[entry]), int(block[entry + 1])
     for i in range(start + 1, start + points):
         if block[i - 1] <= x < block[i]:

@@ -11,6 +11,8 @@ log10_re, re, and mach with altitude_m; and one of
 
 of which the ratio is the heating ratio: q = h (H_r - H_w), with the same H_r - H_w at both. Every control point takes
 the nearest body point of each case. The cases have to make a full grid of angle of attack, sideslip and log10 Re.
+
+Source: docs/theory/equations.md, equation 1.
 """
 
 from __future__ import annotations

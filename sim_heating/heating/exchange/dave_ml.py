@@ -7,7 +7,8 @@
 Between nodes a gridded table is multilinear, beyond them constant, or linear where its `extrapolate` says so. An
 ungridded table is linear on the Delaunay triangles of its points, and has the value of the nearest one beyond them.
 
-Source: ANSI/AIAA S-119-2011, Flight Dynamics Model Exchange Standard; DAVE-ML 2.0 reference manual, daveml.org.
+Source: ANSI/AIAA S-119-2011, Flight Dynamics Model Exchange Standard; DAVE-ML 2.0 reference manual, daveml.org;
+Jackson and Hildreth (2002), "Flight Dynamic Model Exchange Using XML", AIAA 2002-4482.
 """
 
 from __future__ import annotations

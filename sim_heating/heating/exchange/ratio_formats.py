@@ -11,6 +11,8 @@
 
 The system for JSBSim (`jsbsim_system`) needs the wall of a point besides its table; body points of a flow solver
 (`body_points`) become the tables of several points.
+
+Source: Jackson and Hildreth (2002), "Flight Dynamic Model Exchange Using XML", AIAA 2002-4482.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ that stands out of those before and after it. Records, trajectories and links ar
     |dh/dt| <= V      a time in minutes or hours lies outside
     mass / (C_D A)    = int rho V^3 / 2 dt / -(change of V^2 / 2 + g h), of gliding flight; a time in ms lies outside
     log10 Re          = log10(rho V L / mu) with one length L; natural logarithms lie outside
-    p over h          near that of the standard atmosphere at 0.3048 h alone: altitudes in ft lie outside
+    p over h          near that of the US Standard Atmosphere 1976 at 0.3048 h alone: altitudes in ft lie outside
     rho over h        falls by at least e in 100 km, which no planet's atmosphere exceeds
     mass / (C_L S)    = rho V^2 / 2 over z'' + g - V^2 / (R + z), the lift that a path above 55 km needs; a speed in
                       other units is too slow for it, and no lift carries so little

@@ -1,7 +1,7 @@
 """Flight conditions of a file, whole: read by names and units, what follows from them derived, the rest asked for.
 
 Everything that a file lacks is asked for in one message, with the option or the key that states it. What is derived is
-told; the air of the standard atmosphere in place of that of the day lowers the confidence of the conditions.
+told; the air of the US Standard Atmosphere 1976 in place of that of the day lowers the confidence of the conditions.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 One compiled kernel evaluates a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
 these models and reduced with one recovery enthalpy; the header of its table names both.
-Equations: docs/theory/equations_reference_heating.md, sections 3 and 5.
+Equations: docs/theory/equations_reference_heating.md, section 3 and section 5.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 Rejected are entries outside the archive's folder, links and devices, names that do not print, two entries for one file,
 encrypted entries, and archives that would fill a disk. Names of all platforms are checked: an archive made elsewhere is
 unpacked here.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations

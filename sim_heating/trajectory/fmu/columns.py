@@ -7,7 +7,7 @@ Columns that an FMU does not provide are derived where physics allows it, in thi
     path, heading  sin(gamma) = -u_D / V or altitude rate / V,  heading = atan2(u_E, u_N)
     attitude       body axes from roll, pitch, yaw (z, y, x), u in them:  alpha = atan2(w, u),  beta = asin(v / V),
                    bank about the velocity from the body's y and z axes
-    density        US76 times [trajectory.dispersions].density_factor
+    density        US Standard Atmosphere 1976 times [trajectory.dispersions].density_factor
     body flap      the schedule of the 3-DOF entry;  elevon: in trim, by the vehicle's tables
     jets           0
 """
@@ -194,7 +194,7 @@ class ColumnsOfFmu:
             self.notes.append(f"`{name}` is not used because its unit is unknown; if it is {column}, write {written}")
 
     def frame(self, time_s: float, values: list[float]) -> Frame:
-        """All columns at a time from the FMU's outputs."""
+        """All columns at a time [s] from the FMU's outputs, in the units of the contract ([m], [m/s], [deg] ...)."""
         frame: Frame = {"time_s": time_s, **self._constants}
         for reading, value in zip(self._readings, values, strict=True):
             frame[reading.column] = reading.convert(value)

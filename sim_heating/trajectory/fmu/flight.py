@@ -55,7 +55,7 @@ class FmuFlight:
         self.frames: list[FloatArray] = []
 
     def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
-        """Step the FMU until the flight ends."""
+        """Step the FMU by its communication step [s] until the flight ends."""
         spec, step_s = self.spec, 1.0 / self.spec.rate_hz
         events = [(0.0, note) for note in self.columns.notes]
         with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
@@ -193,7 +193,7 @@ class Pilot:
         self._before = (0.0, 0.0)
 
     def commands(self, f: Frame, step_s: float) -> Frame:
-        """Commands to be reached at the end of the step that begins with a frame."""
+        """Commands [deg] to be reached at the end of the step that begins with a frame."""
         speed = f["velocity_m_s"]
         mach = speed / standard_sound_kernel(f["altitude_m"])
         if self._memory is None:
@@ -262,7 +262,7 @@ class InputsOfFmu:
         return [value(frame, commands) for value in self._values]
 
     def windows(self, end_s: float) -> list[Window]:
-        """Manoeuvres flown."""
+        """Windows [s] of the manoeuvres flown."""
         return [] if self.pilot is None else self.pilot.script.windows(end_s)
 
     def events(self, end_s: float) -> list[tuple[float, str]]:

@@ -1,6 +1,8 @@
 """The description of an FMU: interfaces, variables, units and allowed values, read without running any of its code.
 
 A variable takes, by its type, any number, whole numbers within a range, items of an enumeration, or true and false.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ one takes seconds.
 
 `ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of
 its group and has its parent's id as its argument: when the parent ends it kills the group, whatever the FMU is doing.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ An FMU defines a unit by exponents of the seven SI base units and rad, a factor 
     value in base units = factor * value + offset        FMI 3.0.2, 2.4.4 (FMI 2.0.4, 2.2.2)
 
 and pint provides the same for a name. rad counts as a base unit in both, so an angle is not a plain number.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations

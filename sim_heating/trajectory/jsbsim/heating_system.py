@@ -62,7 +62,7 @@ def _square(rows: FloatArray, columns: FloatArray, values: FloatArray) -> str:
 
 
 def nd_table(axes: Sequence[FloatArray], values: FloatArray, properties: Sequence[str]) -> ET.Element:
-    """A table of JSBSim in as many variables as have several nodes; a number where none has.
+    """A table [-] of JSBSim in as many variables ([deg], [-]) as have several nodes; a number where none has.
 
     axes       : increasing nodes of each variable;  values : one axis a variable
     properties : of JSBSim, one a variable

@@ -3,6 +3,8 @@
 JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and
 pressure of US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads
 to. Values read after a frame belong to that frame.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
 """
 
 from __future__ import annotations
@@ -191,7 +193,8 @@ class JSBSimHost:
         return created
 
     def start(self, state: InitialState) -> None:
-        """Put the vehicle at a state at time 0, without rotation; commands must have been written before."""
+        """Put the vehicle at a state ([m], [m/s], [deg]) at 0 s, without rotation; commands must have been written
+        before."""
         air = None if self._air is None else self._air.write(state.altitude_m)
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
@@ -217,7 +220,8 @@ class JSBSimHost:
         self.frames += 1
 
     def read_frame(self, buffer: FloatArray | None = None) -> FloatArray:
-        """The columns of conditions.FRAME after the last frame, into buffer or into `frame_values`."""
+        """The columns of conditions.FRAME ([s], [m], [m/s], [deg], [kg/m3]) after the last frame, into buffer or into
+        `frame_values`."""
         out: FloatArray | memoryview[float] = self._frame_view if buffer is None else buffer
         out[0] = self.frames / self.rate_hz
         for i, get, factor in self._reads:

@@ -6,6 +6,8 @@ scenario. The attitude control, logic and not data, is a JSBSim system file of t
 
 Below the lowest Mach number of the tables lift and drag become those of aero/low_speed.csv, as in the 3-DOF entry: a
 polar in trim, so that deflections have moments there and no forces; moments stay those of the lowest Mach number.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
 """
 
 from __future__ import annotations
@@ -66,7 +68,7 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
 
 
 def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
-    """Tables extended below their lowest Mach number by a polar in trim; unchanged without a polar.
+    """Coefficients [-] extended below their lowest Mach number by a polar in trim; unchanged without a polar.
 
     low_speed : (rows, 5) mach, CL_0, CL_alpha [1/deg], CD_0, K
     """
@@ -113,7 +115,7 @@ def _forceless_below(grid: Grid, mach: float) -> Grid:
 
 
 def aircraft_xml(aero: Aero) -> str:
-    """The JSBSim configuration of a vehicle as text.
+    """The JSBSim configuration of a vehicle as text, in [kg], [m] and [deg].
 
     raises : InputError where a table holds a value that is not finite
     """
