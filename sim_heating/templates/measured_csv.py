@@ -219,8 +219,8 @@ def read_measured_csv(
         }
     )  # fmt: skip
     if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
-        known = ", ".join((*DURATIONS, *CLOCKS))
-        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {known}")
+        units = ", ".join((*DURATIONS, *CLOCKS))
+        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {units}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
     heads = _joined_dates(block, heads, chosen)
@@ -235,18 +235,18 @@ def read_measured_csv(
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, columns, kinds)
     columns = [_without_lost(block, c, chosen.lost) if c.kind in kinds else c for c in columns]
-    columns, rows, more = _rows_kept(block, columns, kept, kinds)
+    columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
-    found = MeasuredCsv(
+    measured = MeasuredCsv(
         path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
         "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
-        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *more),
+        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *row_notes),
     )  # fmt: skip
-    found = _with_distinct_times(found, chosen.repeated)
-    _warn_of_guesses(found, kinds)
+    measured = _with_distinct_times(measured, chosen.repeated)
+    _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
-        _name_far_off(found)
-    return found
+        _name_far_off(measured)
+    return measured
 
 
 def _block(path: Path, chosen: LoggerLayout) -> Block:
@@ -349,13 +349,18 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     names: list[str] = []
     stated: list[str] = []
     for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
-        name, own = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
-        if own and not re.search(r"[\[(<,/]", head) and converted(own, "s") and not re.search(HEADS[0][1], name):
-            name, own = head, ""  # T_s is a surface, and no time
-        if not own and (raw := re.fullmatch(RAW, name)):
-            name, own = raw[1], raw[2]
+        name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
+        if (
+            unit_in_name
+            and not re.search(r"[\[(<,/]", head)
+            and converted(unit_in_name, "s")
+            and not re.search(HEADS[0][1], name)
+        ):
+            name, unit_in_name = head, ""  # T_s is a surface, and no time
+        if not unit_in_name and (raw := re.fullmatch(RAW, name)):
+            name, unit_in_name = raw[1], raw[2]
         names.append(name if name not in names else f"{name} {k + 1}")
-        stated.append(unit.strip("-") or own)
+        stated.append(unit.strip("-") or unit_in_name)
     if chosen.time_unit == "hhmmss":
         as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
@@ -368,10 +373,10 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
         if (k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))) and (
             chosen.time is None or name == chosen.time or block.names[k] == chosen.time or _is_partner(name)
         ):
-            place = f"{display_path(block.path)}, column {name}"
+            location = f"{display_path(block.path)}, column {name}"
             layout = _clock_word(unit) or chosen.time_unit
             try:
-                clock = clock_of(cells, place, chosen.dates, layout)
+                clock = clock_of(cells, location, chosen.dates, layout)
             except InputError:
                 is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
                 if chosen.time in (name, block.names[k]) or (chosen.time is None and is_called):
@@ -415,12 +420,16 @@ def _joined_dates(block: Block, heads: list[_Head], chosen: LoggerLayout) -> lis
     ms = next((h for h in joined if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
     clock_head = next((h for h in joined if h.clock is not None and h.clock.has_time), None)
     if ms is not None and clock_head is not None and clock_head.clock is not None:
-        part = ms.numbers.values
-        whole = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
-        if whole and np.all((part >= 0.0) & (part < 1000.0)) and np.any(np.diff(clock_head.clock.seconds) == 0.0):
+        milliseconds = ms.numbers.values
+        in_whole_seconds = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
+        if (
+            in_whole_seconds
+            and np.all((milliseconds >= 0.0) & (milliseconds < 1000.0))
+            and np.any(np.diff(clock_head.clock.seconds) == 0.0)
+        ):
             clock = replace(
                 clock_head.clock,
-                seconds=clock_head.clock.seconds + part / 1e3,
+                seconds=clock_head.clock.seconds + milliseconds / 1e3,
                 layout=f"{clock_head.clock.layout}, ms in `{ms.name}`",
             )
             joined = [replace(h, clock=clock) if h is clock_head else h for h in joined]
@@ -440,8 +449,8 @@ def _column(head: _Head) -> CsvColumn:
     if not is_time and (count == 0 or 2 * count < full) and not (is_named and head.numbers.torn >= 0):
         return CsvColumn(name, UNUSED, "", values, "most cells hold no number" if full else "all cells are empty")
     lost = len(values) - count
-    words = sorted(head.numbers.words)[:2]
-    note = f"; {lost} lost samples{' (' + ', '.join(words) + ')' if words else ''}" if lost else ""
+    texts = sorted(head.numbers.texts)[:2]
+    note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
     by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
@@ -463,9 +472,9 @@ def _column(head: _Head) -> CsvColumn:
 def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
     """Index of a column by its name, with or without its unit."""
     bare, _ = name_and_unit(name, list(SI_UNITS.values()))
-    for wanted in (name, bare):
+    for spelling in (name, bare):
         for k, column in enumerate(columns):
-            if column.name == wanted:
+            if column.name == spelling:
                 return k
     hint = suggestion(name, [c.name for c in columns])
     raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
@@ -475,14 +484,14 @@ def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> 
     """Columns of the kinds that a stated layout declares; others are not used."""
     if not layout.column:
         return columns
-    found = [
+    columns_of_layout = [
         replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns
     ]
     for declared in layout.column:
         k = _named(path, columns, declared.name, "--layout: column")
         unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[declared.kind]) else ""
-        found[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
-    return found
+        columns_of_layout[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
+    return columns_of_layout
 
 
 def _as_chosen(
@@ -490,7 +499,7 @@ def _as_chosen(
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
     chosen = list(columns)
-    wanted = [
+    choices = [
         (TIME, "--time", time),
         (FLUX, "--lamp", flux),
         *((TEMPERATURE, "--temperature", t) for t in temperatures),
@@ -499,7 +508,7 @@ def _as_chosen(
         chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TEMPERATURE else c for c in chosen]
     if time is not None:
         chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TIME else c for c in chosen]
-    for kind, option, name in wanted:
+    for kind, option, name in choices:
         if name is not None:
             k = _named(path, columns, name, option)
             unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[kind]) else ""
@@ -544,8 +553,8 @@ def _time(
         )
     first = next((c for c in columns if c.kind == UNUSED and c.reason.startswith("name and unit")), None)
     if not block.has_names and first is not None and first is columns[0] and np.all(np.diff(first.values) > 0.0):
-        found = replace(first, kind=TIME, reason="no column is called time; this one increases")
-        return _number_time(block, by_name[first.name], found, chosen)
+        assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
+        return _number_time(block, by_name[first.name], assumed, chosen)
     raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
 
 
@@ -577,8 +586,8 @@ def _clock_time(
     zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
     _warn_of_an_hour(block, head.name, t)
-    found = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
-    return found, zero, notes
+    elapsed = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
+    return elapsed, zero, notes
 
 
 def _warn_of_an_hour(block: Block, name: str, t: FloatArray) -> None:
@@ -609,7 +618,7 @@ def _number_time(
             "cell, or give --period"
         )
     _require_times(block, head, values)
-    place = f"{file}, column {head.name}"
+    location = f"{file}, column {head.name}"
     stated = head.stated or head.numbers.unit
     if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
         stated = head.name
@@ -617,36 +626,36 @@ def _number_time(
     if unit is not None:
         if unit in CLOCKS:
             cell = next(c for c in head.cells if c)
-            raise InputError(f"--time-unit {unit}: `{cell}` in {place} is no such clock; give s, ms, min or h")
+            raise InputError(f"--time-unit {unit}: `{cell}` in {location} is no such clock; give s, ms, min or h")
         _warn_of_other_unit(
             block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit"
         )
-        found, guess, reason = unit, "", f"{column.reason}; --time-unit"
+        time_unit, guess, reason = unit, "", f"{column.reason}; --time-unit"
     elif stated and converted(stated, "s") is not None:
-        found, guess, reason = stated, "", column.reason
+        time_unit, guess, reason = stated, "", column.reason
     elif stated and not re.fullmatch(REMARK, stated.strip()):
-        raise InputError(f"{place}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
+        raise InputError(f"{location}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
     else:
-        found, guess, reason = _unit_of_stamps(block, head, column)
-    scale = converted(found, "s")
+        time_unit, guess, reason = _unit_of_stamps(block, head, column)
+    scale = converted(time_unit, "s")
     assert scale is not None
-    known = np.flatnonzero(np.isfinite(values))
-    first = float(values[known[0]])
-    unix = found != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if (found == "day" and not stated and chosen.time_unit is None) or unix:
+    finite = np.flatnonzero(np.isfinite(values))
+    first = float(values[finite[0]])
+    unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
+    if (time_unit == "day" and not stated and chosen.time_unit is None) or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
         zero = scale(first) if unix else (first - 25569.0) * 86400.0
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
-    bad = known[(scale.factor * values[known] < low) | (scale.factor * values[known] > high)]
+    bad = finite[(scale.factor * values[finite] < low) | (scale.factor * values[finite] > high)]
     if len(bad):
         i = int(bad[0])
         raise InputError(
-            f"{block.at(i, head.name)}: `{head.cells[i]}` in {found} {rule}; state its unit, --time-unit ms"
+            f"{block.at(i, head.name)}: `{head.cells[i]}` in {time_unit} {rule}; state its unit, --time-unit ms"
         )
-    return replace(column, kind=TIME, values=values, unit=found, reason=reason, guess=guess), None, []
+    return replace(column, kind=TIME, values=values, unit=time_unit, reason=reason, guess=guess), None, []
 
 
 def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, str, str]:
@@ -682,24 +691,24 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
     if len(bad):
         i = int(bad[0])
         cell = head.cells[i]
-        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-        what = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
-        raise InputError(f"{block.at(i, head.name)}: {what}; remove the row, or give --period{more}")
+        count = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
+        problem = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
+        raise InputError(f"{block.at(i, head.name)}: {problem}; remove the row, or give --period{count}")
 
 
-def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
+def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
     """A file whose times increase; rows of one time as the option states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
-    clock = found.of_kind(TIME)[0]
+    clock = measured.of_kind(TIME)[0]
     t = clock.si
     steps = np.diff(t)
     if len(t) < 2:
-        raise InputError(f"{display_path(found.path)}: has {len(t)} row of readings; it needs two or more")
+        raise InputError(f"{display_path(measured.path)}: has {len(t)} row of readings; it needs two or more")
     back = np.flatnonzero(steps < 0.0) + 1
     if len(back):
-        more = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
+        count = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
         help_ = "sort the rows"
         if clock.reason.startswith(("clock", "dates")):
             if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
@@ -707,29 +716,31 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
             elif abs(steps[back[0] - 1] + 43200.0) < 1800.0:
                 help_ = "as on a clock of 12 hours: write AM and PM"
         raise InputError(
-            f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
+            f"{measured.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
             f"{-steps[back[0] - 1]:g} s "
-            f"earlier; {help_}, or give --period{more}"
+            f"earlier; {help_}, or give --period{count}"
         )
-    held = np.flatnonzero(steps == 0.0) + 1
-    if not len(held):
-        return found
+    repeats = np.flatnonzero(steps == 0.0) + 1
+    if not len(repeats):
+        return measured
     if repeated is None:
-        more = f" (and {held.size - 1} more rows)" if held.size > 1 else ""
+        count = f" (and {repeats.size - 1} more rows)" if repeats.size > 1 else ""
         raise InputError(
-            f"{found.line(int(held[0]))}, column {clock.name}: does not come after the row above, but has "
-            "its time; state "
-            f"--repeated spread (even until the next time) or --repeated first (keep the first), or give --period{more}"
+            f"{measured.line(int(repeats[0]))}, column {clock.name}: does not come after the row above, but has "
+            "its time; state --repeated spread (even until the next time) or --repeated first (keep the first), or "
+            f"give --period{count}"
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
-    note = f"{len(held)} rows have the time of the row above (--repeated {repeated})"
+    note = f"{len(repeats)} rows have the time of the row above (--repeated {repeated})"
     if repeated == "first":
-        columns = tuple(replace(c, values=c.values[begins]) for c in found.columns)
-        return replace(found, columns=columns, rows=tuple(found.rows[i] for i in begins), notes=(*found.notes, note))
+        columns = tuple(replace(c, values=c.values[begins]) for c in measured.columns)
+        return replace(
+            measured, columns=columns, rows=tuple(measured.rows[i] for i in begins), notes=(*measured.notes, note)
+        )
     ends = np.append(begins[1:], len(t))
     last = t[begins[-1]] - t[begins[-2]] if len(begins) > 1 else 0.0
     if last <= 0.0:
-        raise InputError(f"{display_path(found.path)}, column {clock.name}: all times are one; give --period")
+        raise InputError(f"{display_path(measured.path)}, column {clock.name}: all times are one; give --period")
     # rows of the last time keep the spacing of those before them
     count_before = ends[-2] - begins[-2] if len(begins) > 1 else 1
     spread = t.copy()
@@ -737,7 +748,9 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
         after = t[b] if b < len(t) else t[a] + last * (b - a) / count_before
         spread[a:b] = t[a] + (after - t[a]) * np.arange(b - a) / (b - a)
     new = replace(clock, values=np.round(spread, 9), unit="s", reason=f"{clock.reason}; --repeated spread")
-    return replace(found, columns=tuple(new if c is clock else c for c in found.columns), notes=(*found.notes, note))
+    return replace(
+        measured, columns=tuple(new if c is clock else c for c in measured.columns), notes=(*measured.notes, note)
+    )
 
 
 # Units and readings --------------------------------------------------------------------------------------------------
@@ -802,11 +815,11 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
     starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
     unit = ""
     if starts:
-        known = [x for x in starts.values() if np.isfinite(x)]
-        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in known)
-        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in known) and min(known) >= ROOM_K[0]:
+        finite = [x for x in starts.values() if np.isfinite(x)]
+        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in finite)
+        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in finite) and min(finite) >= ROOM_K[0]:
             unit = "K"
-        elif cold and max(known) < ROOM_K[0]:
+        elif cold and max(finite) < ROOM_K[0]:
             unit = "degC"
         else:
             odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
@@ -823,15 +836,15 @@ def _start(column: CsvColumn) -> float:
     return float(np.median(read[:5])) if read.size else float("nan")
 
 
-def _warn_of_guesses(found: MeasuredCsv, kinds: Sequence[str]) -> None:
+def _warn_of_guesses(measured: MeasuredCsv, kinds: Sequence[str]) -> None:
     """Warn of what is assumed without a word of the file: of fluxes where they are used."""
     guesses: dict[str, list[str]] = {}
-    for column in found.columns:
+    for column in measured.columns:
         if column.guess and (column.kind == TIME or (column.kind == TEMPERATURE and TEMPERATURE in kinds)):
             guesses.setdefault(column.guess, []).append(column.name)
     for guess, names in guesses.items():
-        what = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
-        warnings.warn(f"{display_path(found.path)}, {what}: {guess}", stacklevel=3)
+        named = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
+        warnings.warn(f"{display_path(measured.path)}, {named}: {guess}", stacklevel=3)
 
 
 def _with_guess(column: CsvColumn, unit: str, start: float | None) -> CsvColumn:
@@ -904,23 +917,23 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
 
 def _warn_of_rows(block: Block, name: str, rows: Sequence[int], values: FloatArray, rule: str) -> None:
     where = ", ".join(str(block.lines[i]) for i in rows[:NAMED_ROWS])
-    more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+    rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
     shown = ", ".join(dict.fromkeys(f"{values[i]:g}" for i in rows))
     plural = "rows" if len(rows) > 1 else "row"
-    warnings.warn(f"{display_path(block.path)}, {plural} {where}{more}, column {name}: {shown} {rule}", stacklevel=2)
+    warnings.warn(f"{display_path(block.path)}, {plural} {where}{rest}, column {name}: {shown} {rule}", stacklevel=2)
 
 
-def _name_far_off(found: MeasuredCsv) -> None:
+def _name_far_off(measured: MeasuredCsv) -> None:
     """Warn of single readings far off their neighbours, which stay in the record."""
-    for column in found.of_kind(TEMPERATURE):
+    for column in measured.of_kind(TEMPERATURE):
         rows = np.flatnonzero(far_off(column.values))
         if len(rows):
-            where = ", ".join(str(found.rows[i]) for i in rows[:NAMED_ROWS])
-            more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+            where = ", ".join(str(measured.rows[i]) for i in rows[:NAMED_ROWS])
+            rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
             shown = ", ".join(f"{column.values[i]:g}" for i in rows[:NAMED_ROWS])
             plural = "rows" if len(rows) > 1 else "row"
             warnings.warn(
-                f"{display_path(found.path)}, {plural} {where}{more}, column {column.name}: {shown} "
+                f"{display_path(measured.path)}, {plural} {where}{rest}, column {column.name}: {shown} "
                 f"{column.unit} lies far off its "
                 f"neighbours and stays; leave it out by --lost={column.values[rows[0]]:g} where it is no reading",
                 stacklevel=2,
@@ -937,8 +950,8 @@ def _rows_kept(
     read = np.any([np.isfinite(c.values) for c in used], axis=0)
     rows = np.flatnonzero(read)
     blank = np.flatnonzero(~read)
-    words = any(np.any(np.isnan(c.values)) for c in used)
-    if not len(blank) or not words or len(rows) == 0:
+    has_lost = any(np.any(np.isnan(c.values)) for c in used)
+    if not len(blank) or not has_lost or len(rows) == 0:
         return columns, block.lines, []
     # a lost sample of all sensors between others is kept as such
     ends = blank[(blank < rows[0]) | (blank > rows[-1])]
@@ -963,8 +976,8 @@ def _stated(
 ) -> LoggerLayout:
     """The layout as it was read: units where the file states none itself, which each file may state anew."""
     clock = next(c for c in columns if c.kind == TIME)
-    own = {h.name: h.stated or h.numbers.unit for h in heads}
-    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(own.get(c.name, ""), SI_UNITS[c.kind])}
+    unit_of = {h.name: h.stated or h.numbers.unit for h in heads}
+    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(unit_of.get(c.name, ""), SI_UNITS[c.kind])}
     used = [
         LayoutColumn(
             name=c.name,
@@ -975,7 +988,7 @@ def _stated(
         if c.kind in (TEMPERATURE, FLUX) and c.unit
     ]
     is_clock_time = "counted from" in clock.reason
-    order = next((o for o, words in ORDERS.items() if f"dates {words}" in clock.reason), None)
+    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
     return chosen.model_copy(
         update={
             "separator": block.separator or None,
@@ -996,6 +1009,6 @@ def lost_values(text: str) -> tuple[float, ...]:
     raises : InputError, one line, where one is no number
     """
     try:
-        return tuple(plain_number(part.strip()) for part in text.split(",") if part.strip())
+        return tuple(plain_number(number.strip()) for number in text.split(",") if number.strip())
     except ValueError:
         raise InputError(f"--lost {text}: write numbers, such as --lost=-9999,9.9E37") from None

@@ -202,15 +202,15 @@ def _write(out: str | os.PathLike[str], files: Mapping[str, str], check: Callabl
     first = next(iter(files))
     # Checked under another name in the same place, since it names files relative to itself.
     with tempfile.NamedTemporaryFile(prefix=".new-", suffix=f"-{first}", dir=folder, delete=False) as trial:
-        place = Path(trial.name)
+        trial_path = Path(trial.name)
     try:
-        write_text_atomic(place, files[first])
-        check(place)
+        write_text_atomic(trial_path, files[first])
+        check(trial_path)
     except InputError as error:
-        shown = (line.replace(display_path(place), display_path(folder / first)) for line in error.problems)
+        shown = (line.replace(display_path(trial_path), display_path(folder / first)) for line in error.problems)
         raise InputError(*shown) from None
     finally:
-        place.unlink(missing_ok=True)
+        trial_path.unlink(missing_ok=True)
         if not any(folder.iterdir()):
             folder.rmdir()
     write_own_files(folder, COMMAND, files)
@@ -246,8 +246,12 @@ def write_new_study(
     names = list(points) or list(base.names)
     for name in names:
         base.vehicle.control_point(name)
-    own = base.declared.vehicle
-    vehicle = own if not (scenario.parent / own / "vehicle.toml").is_file() else str(scenario.parent / own)
+    declared_vehicle = base.declared.vehicle
+    vehicle = (
+        declared_vehicle
+        if not (scenario.parent / declared_vehicle / "vehicle.toml").is_file()
+        else str(scenario.parent / declared_vehicle)
+    )
     values: dict[str, Any] = {
         "vehicle": shown_place(vehicle, Path(out)),
         "scenario": Path(os.path.relpath(scenario, out)).as_posix(),
@@ -372,10 +376,10 @@ def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, Float
     text = render_toml("effect_scenario.toml.j2", "scenario", **values).split("[[truth.effect]]")[0]
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(prefix=".new-", suffix=".toml", dir=folder, delete=False) as trial:
-        place = Path(trial.name)
+        trial_path = Path(trial.name)
     try:
-        write_text_atomic(place, text)
-        scenario = load_scenario(place)
+        write_text_atomic(trial_path, text)
+        scenario = load_scenario(trial_path)
         if values["variable"] == "wall_K":
             result = run(scenario)
             flown = result.flight.conditions
@@ -385,7 +389,7 @@ def _practice_flight(folder: Path, values: Mapping[str, Any]) -> dict[str, Float
             flown = fly_scenario(scenario).conditions
             wall = {}
     finally:
-        place.unlink(missing_ok=True)
+        trial_path.unlink(missing_ok=True)
         if not any(folder.iterdir()):
             folder.rmdir()
     heat = np.sqrt(flown["rho_kg_m3"]) * flown["velocity_m_s"] ** 3 * flown.duration_s

@@ -73,13 +73,13 @@ class Clock:
     layout: str
 
 
-def clock_of(cells: Sequence[str], place: str, dates: str | None = None, unit: str | None = None) -> Clock | None:
+def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit: str | None = None) -> Clock | None:
     """Times that the cells of a column state; None where most of them are no clock in any layout that is known.
 
-    place  : `file, column x`, for messages
-    dates  : order of dates as in ORDERS, where it is stated
-    unit   : layout of the time of day as in CLOCKS, where it is stated
-    raises : InputError, one line with a cell and the option that decides, where several layouts fit
+    location : `file, column x`, for messages
+    dates    : order of dates as in ORDERS, where it is stated
+    unit     : layout of the time of day as in CLOCKS, where it is stated
+    raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
     series = pd.Series(list(cells), dtype=object)
     full = series != ""
@@ -89,14 +89,14 @@ def clock_of(cells: Sequence[str], place: str, dates: str | None = None, unit: s
     if joined.map(lambda c: ALL_BASIC.fullmatch(c) is not None).all():
         series = series.map(lambda c: f"{c[:8]}T{c[8:]}" if c else c)
     for pattern in (STAMP, OF_DAY):
-        found = series.map(pattern.fullmatch)
-        hit = found.notna()
+        matches = series.map(pattern.fullmatch)
+        hit = matches.notna()
         if hit.sum() > 0.5 * full.sum():
             parts = {
-                name: [m[name] if m is not None else None for m in found.where(hit, None)]
+                name: [m[name] if m is not None else None for m in matches.where(hit, None)]
                 for name in pattern.groupindex
             }
-            return _clock(parts, np.asarray(hit), series, place, dates, unit)
+            return _clock(parts, np.asarray(hit), series, location, dates, unit)
     return None
 
 
@@ -104,23 +104,23 @@ def _clock(
     parts: dict[str, list[str | None]],
     hit: np.ndarray,
     cells: pd.Series,
-    place: str,
+    location: str,
     dates: str | None,
     unit: str | None,
 ) -> Clock:
     rows = np.flatnonzero(hit)
-    time_s, has_time, words = _time_of_day(parts, rows, cells, place, unit)
+    time_s, has_time, layout = _time_of_day(parts, rows, cells, location, unit)
     seconds = np.full(len(cells), np.nan)
     offset_s, zoned = _offsets(parts, rows)
     if "a" not in parts:
         if np.any(np.diff(offset_s) != 0.0):
             time_s = time_s - offset_s
         seconds[rows] = time_s
-        return Clock(seconds, None, True, words)
-    day, order = _days(parts, rows, time_s - offset_s, cells, place, dates)
+        return Clock(seconds, None, True, layout)
+    day, order = _days(parts, rows, time_s - offset_s, cells, location, dates)
     first = float(day[0])
     seconds[rows] = (day - first) * DAY_S + time_s - (offset_s if zoned else 0.0)
-    return Clock(seconds, first * DAY_S, has_time, f"dates {order}{', ' + words if has_time else ''}")
+    return Clock(seconds, first * DAY_S, has_time, f"dates {order}{', ' + layout if has_time else ''}")
 
 
 def _numbers(texts: list[str | None], rows: np.ndarray, default: float = 0.0) -> FloatArray:
@@ -128,14 +128,14 @@ def _numbers(texts: list[str | None], rows: np.ndarray, default: float = 0.0) ->
 
 
 def _time_of_day(
-    parts: dict[str, list[str | None]], rows: np.ndarray, cells: pd.Series, place: str, unit: str | None
+    parts: dict[str, list[str | None]], rows: np.ndarray, cells: pd.Series, location: str, unit: str | None
 ) -> tuple[FloatArray, bool, str]:
     """Seconds of the day, whether there are any, and their layout in words."""
     if "bt" in parts and any(parts["bt"][i] for i in rows):
         texts = [(parts["bt"][i] or "000000").ljust(6, "0") for i in rows]
         fraction = np.array([float(f"0.{parts['bf'][i] or 0}") for i in rows])
-        found = np.array([3600.0 * int(t[:2]) + 60.0 * int(t[2:4]) + int(t[4:6]) for t in texts]) + fraction
-        return found, True, "clock hhmmss"
+        time_s = np.array([3600.0 * int(t[:2]) + 60.0 * int(t[2:4]) + int(t[4:6]) for t in texts]) + fraction
+        return time_s, True, "clock hhmmss"
     if not any(parts["h"][i] for i in rows):
         return np.zeros(len(rows)), False, ""
     a, b, c = (_numbers(parts[n], rows) for n in "hms")
@@ -150,10 +150,10 @@ def _time_of_day(
             i for i, k in zip(rows, third if np.any(third != third[0]) else fourth, strict=True) if k != third[0]
         )
         raise InputError(
-            f"{place}: `{cells[mixed]}` has another layout than `{cells[rows[0]]}`; one file has one layout "
+            f"{location}: `{cells[mixed]}` has another layout than `{cells[rows[0]]}`; one file has one layout "
             "of its clock"
         )
-    words = "clock hh:mm:ss"
+    layout = "clock hh:mm:ss"
     if fourth[0]:
         x = _numbers(parts["x"], rows)
         digits = {len(parts["x"][i] or "") for i in rows}
@@ -165,56 +165,56 @@ def _time_of_day(
         )
         if not is_ms and not is_days:
             raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be hh:mm:ss:ms or dd:hh:mm:ss; state --time-unit hh:mm:ss:ms or "
+                f"{location}: `{cells[rows[0]]}` may be hh:mm:ss:ms or dd:hh:mm:ss; state --time-unit hh:mm:ss:ms or "
                 "--time-unit dd:hh:mm:ss"
             )
         if is_ms:
             fraction = x / 1000.0
-            words = "clock hh:mm:ss:ms"
+            layout = "clock hh:mm:ss:ms"
         else:
             days, a, b, c = a, b, c, x
-            words = "clock dd:hh:mm:ss"
+            layout = "clock dd:hh:mm:ss"
     elif not third[0]:
         minutes_first = any(parts["f"][i] for i in rows) or (a.max() > 23.0 and not has_date)
         if unit == "mm:ss" or (unit is None and minutes_first and not has_date):
             a, b, c = np.zeros(len(a)), a, b
-            words = "clock mm:ss"
+            layout = "clock mm:ss"
         elif unit == "hh:mm" or has_date or any(half):
-            words = "clock hh:mm"
+            layout = "clock hh:mm"
         elif unit in (None, *CLOCKS):
             raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be hours and minutes or minutes and seconds; state "
+                f"{location}: `{cells[rows[0]]}` may be hours and minutes or minutes and seconds; state "
                 "--time-unit hh:mm or "
                 "--time-unit mm:ss"
             )
-    if np.any(b > 59.0) and words != "clock mm:ss":
+    if np.any(b > 59.0) and layout != "clock mm:ss":
         i = rows[int(np.argmax(b > 59.0))]
-        raise InputError(f"{place}: `{cells[i]}` is no time of day; mend the cell, or state --time-unit mm:ss")
+        raise InputError(f"{location}: `{cells[i]}` is no time of day; mend the cell, or state --time-unit mm:ss")
     if np.any(c >= 61.0):
-        raise InputError(f"{place}: `{cells[rows[int(np.argmax(c >= 61.0))]]}` is no time of day; mend the cell")
+        raise InputError(f"{location}: `{cells[rows[int(np.argmax(c >= 61.0))]]}` is no time of day; mend the cell")
     if any(half):
         if np.any(a > 12.0) or not all(half):
             i = rows[int(np.argmax((a > 12.0) | (half == "")))]
-            raise InputError(f"{place}: `{cells[i]}` is no time of day with AM or PM; mend the cell")
+            raise InputError(f"{location}: `{cells[i]}` is no time of day with AM or PM; mend the cell")
         a = np.where(a == 12.0, 0.0, a) + np.where(half == "p", 12.0, 0.0)
-        words += ", AM and PM"
-    return days * DAY_S + 3600.0 * a + 60.0 * b + c + fraction, True, words
+        layout += ", AM and PM"
+    return days * DAY_S + 3600.0 * a + 60.0 * b + c + fraction, True, layout
 
 
 def _offsets(parts: dict[str, list[str | None]], rows: np.ndarray) -> tuple[FloatArray, bool]:
     """Offsets from UTC [s], and whether they are stated."""
-    found = np.zeros(len(rows))
+    offset_s = np.zeros(len(rows))
     stated = False
     for k, i in enumerate(rows):
         text, zone = parts["offset"][i], (parts["zone"][i] or "").lower()
         if text:
             digits = re.sub(r"\D", "", text).ljust(4, "0")
-            found[k] = (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])) * (-1.0 if text[0] != "+" else 1.0)
+            offset_s[k] = (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])) * (-1.0 if text[0] != "+" else 1.0)
             stated = True
         elif zone in ZONES:
-            found[k] = 3600.0 * ZONES[zone]
+            offset_s[k] = 3600.0 * ZONES[zone]
             stated = True
-    return found, stated
+    return offset_s, stated
 
 
 def _days(
@@ -222,25 +222,25 @@ def _days(
     rows: np.ndarray,
     time_s: FloatArray,
     cells: pd.Series,
-    place: str,
+    location: str,
     dates: str | None,
 ) -> tuple[FloatArray, str]:
     """Days since 1970, and the order of the dates in words."""
     if parts["basic"][rows[0]]:
         texts = [parts["basic"][i] or "00000000" for i in rows]
         split = [np.array([float(t[p]) for t in texts]) for p in (slice(0, 4), slice(4, 6), slice(6, 8))]
-        return _checked(_day(*split), rows, cells, place), "yyyymmdd"
+        return _checked(_day(*split), rows, cells, location), "yyyymmdd"
     if parts["named"][rows[0]]:
         month = np.array([float(MONTHS.get((parts["named"][i] or "")[:3].lower(), 0)) for i in rows])
         day, year = _numbers(parts["nd"], rows), _numbers(parts["ny"], rows)
-        return _checked(_day(year, month, day), rows, cells, place), "with names of months"
+        return _checked(_day(year, month, day), rows, cells, location), "with names of months"
     a, c = _numbers(parts["a"], rows), _numbers(parts["c"], rows)
     middle = [parts["b"][i] or "" for i in rows]
     long_a, long_c = (any(len(parts[n][i] or "") > 2 for i in rows) for n in "ac")
     if not middle[0].isdigit():
         month = np.array([float(MONTHS.get(text[:3].lower(), 0)) for text in middle])
         day, year = (c, a) if long_a else (a, c)
-        return _checked(_day(year, month, day), rows, cells, place), "with names of months"
+        return _checked(_day(year, month, day), rows, cells, location), "with names of months"
     b = np.array([float(text) if text.isdigit() else np.nan for text in middle])
     readings = {"year-first": (a, b, c), "day-first": (c, b, a), "month-first": (c, a, b)}
     if long_a:
@@ -251,16 +251,16 @@ def _days(
         readings = {"day-first": readings["day-first"]}
     if dates is not None:
         if dates not in readings:
-            raise InputError(f"{place}: `{cells[rows[0]]}` is not a date with the {ORDERS[dates]}; correct --dates")
+            raise InputError(f"{location}: `{cells[rows[0]]}` is not a date with the {ORDERS[dates]}; correct --dates")
         readings = {dates: readings[dates]}
     days = {order: _day(*numbers) for order, numbers in readings.items()}
     if len(days) == 1:
         order, day = next(iter(days.items()))
-        return _checked(day, rows, cells, place), ORDERS[order]
+        return _checked(day, rows, cells, location), ORDERS[order]
     valid = {order: day for order, day in days.items() if not np.any(np.isnan(day))}
     if not valid:
         raise InputError(
-            f"{place}: `{_odd_date(a, b, rows, cells)}` has no order of day and month that all dates have; "
+            f"{location}: `{_odd_date(a, b, rows, cells)}` has no order of day and month that all dates have; "
             "mend the dates"
         )
     # readings between which the times do not tell are one, as where all rows are of one day
@@ -269,18 +269,18 @@ def _days(
         span = (day - day[0]) * DAY_S + time_s
         if not any(np.array_equal(span, (valid[o] - valid[o][0]) * DAY_S + time_s) for o in distinct):
             distinct.append(order)
-    told = len(valid) == 1
+    is_stated = len(valid) == 1
     if len(distinct) > 1:
-        told = True
+        is_stated = True
         steps = {o: np.diff(valid[o] * DAY_S + time_s) for o in distinct}
         usual = [o for o, step in steps.items() if np.all(step > -DAY_S / 24.0) and np.all(step <= LONGEST_STEP_S)]
         if len(usual) != 1:
             options = " or ".join(f"--dates {o}" for o in distinct)
             raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}"
+                f"{location}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}"
             )
         distinct = usual
-    return valid[distinct[0]], ORDERS[distinct[0]] if told else ANY_ORDER
+    return valid[distinct[0]], ORDERS[distinct[0]] if is_stated else ANY_ORDER
 
 
 def _odd_date(a: FloatArray, b: FloatArray, rows: np.ndarray, cells: pd.Series) -> str:
@@ -301,21 +301,21 @@ def _day(year: FloatArray, month: FloatArray, day: FloatArray) -> FloatArray:
     return np.where(good, first.astype(np.int64) + d - 1.0, np.nan)
 
 
-def _checked(day: FloatArray, rows: np.ndarray, cells: pd.Series, place: str) -> FloatArray:
+def _checked(day: FloatArray, rows: np.ndarray, cells: pd.Series, location: str) -> FloatArray:
     bad = np.flatnonzero(np.isnan(day))
     if len(bad):
-        raise InputError(f"{place}: `{cells[rows[bad[0]]]}` is no date; mend the cell, or state --dates")
+        raise InputError(f"{location}: `{cells[rows[bad[0]]]}` is no date; mend the cell, or state --dates")
     return day
 
 
 def with_colons(cells: Sequence[str]) -> list[str]:
     """Times of day as hhmmss, such as 94502 or 104500.5, with their colons; other cells as they are."""
-    found = []
+    written = []
     for cell in cells:
-        whole = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
-        padded = whole[1].zfill(6) if whole else ""
-        found.append(f"{padded[:2]}:{padded[2:4]}:{padded[4:]}{whole[2] or ''}" if whole else cell)
-    return found
+        match = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
+        padded = match[1].zfill(6) if match else ""
+        written.append(f"{padded[:2]}:{padded[2:4]}:{padded[4:]}{match[2] or ''}" if match else cell)
+    return written
 
 
 def may_be_hhmmss(values: FloatArray) -> bool:
@@ -333,8 +333,8 @@ def may_be_hhmmss(values: FloatArray) -> bool:
 
 def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:
     """Times of day with a day added at each midnight, which is a step back of more than half a day; and how many."""
-    found = seconds.copy()
-    known = np.flatnonzero(np.isfinite(seconds))
-    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[known]) < -0.5 * DAY_S)))
-    found[known] += DAY_S * wraps
-    return found, int(wraps[-1]) if len(wraps) else 0
+    unwrapped = seconds.copy()
+    finite = np.flatnonzero(np.isfinite(seconds))
+    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * DAY_S)))
+    unwrapped[finite] += DAY_S * wraps
+    return unwrapped, int(wraps[-1]) if len(wraps) else 0

@@ -88,12 +88,12 @@ def _tdms(path: Path, group: str | None) -> Block:
     return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
 
 
-def _chosen(path: Path, what: str, names: list[str], chosen: str | None) -> str:
+def _chosen(path: Path, kind: str, names: list[str], chosen: str | None) -> str:
     if chosen is not None and chosen not in names:
         raise InputError(
-            f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}"
+            f"--sheet {chosen}: there is no such {kind} in {display_path(path)}; it has {', '.join(names)}"
         )
     if chosen is None and len(names) != 1:
-        known = ", ".join(names) or "none with cells"
-        raise InputError(f"{display_path(path)}: has {len(names)} {what}s ({known}); choose one, --sheet NAME")
+        listed = ", ".join(names) or "none with cells"
+        raise InputError(f"{display_path(path)}: has {len(names)} {kind}s ({listed}); choose one, --sheet NAME")
     return chosen if chosen is not None else names[0]
