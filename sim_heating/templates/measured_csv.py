@@ -19,6 +19,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
+from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
@@ -223,7 +224,7 @@ def read_measured_csv(
         raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {units}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
-    heads = _joined_dates(block, heads, chosen)
+    heads = _joined_dates(heads)
     columns = [_column(h) for h in heads]
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
@@ -295,50 +296,65 @@ def _long_as_wide(block: Block) -> Block:
 
     raises : InputError where a sensor has two readings at one time
     """
-    width = len(block.names)
-    texts = [
-        k
-        for k in range(width)
-        if not any(is_number(c) or is_clock(c) for c in block.column(k)[:200]) and any(block.column(k)[:200])
-    ]
-    labels = [
-        k for k in texts
-        if re.search(r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag", block.names[k])
-        and 2 <= len(set(block.column(k))) <= max(2, len(block.lines) // 3)
-    ]  # fmt: skip
-    numbers = [
-        k for k in range(width)
-        if k not in texts and not re.search(HEADS[0][1], block.names[k]) and not re.fullmatch(COUNTER, block.names[k])
-        and any(is_number(c) for c in block.column(k)[:200]) and not any(is_clock(c) for c in block.column(k)[:200])
-    ]  # fmt: skip
-    times = [k for k in range(width) if k not in texts and k not in numbers and re.search(HEADS[0][1], block.names[k])]
-    if len(labels) != 1 or len(numbers) != 1 or not times:
+    columns = _columns_of_a_long_table(block)
+    if columns is None:
         return block
+    times, label, value = columns
     stamps = list(zip(*(block.column(k) for k in times), strict=True))
     if len(set(stamps)) == len(stamps):
         return block
-    label, value = block.column(labels[0]), block.column(numbers[0])
-    sensors = list(dict.fromkeys(label))
-    rows: dict[tuple[str, ...], dict[str, str]] = {}
-    first: dict[tuple[str, ...], int] = {}
-    for i, (stamp, name) in enumerate(zip(stamps, label, strict=True)):
-        row = rows.setdefault(stamp, {})
-        first.setdefault(stamp, i)
-        if name in row:
-            raise InputError(
-                f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one"
-            )
-        row[name] = value[i]
-    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items())
-    cells = tuple(list(c) for c in zip(*by_row, strict=True))
-    bare, unit = name_and_unit(block.names[numbers[0]], list(SI_UNITS.values()))
+    readings = _readings_by_stamp(block, stamps, label, value)
+    sensors = list(dict.fromkeys(block.column(label)))
+    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in readings.items())
+    bare, unit = name_and_unit(block.names[value], list(SI_UNITS.values()))
     kind = bare if re.search(HEADS[3][1], bare) else ""
     names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
+    first = {stamp: i for i, stamp in reversed(list(enumerate(stamps)))}
     return replace(
         block, names=(*(block.names[k] for k in times), *names),
-        units=(*(block.units[k] for k in times), *(block.units[numbers[0]] for _ in sensors)), cells=cells,
-        lines=tuple(block.lines[i] for i in first.values()), about=f"{block.about}, one row a sensor",
+        units=(*(block.units[k] for k in times), *(block.units[value] for _ in sensors)),
+        cells=tuple(list(c) for c in zip(*by_row, strict=True)),
+        lines=tuple(block.lines[first[stamp]] for stamp in readings), about=f"{block.about}, one row a sensor",
     )  # fmt: skip
+
+
+def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
+    """Columns of the time, of the names of sensors, and of their readings; None where these are not one each."""
+    probes = [block.column(k)[:200] for k in range(len(block.names))]
+    has_number = [any(is_number(c) for c in cells) for cells in probes]
+    has_clock = [any(is_clock(c) for c in cells) for cells in probes]
+    texts = [k for k, cells in enumerate(probes) if not has_number[k] and not has_clock[k] and any(cells)]
+    is_time = [re.search(HEADS[0][1], name) is not None for name in block.names]
+    labels = [k for k in texts if _may_name_sensors(block, k)]
+    numbers = [
+        k for k, name in enumerate(block.names)
+        if has_number[k] and not has_clock[k] and not is_time[k] and not re.fullmatch(COUNTER, name)
+    ]  # fmt: skip
+    times = [k for k, named in enumerate(is_time) if named and k not in texts]
+    return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
+
+
+def _may_name_sensors(block: Block, k: int) -> bool:
+    words = r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag"
+    names = set(block.column(k))
+    return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
+
+
+def _readings_by_stamp(
+    block: Block, stamps: Sequence[tuple[str, ...]], label: int, value: int
+) -> dict[tuple[str, ...], dict[str, str]]:
+    """Readings by time and name of the sensor.
+
+    raises : InputError where a sensor has two readings at one time
+    """
+    readings: dict[tuple[str, ...], dict[str, str]] = {}
+    for i, (stamp, name) in enumerate(zip(stamps, block.column(label), strict=True)):
+        row = readings.setdefault(stamp, {})
+        if name in row:
+            rule = f"`{name}` has a second reading at one time; remove one"
+            raise InputError(f"{block.at(i, block.names[label])}: {rule}")
+        row[name] = block.column(value)[i]
+    return readings
 
 
 # Heads and cells -----------------------------------------------------------------------------------------------------
@@ -346,21 +362,7 @@ def _long_as_wide(block: Block) -> Block:
 
 def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
-    names: list[str] = []
-    stated: list[str] = []
-    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
-        name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
-        if (
-            unit_in_name
-            and not re.search(r"[\[(<,/]", head)
-            and converted(unit_in_name, "s")
-            and not re.search(HEADS[0][1], name)
-        ):
-            name, unit_in_name = head, ""  # T_s is a surface, and no time
-        if not unit_in_name and (raw := re.fullmatch(RAW, name)):
-            name, unit_in_name = raw[1], raw[2]
-        names.append(name if name not in names else f"{name} {k + 1}")
-        stated.append(unit.strip("-") or unit_in_name)
+    names, stated = _names_and_units(block)
     if chosen.time_unit == "hhmmss":
         as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
@@ -369,20 +371,44 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
         cells = block.column(k)
-        clock = None
-        if (k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))) and (
-            chosen.time is None or name == chosen.time or block.names[k] == chosen.time or _is_partner(name)
-        ):
-            location = f"{display_path(block.path)}, column {name}"
-            layout = _clock_word(unit) or chosen.time_unit
-            try:
-                clock = clock_of(cells, location, chosen.dates, layout)
-            except InputError:
-                is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
-                if chosen.time in (name, block.names[k]) or (chosen.time is None and is_called):
-                    raise  # another column is the time otherwise
+        may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
+        clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
     return heads, signs
+
+
+def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
+    """Name of each column, no two alike, and the unit that the row of units or the name states."""
+    names: list[str] = []
+    stated: list[str] = []
+    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
+        name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
+        in_brackets, is_time = re.search(r"[\[(<,/]", head), re.search(HEADS[0][1], name)
+        if unit_in_name and not in_brackets and not is_time and converted(unit_in_name, "s"):
+            name, unit_in_name = head, ""  # T_s is a surface, and no time
+        if not unit_in_name and (raw := re.fullmatch(RAW, name)):
+            name, unit_in_name = raw[1], raw[2]
+        names.append(name if name not in names else f"{name} {k + 1}")
+        stated.append(unit.strip("-") or unit_in_name)
+    return names, stated
+
+
+def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout) -> Clock | None:
+    """Times of a column of clocks; None where another one is the time.
+
+    raises : InputError where its layout is not clear, and it is the time
+    """
+    name, its_names = names[k], (names[k], block.names[k])
+    if chosen.time is not None and chosen.time not in its_names and not _is_partner(name):
+        return None
+    try:
+        location = f"{display_path(block.path)}, column {name}"
+        return clock_of(block.column(k), location, chosen.dates, _clock_word(unit) or chosen.time_unit)
+    except InputError:
+        is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
+        if chosen.time in its_names or (chosen.time is None and is_called):
+            raise
+        return None  # another column is the time
 
 
 def _is_partner(name: str) -> bool:
@@ -407,33 +433,33 @@ def _mostly(cells: Sequence[str], holds: object) -> bool:
     return sum(bool(holds(c)) for c in probe) > 0.5 * len(probe)
 
 
-def _joined_dates(block: Block, heads: list[_Head], chosen: LoggerLayout) -> list[_Head]:
-    """Columns in which a date and a time of day of the same rows are one clock."""
-    day = next((h for h in heads if h.clock is not None and h.clock.day_s is not None and not h.clock.has_time), None)
-    hours = next((h for h in heads if h.clock is not None and h.clock.day_s is None), None)
-    joined = list(heads)
-    if day is not None and hours is not None and day.clock is not None and hours.clock is not None:
-        seconds = day.clock.seconds + hours.clock.seconds
-        clock = Clock(seconds, day.clock.day_s, True, f"{day.clock.layout} in `{day.name}`, {hours.clock.layout}")
-        joined = [replace(h, clock=clock) if h is hours else replace(h, clock=None) if h is day else h for h in heads]
-        hours = next(h for h in joined if h.clock is clock)
-    ms = next((h for h in joined if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
-    clock_head = next((h for h in joined if h.clock is not None and h.clock.has_time), None)
-    if ms is not None and clock_head is not None and clock_head.clock is not None:
-        milliseconds = ms.numbers.values
-        in_whole_seconds = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
-        if (
-            in_whole_seconds
-            and np.all((milliseconds >= 0.0) & (milliseconds < 1000.0))
-            and np.any(np.diff(clock_head.clock.seconds) == 0.0)
-        ):
-            clock = replace(
-                clock_head.clock,
-                seconds=clock_head.clock.seconds + milliseconds / 1e3,
-                layout=f"{clock_head.clock.layout}, ms in `{ms.name}`",
-            )
-            joined = [replace(h, clock=clock) if h is clock_head else h for h in joined]
-    return joined
+def _joined_dates(heads: list[_Head]) -> list[_Head]:
+    """Columns in which a date and a time of day of the same rows are one clock, with its milliseconds."""
+    return _with_milliseconds(_with_date(heads))
+
+
+def _with_date(heads: list[_Head]) -> list[_Head]:
+    clocks = [(h, h.clock) for h in heads if h.clock is not None]
+    day = next(((h, c) for h, c in clocks if c.day_s is not None and not c.has_time), None)
+    hours = next(((h, c) for h, c in clocks if c.day_s is None), None)
+    if day is None or hours is None:
+        return heads
+    layout = f"{day[1].layout} in `{day[0].name}`, {hours[1].layout}"
+    clock = Clock(day[1].seconds + hours[1].seconds, day[1].day_s, True, layout)
+    return [replace(h, clock=clock) if h is hours[0] else replace(h, clock=None) if h is day[0] else h for h in heads]
+
+
+def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
+    ms = next((h for h in heads if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
+    timed, clock = next(((h, h.clock) for h in heads if h.clock is not None and h.clock.has_time), (None, None))
+    if ms is None or clock is None:
+        return heads
+    part_s = ms.numbers.values / 1e3
+    in_whole_seconds = np.all(np.mod(clock.seconds, 1.0) == 0.0) and np.any(np.diff(clock.seconds) == 0.0)
+    if not in_whole_seconds or not np.all((part_s >= 0.0) & (part_s < 1.0)):
+        return heads
+    finer = replace(clock, seconds=clock.seconds + part_s, layout=f"{clock.layout}, ms in `{ms.name}`")
+    return [replace(h, clock=finer) if h is timed else h for h in heads]
 
 
 def _column(head: _Head) -> CsvColumn:
@@ -442,28 +468,37 @@ def _column(head: _Head) -> CsvColumn:
     unit = head.stated or head.numbers.unit
     if head.clock is not None:
         return CsvColumn(name, TIME, "s", head.clock.seconds, head.clock.layout)
-    count = int(np.count_nonzero(np.isfinite(values)))
-    full = sum(bool(c) for c in head.cells)
-    is_time = re.search(HEADS[0][1], name) is not None or re.search(HEADS[1][1], name) is not None
-    is_named = any(re.search(pattern, name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
-    if not is_time and (count == 0 or 2 * count < full) and not (is_named and head.numbers.torn >= 0):
-        return CsvColumn(name, UNUSED, "", values, "most cells hold no number" if full else "all cells are empty")
-    lost = len(values) - count
+    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
+    by_name = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
+    empty = _reason_of_few_numbers(head)
+    if empty:
+        return CsvColumn(name, UNUSED, "", values, empty)
+    lost = len(values) - int(np.count_nonzero(np.isfinite(values)))
     texts = sorted(head.numbers.texts)[:2]
     note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
-    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
-    kind = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
-    if by_unit is not None and not (by_unit == TIME and kind == TEMPERATURE):
+    if by_unit is not None and not (by_unit == TIME and by_name == TEMPERATURE):
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
-    if kind == UNUSED:
+    if by_name == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
-    if kind != TIME and re.search(NO_READING, name):
-        return CsvColumn(name, UNUSED, "", values, "accompanies readings, by its name" + note)
-    return CsvColumn(name, kind, "", values, f"name `{name}`" + note)
+    is_reading = by_name == TIME or not re.search(NO_READING, name)
+    reason = f"name `{name}`" if is_reading else "accompanies readings, by its name"
+    return CsvColumn(name, by_name if is_reading else UNUSED, "", values, reason + note)
+
+
+def _reason_of_few_numbers(head: _Head) -> str:
+    """Why a column is not read, where most of its cells hold no number; empty for others, and for a time."""
+    count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
+    full = sum(bool(c) for c in head.cells)
+    if (count and 2 * count >= full) or any(re.search(pattern, head.name) for _, pattern in HEADS[:2]):
+        return ""
+    is_named = any(re.search(pattern, head.name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
+    if is_named and head.numbers.torn >= 0:
+        return ""
+    return "most cells hold no number" if full else "all cells are empty"
 
 
 # Choices -------------------------------------------------------------------------------------------------------------
@@ -691,9 +726,9 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
     if len(bad):
         i = int(bad[0])
         cell = head.cells[i]
-        count = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
         problem = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
-        raise InputError(f"{block.at(i, head.name)}: {problem}; remove the row, or give --period{count}")
+        rule = f"{problem}; remove the row, or give --period{and_more_rows(bad.size)}"
+        raise InputError(f"{block.at(i, head.name)}: {rule}")
 
 
 def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
@@ -708,7 +743,6 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
         raise InputError(f"{display_path(measured.path)}: has {len(t)} row of readings; it needs two or more")
     back = np.flatnonzero(steps < 0.0) + 1
     if len(back):
-        count = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
         help_ = "sort the rows"
         if clock.reason.startswith(("clock", "dates")):
             if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
@@ -718,17 +752,16 @@ def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> Measure
         raise InputError(
             f"{measured.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
             f"{-steps[back[0] - 1]:g} s "
-            f"earlier; {help_}, or give --period{count}"
+            f"earlier; {help_}, or give --period{and_more_rows(back.size)}"
         )
     repeats = np.flatnonzero(steps == 0.0) + 1
     if not len(repeats):
         return measured
     if repeated is None:
-        count = f" (and {repeats.size - 1} more rows)" if repeats.size > 1 else ""
         raise InputError(
             f"{measured.line(int(repeats[0]))}, column {clock.name}: does not come after the row above, but has "
             "its time; state --repeated spread (even until the next time) or --repeated first (keep the first), or "
-            f"give --period{count}"
+            f"give --period{and_more_rows(repeats.size)}"
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
     note = f"{len(repeats)} rows have the time of the row above (--repeated {repeated})"

@@ -19,6 +19,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import (
     abbreviated,
+    and_more_rows,
     display_path,
     is_plain,
     nearest_name,
@@ -69,8 +70,7 @@ class CsvTable:
         bad = np.flatnonzero(~np.asarray(holds, dtype=bool))
         if bad.size == 0:
             return []
-        count = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-        return [self.problem(int(bad[0]), column, rule) + count]
+        return [self.problem(int(bad[0]), column, rule) + and_more_rows(bad.size)]
 
     def order_problems(self, column: str = "time_s") -> list[str]:
         """Problems of a column that must increase from row to row."""
@@ -185,7 +185,7 @@ def _large_table(
     if len(values) != rows or not is_complete:
         return None
     first = above.count("\n") + 2
-    header = dict(_header_entry(line) for line in above.splitlines() if ":" in line)
+    header = dict(header_entry(line) for line in above.splitlines() if ":" in line)
     return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
 
 
@@ -206,7 +206,7 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
         raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")
-    header = dict(_header_entry(line) for line in content[:first] if ":" in line)
+    header = dict(header_entry(line) for line in content[:first] if ":" in line)
     reader = csv.reader(content[first:])
     try:
         rows = [(row, first + reader.line_num) for row in reader]
@@ -222,15 +222,14 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
     return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
 
 
-def _header_entry(line: str) -> tuple[str, str]:
+def header_entry(line: str) -> tuple[str, str]:
+    """Key and value of a line `# key: value` above the names of a file."""
     key, _, value = line.lstrip("# ").partition(":")
     return key.strip(), value.strip()
 
 
 def _first_and_count(problems: list[str]) -> list[str]:
-    if len(problems) > 1:
-        return [f"{problems[0]} (and {len(problems) - 1} more rows)"]
-    return problems
+    return [problems[0] + and_more_rows(len(problems))] if problems else []
 
 
 def _units_problems(file: str, rows: list[list[str]], lines: list[int], readings: bool) -> list[str]:
@@ -288,8 +287,7 @@ def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list
     parsed = [_number(cell, may_be_empty) for cell in cells]
     bad = [(i, p) for i, p in enumerate(parsed) if isinstance(p, str)]
     if bad:
-        count = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
-        return np.empty(0), [(bad[0][0], bad[0][1] + count)]
+        return np.empty(0), [(bad[0][0], bad[0][1] + and_more_rows(len(bad)))]
     return np.array(parsed, dtype=np.float64), []
 
 

@@ -83,6 +83,11 @@ def raise_problems(problems: Sequence[str]) -> None:
         raise InputError(*problems)
 
 
+def and_more_rows(count: int) -> str:
+    """` (and 3 more rows)` of 4 rows of which a message names the first; empty for a single one."""
+    return f" (and {count - 1} more rows)" if count > 1 else ""
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """The text of a file; where a killed process was replacing it, that is finished or undone first.
 

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, read_text
+from sim_heating.base.files.csv_table import header_entry
+from sim_heating.base.files.text import and_more_rows, repeated_name
 from sim_heating.base.files.units import NO_DIMENSION, known_unit
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
 
@@ -207,42 +209,62 @@ def _rows(path: Path, text: str) -> Rows:
     """
     if text.lstrip()[:1] in ("{", "["):
         return _json_rows(path, text)
-    content = list(enumerate(text.splitlines(), 1))
-    lines = [(i, line) for i, line in content if line.strip() and not RULE.match(line)]
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not RULE.match(line)]
     comments = [(i, line) for i, line in lines if line.lstrip().startswith("#")]
-    rest = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
-    sign = _separator([line for _, line in rest[:200]])
-    split = [(i, _split(line, sign)) for i, line in rest]
+    plain = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
+    sign = _separator([line for _, line in plain[:200]])
+    split = [(i, _split(line, sign)) for i, line in plain]
     first = next((k for k, (_, c) in enumerate(split) if _is_data(c)), None)
     file = display_path(path)
     if first is None:
         raise InputError(f"{file}: no rows of numbers were found; give a file with a time and flight conditions")
-    width = len(split[first][1])
-    above = [c for _, c in split[:first] if len(c) == width]
+    ahead = [line for i, line in comments if i < split[first][0]]
+    names, units = _names_and_units(file, [c for _, c in split[:first]], ahead, sign, len(split[first][1]))
+    body = _even_rows(file, split[first:], sign)
+    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*_with_points(body, sign), strict=True), strict=True))
+    header = dict(header_entry(line) for line in ahead if ":" in line)
+    return names, units, columns, [i for i, _ in body], header
+
+
+def _names_and_units(
+    file: str, rows: Sequence[list[str]], comments: Sequence[str], sign: str, width: int
+) -> tuple[list[str], dict[str, str]]:
+    """Names of the columns, and unit by name, from the rows and comments above the numbers.
+
+    raises : InputError where there are no names, or a name is repeated
+    """
+    above = [cells for cells in rows if len(cells) == width]
     if not above:  # the names stand in the last comment that has as many cells
-        named = [_split(line.lstrip().lstrip("#"), sign) for i, line in comments if i < split[first][0]]
-        above = [c for c in named if len(c) == width]
-        above = above[-1:]
+        named = [_split(line.lstrip().lstrip("#"), sign) for line in comments]
+        above = [cells for cells in named if len(cells) == width][-1:]
     if not above:
         raise InputError(f"{file}: the row of column names is missing; add one, with units, as `Altitude (ft)`")
     names, units = above[-1], {}
     if len(above) > 1 and all(_is_unit(c) for c in above[-1]):
         names = above[-2]
         units = {n: u.strip("[]() ") for n, u in zip(names, above[-1], strict=True)}
-    header = dict(_header_entry(line) for i, line in comments if ":" in line and i < split[first][0])
-    if (twice := next((n for n in names if names.count(n) > 1), None)) is not None:
+    if (twice := repeated_name(names)) is not None:
         raise InputError(f"{file}: column `{twice}` is repeated; remove one")
-    body = split[first:]
+    return names, units
+
+
+def _even_rows(file: str, body: list[tuple[int, list[str]]], sign: str) -> list[tuple[int, list[str]]]:
+    """The rows that have as many cells as the first; between blanks others are left out.
+
+    raises : InputError, naming the first row with another number of cells
+    """
+    width = len(body[0][1])
     ragged = [i for i, c in body if len(c) != width]
     if ragged and sign != " ":
-        count = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
-        rule = f"does not have {width} cells as the other rows; mend or remove it{count}"
+        rule = f"does not have {width} cells as the other rows; mend or remove it{and_more_rows(len(ragged))}"
         raise InputError(f"{file}, row {ragged[0]}: {rule}")
-    complete = [(i, c) for i, c in body if len(c) == width]
-    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in complete[0][1])
-    cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in complete]
-    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*cells, strict=True), strict=True))
-    return names, units, columns, [i for i, _ in complete], header
+    return [(i, c) for i, c in body if len(c) == width]
+
+
+def _with_points(body: Sequence[tuple[int, list[str]]], sign: str) -> list[list[str]]:
+    """Cells of rows, a decimal comma replaced by a point."""
+    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in body[0][1])
+    return [[x.replace(",", ".") for x in c] if comma else c for _, c in body]
 
 
 def _json_rows(path: Path, text: str) -> Rows:
@@ -284,8 +306,3 @@ def _is_data(cells: Sequence[str]) -> bool:
 def _is_unit(cell: str) -> bool:
     unit = cell.strip("[]() ")
     return unit in NO_DIMENSION or unit == "%" or known_unit(unit) is not None
-
-
-def _header_entry(line: str) -> tuple[str, str]:
-    key, _, value = line.lstrip("# ").partition(":")
-    return key.strip(), value.strip()

@@ -17,6 +17,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
+from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
@@ -170,7 +171,7 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
 
 
 def implied_pressure(flown: Conditions) -> PressureModel | None:
-    """Model of the surface pressure that the columns of a flight imply: the median part of the rise at a stagnation
+    """Model of the surface pressure that the columns of a flight imply: the median part [-] of the rise at a stagnation
     point; None where there is no such column, or nothing flies. Source: docs/theory/equations.md, equation 31."""
     if not {"p_surface_Pa", "p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(flown.names):
         return None
@@ -285,7 +286,6 @@ def _empty_cells(flight: FlightFields, columns: Mapping[str, FloatArray]) -> lis
     for name, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size and name in flight.fields:
-            count = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
             cell = f"{display_path(flight.path)}, row {flight.lines[bad[0]]}, column {flight.fields[name].name}"
-            problems.append(f"{cell}: the cell holds no number; give one, or remove the row{count}")
+            problems.append(f"{cell}: the cell holds no number; give one, or remove the row{and_more_rows(bad.size)}")
     return problems
