@@ -97,7 +97,7 @@ class EdgeFlow:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of the conditions that it adds."""
+        """Columns of the conditions that it adds: a ratio [-], log10 of a Reynolds number [1/m], an enthalpy [J/kg]."""
         requested = (self.turbulent is not None, self.re_theta, self.atoms != "none")
         return tuple(name for name, is_requested in zip(FLOW_COLUMNS, requested, strict=True) if is_requested)
 

@@ -150,7 +150,8 @@ class Ensemble:
         self.memory.set_temperatures(model, temperature)
 
     def snapshot(self) -> FloatArray:
-        """Copy of everything that changes (temperatures, conditions, counters), as one array; `restore` accepts it."""
+        """Copy of everything that changes (temperatures [K], conditions, counters), as one array; `restore` accepts
+        it."""
         return self.state.copy()
 
     def restore(self, snapshot: FloatArray) -> None:

@@ -101,7 +101,7 @@ class LaneMemory:
         set_temperatures(B, offsets.lane, offsets.end, J[block.N_NODES], temperature_K)
 
     def scalars(self, row: int) -> FloatArray:
-        """(point,) numbers of one row of the block ahead of its nodes, each in the unit of the row.
+        """(point,) numbers of one row of the block ahead of its nodes, each in the unit of the row ([K], [J/m2] ...).
 
         row : of base/kernels/block.py
         """

@@ -154,7 +154,7 @@ class PointWriter:
         """Write parameter values of points of one wall into their own lanes of a state of this ensemble, or of a copy.
 
         state : (number,) as `state`, changed;  lanes : as of `lanes_of`
-        stack, heating : (point, parameter), (point, N_PARAMETERS), each row as for `set_values`
+        stack, heating : (point, parameter), (point, N_PARAMETERS), each row as for `set_values` ([-], [K] ...)
 
         Lanes that fill a group keep theirs, so that a march may go on: heat contents of the lanes themselves are to be
         evaluated again before the next step, and nobody would do so for those. Source:

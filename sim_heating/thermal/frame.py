@@ -348,7 +348,8 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float
 
 @njit
 def shift_conditions(B: FloatArray) -> None:
-    """Shift the conditions at the end of the last frame to the start of the next: stage 2 becomes stage 0."""
+    """Shift the conditions ([deg], [Pa], [J/kg] ...) at the end of the last frame to the start of the next: stage 2
+    becomes stage 0."""
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):

@@ -206,12 +206,13 @@ class Material(Declared):
         return table
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """Properties that no material has, and those that only a gas has."""
+        """Properties ([kg/m3], [J/(kg K)], [W/(m K)], [-]) that no material has, and those that only a gas has."""
         problems = [*self._density_problems(), *self._heat_problems()]
         return super().implausible() or problems or self._conductivity_problems()
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """Properties that few materials have, and nodes of a table that stand out of their neighbours."""
+        """Properties ([kg/m3], [J/(kg K)], [W/(m K)], [-]) that few materials have, and nodes of a table that stand
+        out of their neighbours."""
         remarks = super().unusual()
         if self.kind == "gas":
             return [(location, text) for location, text in remarks if location[0] == "emissivity"]
@@ -337,7 +338,7 @@ class Material(Declared):
 def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
     """The node of a table of a positive property that is most off its neighbours, with what is unusual about it.
 
-    values : at increasing temperatures
+    values : at increasing temperatures [K]
     returns : [] or one (index, text); an inner node is over or under both neighbours by STANDS_OUT, an end one by its
               square
     """
@@ -355,7 +356,8 @@ def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
 
 
 def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
-    """The two columns of [[x, value], ...] as contiguous float64 arrays, each in the unit of its table."""
+    """The two columns of [[x, value], ...] as contiguous float64 arrays, each in the unit of its table ([K], [J/(kg
+    K)] ...)."""
     both = np.array(table, dtype=np.float64)
     return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1])
 
@@ -542,7 +544,8 @@ class Sensor(Declared):
     sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """A depth or a noise above 0 that is smaller than any sensor's, and a span of a recorder in another unit."""
+        """A depth [m] or a noise [K] above 0 that is smaller than any sensor's, and a span of a recorder in another
+        unit."""
         problems = super().implausible()
         if 0.0 < self.depth_m < LEAST_DEPTH_M:
             rule = f"is above 0 and less than {LEAST_DEPTH_M:g} m, thinner than any junction; give m, 0 at the surface"
@@ -632,7 +635,7 @@ class Construction(Declared):
         return self
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """Layers of a thickness that few of their material have, and a wall that few vehicles have."""
+        """Layers of a thickness [m] that few of their material have, and a wall that few vehicles have."""
         remarks = super().unusual()
         for i, (layer, material) in enumerate(zip(self.stack.layer, self.layer_materials(), strict=True)):
             kind, low, high = _usual_thickness(material)
@@ -742,7 +745,7 @@ THIN_M, FACE = 1e-3, 0.1
 
 
 def sensor_remarks(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
-    """Sensors between the faces of a layer that is too thin for them.
+    """Sensors between the faces of a layer that is too thin [m] for them.
 
     returns : ((index of the sensor, key), text) of each
     """

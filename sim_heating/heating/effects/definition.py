@@ -54,7 +54,8 @@ def model_parameter(name: str, stands_for: str, text: str = "", **changes: float
     name       : name within the effect
     stands_for : dotted name of the model's parameter, such as `stack.gap.fraction` or `clock.skew`
     text       : what it is, in a line; that of the model's parameter by default
-    changes    : `value`, `sigma`, `lower` or `upper` where the effect needs another than the model
+    changes    : `value`, `sigma`, `lower` or `upper` in its unit ([-], [m] ...), where the effect needs another than
+                 the model
     raises     : InputError with the nearest known name where the model has no such parameter
     """
     parameters = {**MODEL, **RECORD_PARAMETERS}
@@ -307,7 +308,8 @@ def effect_within(always: Effect, window: Window) -> Effect:
 
         f_w = n + w (f - n),    w = min(1, max(0, min(v - low, high - v) / ramp))
 
-    always : an effect with a kernel and without memory;  window : range of a flight condition v
+    always : an effect with a kernel and without memory;  window : range of a flight condition v, in its unit ([-],
+             [K], [s] ...)
     raises : InputError where the effect takes no window
 
     n is the value of no effect, 0 of what adds to the ratio and 1 of a factor. docs/reference/effects.md, equation 30.

@@ -192,7 +192,7 @@ def use(name: str, values: Mapping[str, float] | None = None, window: Window | N
     """An effect with some of its parameters set and the rest nominal.
 
     name    : of the effect
-    values  : parameter values by name, each in the parameter's unit
+    values  : parameter values by name, each in the parameter's unit ([-], [K], [s] ...)
     window  : range of a flight condition within which it acts; None: always
     returns : the effect and all its values, in the order in which its kernel reads them
     raises  : InputError naming a parameter that the effect does not have, or a value outside its bounds

@@ -142,7 +142,7 @@ def names_in(expression: Expression) -> Iterator[str]:
 
 
 def evaluate(expression: Expression, values: Mapping[str, ArrayLike]) -> Any:
-    """Value of an expression; nan where no piece holds.
+    """Value of an expression, in its unit, or [-]; nan where no piece holds.
 
     values : of the variables, by identifier; arrays of shapes that go together
     """

@@ -68,7 +68,8 @@ def _units(name: str) -> str:
 
 
 def dave_ml_of(table: RatioTable) -> DaveModel:
-    """A ratio table as a model: five inputs, the ratio and its sigma; check data at nodes and between them.
+    """A ratio table as a model: five inputs ([deg], [-]), the ratio and its sigma [-]; check data at nodes and
+    between them.
 
     Header entries of the table become lines `key: value` of the description.
     """
@@ -236,7 +237,7 @@ def table_format(path: str | os.PathLike[str]) -> TableFormat:
 
 
 def read_table(path: str | os.PathLike[str]) -> RatioTable:
-    """A ratio table from a file of any format.
+    """A ratio table [-] over angles [deg] and log10 Re [-] from a file of any format.
 
     raises : InputError with file and place
     """
@@ -244,5 +245,5 @@ def read_table(path: str | os.PathLike[str]) -> RatioTable:
 
 
 def write_table(path: str | os.PathLike[str], table: RatioTable) -> None:
-    """Write a ratio table in the format of the suffix, atomically."""
+    """Write a ratio table [-] over angles [deg] and log10 Re [-] in the format of the suffix, atomically."""
     table_format(path).write(Path(path), table)

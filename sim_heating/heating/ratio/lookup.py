@@ -206,7 +206,7 @@ def invalidate_cells(B: FloatArray) -> None:
 
 @njit
 def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
-    """Find and cache the cell of one axis that contains a lane's variable.
+    """Find and cache the cell of one axis that contains a lane's variable, [deg] or [-].
 
     B, lane  : block of the lane group and number of the lane; its variable is in row CELL_X + a, in the axis's unit
     table    : flat array; the n nodes of axis number a begin at `first`

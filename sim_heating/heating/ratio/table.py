@@ -113,7 +113,8 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
 
 
 def table_of_text(path: Path, text: str) -> RatioTable:
-    """The table in the text of a CSV file, made from a file of another format; checks and errors as `read_ratio_table`.
+    """The table, ratios [-] over angles [deg] and log10 Re [-], in the text of a CSV file, made from a file of
+    another format; checks and errors as `read_ratio_table`.
 
     path : of that file, for messages
     """
@@ -127,7 +128,7 @@ LEAST_LAST_LOG_RE, RATIOS = 4.0, (1e-3, 5.0)
 
 
 def log_re_remark(nodes: Sequence[float]) -> str | None:
-    """What is unusual about several nodes of log10 Re that end below those of any entry; None where they do not."""
+    """What is unusual about several nodes of log10 Re [-] that end below those of any entry; None where they do not."""
     if len(nodes) < 2 or nodes[-1] >= LEAST_LAST_LOG_RE:
         return None
     return f"ends at {nodes[-1]:g}, and entries reach 6 and more; is it the base-10 logarithm?"
@@ -226,7 +227,8 @@ def _column_problems(table: CsvTable) -> list[str]:
 
 
 def range_problems(table: CsvTable, name: str, measured: Quantity) -> list[str]:
-    """Problems of a column of nodes: a value outside the range of its quantity, or nodes too close together."""
+    """Problems of a column of nodes, [deg] or [-]: a value outside the range of its quantity, or nodes too close
+    together."""
     x = table[name]
     inside = (x >= measured.lowest) & (x <= measured.highest)
     if not np.all(inside):

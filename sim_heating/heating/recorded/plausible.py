@@ -110,7 +110,8 @@ def implausible_values(table: CsvTable) -> list[str]:
 
 
 def with_density(table: CsvTable) -> CsvTable:
-    """Conditions with the density from dynamic pressure and speed, where a file has `q_Pa` in place of `rho_kg_m3`.
+    """Conditions with the density [kg/m3] from dynamic pressure [Pa] and speed [m/s], where a file has `q_Pa` in
+    place of `rho_kg_m3`.
 
         rho = 2 q / V^2
 
@@ -177,7 +178,7 @@ def _has(table: CsvTable, *names: str) -> bool:
 
 
 def gas_problems(table: CsvTable) -> list[str]:
-    """Pressure, density and temperature that are those of no gas."""
+    """Pressure [Pa], density [kg/m3] and temperature [K] that are those of no gas."""
     if not _has(table, "p_inf_Pa", "rho_kg_m3", "T_inf_K"):
         return []
     outside = _mostly_outside(table, "p_inf_Pa", *_gas_ratio(table), GAS_RANGE)
@@ -198,7 +199,7 @@ def _gas_ratio(table: CsvTable) -> tuple[FloatArray, BoolArray]:
 
 
 def mach_problems(table: CsvTable) -> list[str]:
-    """Mach numbers that are not the speed over the speed of sound: V / 1000 ft/s, or another unit of either."""
+    """Mach numbers [-] that are not the speed over the speed of sound: V / 1000 ft/s, or another unit of either."""
     if not _has(table, "mach"):
         return []
     V, mach, rho = table["velocity_m_s"], table["mach"], table["rho_kg_m3"]
@@ -226,7 +227,7 @@ def mach_problems(table: CsvTable) -> list[str]:
 
 
 def reynolds_problems(table: CsvTable) -> list[str]:
-    """Reynolds numbers that imply no length: natural logarithms, or another column."""
+    """Reynolds numbers [-] that imply no length: natural logarithms, or another column."""
     if not _has(table, "log10_re", "T_inf_K"):
         return []
     unit, used = _unit_reynolds(table)
@@ -259,7 +260,7 @@ def implied_length_m(columns: Mapping[str, FloatArray]) -> float | None:
 
 
 def profile_problems(table: CsvTable) -> list[str]:
-    """A density that does not fall with altitude, or is far from any standard atmosphere of the Earth."""
+    """A density [kg/m3] that does not fall with altitude [m], or is far from any standard atmosphere of the Earth."""
     z, rho = table["altitude_m"], table["rho_kg_m3"]
     lowest, highest = int(np.argmin(z)), int(np.argmax(z))
     span = z[highest] - z[lowest]
@@ -285,7 +286,8 @@ def profile_problems(table: CsvTable) -> list[str]:
 
 
 def feet_problems(table: CsvTable) -> list[str]:
-    """Altitudes in ft: pressure and density are those of the standard atmosphere at 0.3048 of the altitude."""
+    """Altitudes in ft: pressure [Pa] and density [kg/m3] are those of the standard atmosphere at 0.3048 of the
+    altitude."""
     z, names = table["altitude_m"], [n for n in ("p_inf_Pa", "rho_kg_m3") if n in table.columns]
     used = (z >= FEET_FROM_M) & (z <= HIGHEST_M) & (FOOT_M * z <= STANDARD_BELOW_M)
     used &= np.all([table[n] > 0.0 for n in names], axis=0)
@@ -371,7 +373,7 @@ def _ballistic_kg_m2(table: CsvTable, least_lost: float) -> float | None:
 
 
 def lift_problems(table: CsvTable) -> list[str]:
-    """A path high up that falls less than its speed and the thin air around it let it: the speed is too low.
+    """A path high up that falls less than its speed and the thin air around it let it: the speed [m/s] is too low.
 
     As of a speed that was multiplied by pi/180: 130 m/s at 80 km, where the air carries 0.02 m/s2.
     """
@@ -415,7 +417,8 @@ def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
 
 
 def enthalpy_problems(table: CsvTable) -> list[str]:
-    """A recovery enthalpy, a film coefficient or a dynamic pressure that the flight cannot have."""
+    """A recovery enthalpy [J/kg], a film coefficient [kg/(m2 s)] or a dynamic pressure [Pa] that the flight cannot
+    have."""
     problems: list[str] = []
     for column, _, ratio, used, limits, text in _flight_ratios(table):
         outside = None if limits is None else _mostly_outside(table, column, ratio, used, limits)
@@ -476,7 +479,7 @@ def implied_radius_m(table: CsvTable) -> float | None:
 
 
 def swapped_problems(table: CsvTable) -> list[str]:
-    """Angles of attack and of sideslip in each other's place."""
+    """Angles of attack and of sideslip [deg] in each other's place."""
     if not _has(table, "alpha_deg", "beta_deg"):
         return []
     alpha, beta = np.median(np.abs(table["alpha_deg"])), np.median(np.abs(table["beta_deg"]))
@@ -579,7 +582,7 @@ def _radians(table: CsvTable, name: str) -> list[str]:
 def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor: bool = False) -> BoolArray:
     """Samples that are off the line through those before and after them, beyond what the column changes and scatters.
 
-    time_s, values : (sample,) s, and any unit
+    time_s, values : (sample,) [s], and any unit
     step           : least difference that stands out, or factor
     is_factor      : the values are positive, and differ by factors
 

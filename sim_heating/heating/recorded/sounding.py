@@ -77,7 +77,7 @@ class Sounding:
 
 
 def read_sounding(path: Path) -> Sounding:
-    """Read a sounding: an altitude, and two of temperature, pressure and density, with their units.
+    """Read a sounding: an altitude, and two of temperature [K], pressure [Pa] and density [kg/m3], with their units.
 
     Read are CSV files with units in the names or in a row below them, and lists of fixed columns as of the University
     of Wyoming; PRES, HGHT (geopotential height) and TEMP are their names.

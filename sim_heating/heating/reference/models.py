@@ -384,7 +384,7 @@ def reference_heating(
 
 
 def beyond_range(name: str, conditions: Conditions) -> str | None:
-    """One line on the part of a flight that is faster than a reference heating holds; None where there is none.
+    """One line on the part of a flight that is faster [m/s] than a reference heating holds; None where there is none.
 
     name       : a key of REFERENCE_MODELS
     conditions : of the flight, with velocity_m_s
