@@ -190,7 +190,7 @@ def _heated_start(ensemble: Ensemble, history: FloatArray) -> FloatArray:
 def _check_heated(ensemble: Ensemble, peer: Peer, start: FloatArray, time_s: FloatArray, heating: FloatArray) -> None:
     """Both programs still agree where the heating is given."""
     for r, row in enumerate(HEATED):
-        heating[0, 1, r] = ensemble.block(0)[(row + 2) * LANES : (row + 3) * LANES]
+        heating[0, 1, r] = ensemble.memory.block(0)[(row + 2) * LANES : (row + 3) * LANES]
     ensemble.restore(start)
     _all_heated(ensemble, time_s, heating)
     peer.reset()

@@ -32,7 +32,7 @@ def python(code: str) -> str:
 
 def import_everything() -> None:
     for module in pkgutil.walk_packages(sh.__path__, "sim_heating."):
-        if module.name not in ("sim_heating.__main__", "sim_heating.plugin", "sim_heating.vehicle"):
+        if module.name != "sim_heating.__main__":
             importlib.import_module(module.name)
 
 
@@ -71,13 +71,6 @@ def test_no_module_hides_a_public_name():
     import_everything()
     assert {name: getattr(sh, name) for name in sh.__all__} == before
 
-
-@pytest.mark.parametrize(("module", "name"), [("plugin", "HeatingPlugin"), ("vehicle", "load_vehicle")])
-def test_an_earlier_import_works_and_names_the_one_to_use(module: str, name: str):
-    sys.modules.pop(f"sim_heating.{module}", None)
-    with pytest.warns(DeprecationWarning, match=f"from sim_heating import {name}"):
-        earlier = importlib.import_module(f"sim_heating.{module}")
-    assert getattr(earlier, name) is getattr(sh, name)
 
 
 def shown_to_users():

@@ -156,7 +156,7 @@ class Peer:
         self._table = np.concatenate([self._log10_p, surface, pack_table(model.ratio)])
 
     def _pack(self, ensemble: Ensemble, g: int, index: NDArray[np.int64]) -> _Packed:
-        B = ensemble.block(g)
+        B = ensemble.memory.block(g)
         mesh = ensemble.meshes[ensemble.lanes[g * LANES]]
         rows = np.array([[B[node_row(i, r)] for r in (T, M_LEFT, M_RIGHT, G)] for i in range(mesh.nodes)])
         right = index[np.append(mesh.layer, mesh.layer[-1])]

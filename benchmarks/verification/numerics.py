@@ -59,7 +59,7 @@ def energy() -> list[Row]:
     ensemble.march(t, flight(t, q_add_W_m2=8e4 * np.sin(np.pi * t / 600.0)))
     rise = ensemble.node_temperatures(0) - before
     gained = 1500.0 * 900.0 * float(np.sum(0.5 * ensemble.meshes[0].length_m * (rise[1:] + rise[:-1])))
-    entered = float(ensemble.absorbed_J_m2[0] - ensemble.emitted_J_m2[0])
+    entered = float(ensemble.counters.absorbed_J_m2[0] - ensemble.counters.emitted_J_m2[0])
     source, is_ = "rho c times the rise, by nodes", "rounding and Newton's last update over 300 steps"
     return [within(1e-10, "heat that entered a wall, emission and back included", gained, entered, "J/m2", source, is_)]
 

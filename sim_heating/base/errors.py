@@ -28,7 +28,7 @@ def printable(text: str) -> str:
     A terminal would obey some of them, a browser drops some, and overrides of the direction of writing make a name read
     as another.
     """
-    return _NOT_PLAIN.sub(lambda found: repr(found[0])[1:-1] if _is_control(found[0]) else found[0], text)
+    return _NOT_PLAIN.sub(lambda match: repr(match[0])[1:-1] if _is_control(match[0]) else match[0], text)
 
 
 def _is_control(c: str) -> bool:
@@ -65,12 +65,12 @@ class InputError(ValueError):
 
 
 @contextmanager
-def error_context(place: str) -> Iterator[None]:
+def error_context(location: str) -> Iterator[None]:
     """Prefix every problem that the block raises with its place: a file, table or option."""
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{place}: {problem}" for problem in error.problems)) from None
+        raise InputError(*(f"{location}: {problem}" for problem in error.problems)) from None
 
 
 class RunError(RuntimeError):

@@ -373,8 +373,8 @@ def quantity(name: str) -> Quantity | None:
 
 def usual_remark(name: str, value: float) -> str | None:
     """What is unusual about a value of a quantity or column, in the words of a message; None where nothing is."""
-    known = USUAL.get(name)
-    return None if known is None else known.remark(value)
+    usual = USUAL.get(name)
+    return None if usual is None else usual.remark(value)
 
 
 def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:
@@ -389,7 +389,7 @@ def numbers_in(value: object) -> Iterator[tuple[tuple[int, ...], float]]:
             yield (), math.inf if value > 0 else -math.inf
     elif isinstance(value, (list, tuple)):
         for i, item in zip(count(), value, strict=False):
-            yield from (((i, *place), number) for place, number in numbers_in(item))
+            yield from (((i, *below), number) for below, number in numbers_in(item))
 
 
 def low_and_fast(altitude_m: float, velocity_m_s: float) -> bool:

@@ -152,10 +152,10 @@ MODEL = {p.name: p for p in (*RATIO, *STACK)}
 
 def layer_parameter(name: str) -> tuple[str, Parameter] | None:
     """Name of the layer and the parameter in `stack.NAME.PARAMETER`; None where it is no name of that form."""
-    stem, _, own = name.rpartition(".")
-    found = next((p for p in LAYER if p.name == own), None)
+    stem, _, suffix = name.rpartition(".")
+    parameter = next((p for p in LAYER if p.name == suffix), None)
     layer = stem.removeprefix(STACK_PREFIX)
-    return None if found is None or layer == stem or not layer else (layer, found)
+    return None if parameter is None or layer == stem or not layer else (layer, parameter)
 
 
 AT = "@"

@@ -127,7 +127,7 @@ def add(record: Path, force: bool, root: Path | None) -> None:
 
     loaded = load_record(record, root=root)
     with progress_line(f"predicting {loaded.name}"):
-        case = replace(case_of_record(loaded, predict(loaded).residual_K), own=True)
+        case = replace(case_of_record(loaded, predict(loaded).residual_K), of_user=True)
     path = write_case(case, f"sim-heating {package_version()}", replace=force)
     _print_cases([case])
     CONSOLE.print(f"Wrote {path}", soft_wrap=True)
@@ -203,4 +203,4 @@ def _print_cases(cases: Any) -> None:
 def _case_results(case: ValidationCase) -> dict[str, Any]:
     from sim_heating.credibility.evidence import case_as_json
 
-    return {**case_as_json(case), "own": case.own}
+    return {**case_as_json(case), "own": case.of_user}

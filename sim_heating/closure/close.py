@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError, RunError, or_left_out
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parallel.processes import in_processes
@@ -130,7 +129,6 @@ class ClosedLoop:
         return self.fitted.plot()
 
 
-@renamed_argument("names", "parameters")
 def close_loop(
     record: Record | str | os.PathLike[str],
     parameters: Sequence[str] | None = None,

@@ -89,7 +89,7 @@ def shipped_evidence() -> Evidence:
 def case_as_json(case: ValidationCase) -> dict[str, Any]:
     """A data set as plain data, numbers to the digits that mean something."""
     data = asdict(case)
-    del data["own"]
+    del data["of_user"]
     for name in ("rmse_K", "max_abs_K", "rise_K"):
         data[name] = _rounded(data[name])
     data["bands"] = [
@@ -100,13 +100,13 @@ def case_as_json(case: ValidationCase) -> dict[str, Any]:
     return data
 
 
-def case_from_json(data: Mapping[str, Any], *, own: bool = False) -> ValidationCase:
+def case_from_json(data: Mapping[str, Any], *, of_user: bool = False) -> ValidationCase:
     """A data set from plain data."""
     bands = tuple(
         Band({n: (float(ends[0]), float(ends[1])) for n, ends in b["limits"].items()}, b["rmse_K"], b["n"])
         for b in data["bands"]
     )
-    return ValidationCase(**{k: v for k, v in data.items() if k != "bands"}, bands=bands, own=own)
+    return ValidationCase(**{k: v for k, v in data.items() if k != "bands"}, bands=bands, of_user=of_user)
 
 
 def _outward(low: float, high: float) -> list[float]:

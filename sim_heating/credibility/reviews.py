@@ -58,9 +58,9 @@ class Review(Declared):
     @field_validator("factor")
     @classmethod
     def _check(cls, name: str) -> str:
-        known = [f.name for f in rules().factors]
-        if name not in known:
-            raise ValueError(f"`{name}` is no factor{suggestion(name, known)}")
+        factors = [f.name for f in rules().factors]
+        if name not in factors:
+            raise ValueError(f"`{name}` is no factor{suggestion(name, factors)}")
         return name
 
 
@@ -107,12 +107,12 @@ def evidence_of(reviews: Sequence[Reviewed]) -> frozenset[str]:
     return frozenset(f"{REVIEW}{r.factor}.{n}" for r in counting for n in range(1, r.level + 1))
 
 
-def digest_of(what: Vehicle | Record) -> str:
+def digest_of(reviewed: Vehicle | Record) -> str:
     """Digest of the files of a vehicle or a record, reviews aside."""
-    if isinstance(what, Record):
-        return record_digest(what)
+    if isinstance(reviewed, Record):
+        return record_digest(reviewed)
     digest = hashlib.sha256()
-    add_vehicle_files(digest, what.directory)
+    add_vehicle_files(digest, reviewed.directory)
     return f"sha256:{digest.hexdigest()}"
 
 

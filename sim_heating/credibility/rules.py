@@ -88,8 +88,8 @@ def rules() -> Rules:
 def _factor(data: dict[str, object]) -> Factor:
     levels = data.pop("level")
     assert isinstance(levels, list)
-    found = tuple(Level(i, level["rule"], tuple(level["needs"])) for i, level in enumerate(levels, start=1))
-    return Factor(**data, levels=found)  # type: ignore[arg-type]
+    numbered = tuple(Level(i, level["rule"], tuple(level["needs"])) for i, level in enumerate(levels, start=1))
+    return Factor(**data, levels=numbered)  # type: ignore[arg-type]
 
 
 def factor(name: str) -> Factor:

@@ -88,7 +88,7 @@ def cases_table(cases: Sequence[ValidationCase]) -> Table:
     rows = [
         [c.name, c.kind, c.rmse_K, c.max_abs_K, c.rise_K,
 *(_range(c, n, form) for n, form in RANGES),
-         "user" if c.own else "project"]
+         "user" if c.of_user else "project"]
         for c in cases
     ]  # fmt: skip
     return Table("Measured data sets, predicted with nothing fitted", columns, rows)

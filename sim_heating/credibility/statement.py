@@ -137,10 +137,10 @@ class Statement:
             "region": {
                 "inside": self.region.inside,
                 "outside": {
-                    n: {"below": low, "above": high, "share_of_time": share}
-                    for n, (low, high, share) in self.region.outside.items()
+                    n: {"below": low, "above": high, "share_of_time": time_share}
+                    for n, (low, high, time_share) in self.region.outside.items()
                 },
-                "data_sets": dict(self.region.within),
+                "data_sets": dict(self.region.share_by_case),
             },
             "confidence_C": [{"input": i.name, "source": i.source} for i in self.judged],
             "uncertainty": None if u is None else {
@@ -162,8 +162,8 @@ def summary_line(assessments: Sequence[Assessment], region: str) -> str:
     levels = [f"{a.factor.title.lower()} {a.level}" for a in assessments if a.level is not None]
     people = [a.factor.title.lower() for a in assessments if a.level is None]
     absent = f"; not assessed: {', '.join(people)}" if people else ""
-    place = f"{region[0].upper()}{region[1:]}"
-    return f"Credibility (self-assessment, levels 0 to 4): {', '.join(levels)}{absent}. {place}."
+    sentence = f"{region[0].upper()}{region[1:]}"
+    return f"Credibility (self-assessment, levels 0 to 4): {', '.join(levels)}{absent}. {sentence}."
 
 
 def _factors_json(assessments: Sequence[Assessment]) -> dict[str, Any]:
@@ -179,13 +179,13 @@ def with_reviews(block: Mapping[str, Any], reviews: Sequence[Reviewed]) -> dict[
     there = frozenset(n for n, e in block["evidence"].items() if e["met"]) | evidence_of(reviews)
     there |= {f"{REVIEW}{r['factor']}.{n}" for r in before for n in range(1, r["level"] + 1)}
     assessments = assessments_of(there, {n: e["finding"] for n, e in block["evidence"].items()})
-    more = [{**r.review.model_dump(mode="json"), "counts": r.counts} for r in reviews]
-    place = block["summary"].rpartition(". ")[2].rstrip(".")
+    added = [{**r.review.model_dump(mode="json"), "counts": r.counts} for r in reviews]
+    sentence = block["summary"].rpartition(". ")[2].rstrip(".")
     return {
         **block,
-        "summary": summary_line(assessments, place),
+        "summary": summary_line(assessments, sentence),
         "factors": _factors_json(assessments),
-        "reviews": [*block["reviews"], *more],
+        "reviews": [*block["reviews"], *added],
     }
 
 
@@ -216,10 +216,10 @@ def assess(
             problems, reviews = [*problems, *error.problems], ()
     signed = tuple(reviews)
     region = extrapolation(facts.samples, cases)
-    found = findings(facts, evidence, cases, region)
-    there = frozenset(n for n, answer in found.items() if answer.holds) | evidence_of(signed)
-    assessments = assessments_of(there, {n: f.text for n, f in found.items()})
-    return Statement(facts, assessments, found, region, signed, evidence, tuple(problems))
+    answers = findings(facts, evidence, cases, region)
+    there = frozenset(n for n, answer in answers.items() if answer.holds) | evidence_of(signed)
+    assessments = assessments_of(there, {n: f.text for n, f in answers.items()})
+    return Statement(facts, assessments, answers, region, signed, evidence, tuple(problems))
 
 
 def assessments_of(there: frozenset[str], texts: Mapping[str, str]) -> tuple[Assessment, ...]:
@@ -227,17 +227,17 @@ def assessments_of(there: frozenset[str], texts: Mapping[str, str]) -> tuple[Ass
 
     there : names of the evidence that is there;  texts : figures of evidence, by name
     """
-    found = []
+    assessments = []
     for factor in rules().factors:
         level, missing = factor.level(there), factor.missing(there)
         if factor.by_people and level == 0:
-            found.append(Assessment(factor, None, "needs people; no signed review that counts", missing))
+            assessments.append(Assessment(factor, None, "needs people; no signed review that counts", missing))
             continue
         lacking = "; ".join(texts[n] for n in missing if n in texts)
         reviewed = any(n.startswith("review.") for n in missing)
-        more = f" Next level: {lacking}." if lacking else " Next level: a signed review." if reviewed else ""
-        found.append(Assessment(factor, level, factor.rule(level) + more, missing))
-    return tuple(found)
+        next_level = f" Next level: {lacking}." if lacking else " Next level: a signed review." if reviewed else ""
+        assessments.append(Assessment(factor, level, factor.rule(level) + next_level, missing))
+    return tuple(assessments)
 
 
 def findings(
@@ -267,11 +267,11 @@ def _data_findings(facts: Facts) -> dict[str, Answer]:
     }
 
 
-def _none_of(lacking: Sequence[DeclaredInput], key: str, of: Sequence[DeclaredInput]) -> Answer:
+def _none_of(lacking: Sequence[DeclaredInput], key: str, inputs: Sequence[DeclaredInput]) -> Answer:
     """Whether no input lacks a key, `source` or `confidence`; else which ones do, and where the key has to stand."""
-    names = [f"{i.name} ({i.place.format(key=key)})" if i.place else i.name for i in lacking]
-    text = f"without a {key}: {_some(names)}" if names else f"none of {len(of)} inputs is without a {key}"
-    return Answer(bool(of) and not names, text)
+    names = [f"{i.name} ({i.location.format(key=key)})" if i.location else i.name for i in lacking]
+    text = f"without a {key}: {_some(names)}" if names else f"none of {len(inputs)} inputs is without a {key}"
+    return Answer(bool(inputs) and not names, text)
 
 
 def _some(names: Sequence[str], most: int = 4) -> str:
@@ -301,12 +301,12 @@ def _verification_findings(facts: Facts, evidence: Evidence) -> dict[str, Answer
 
 def _validation_findings(facts: Facts, cases: Sequence[ValidationCase], region: Extrapolation) -> dict[str, Answer]:
     kinds = {s.kind for s in facts.samples}
-    known = [c.name for c in cases if c.kind in kinds]
+    names = [c.name for c in cases if c.kind in kinds]
     error = region.error
     return {
-        "validation.kind": Answer(bool(known), f"measured data sets of this kind: {_some(known) or 'none'}"),
-        "validation.half": Answer(bool(known) and region.inside >= 0.5, region.words),
-        "validation.whole": Answer(bool(known) and region.inside >= 1.0, region.words),
+        "validation.kind": Answer(bool(names), f"measured data sets of this kind: {_some(names) or 'none'}"),
+        "validation.half": Answer(bool(names) and region.inside >= 0.5, region.words),
+        "validation.whole": Answer(bool(names) and region.inside >= 1.0, region.words),
         "validation.error": Answer(
             error is not None and error <= LARGEST_SHARE,
             "no measured data set covers it" if error is None

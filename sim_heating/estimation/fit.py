@@ -24,7 +24,6 @@ import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
-from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files import suggestion
 from sim_heating.base.parameters import AT, CLOCK_SKEW, MODEL, SHORT_NAMES, Parameter
@@ -315,7 +314,6 @@ class FitResult:
         return self.problem.innovations(self.fit.values)
 
 
-@renamed_argument("names", "parameters")
 def estimate(
     records: Record | str | os.PathLike[str] | Sequence[Record | str | os.PathLike[str]],
     parameters: Sequence[str] | None = None,

@@ -294,7 +294,7 @@ def formats_with_schema() -> Iterator[ModelFormat]:
 
 def format_named(name: str) -> FileFormat:
     """A format by its name; InputError with the nearest known name where there is none."""
-    found = {f.name: f for f in FORMATS}
-    if name not in found:
-        raise InputError(f"there is no format `{name}`{suggestion(name, found)}")
-    return found[name]
+    by_name = {f.name: f for f in FORMATS}
+    if name not in by_name:
+        raise InputError(f"there is no format `{name}`{suggestion(name, by_name)}")
+    return by_name[name]

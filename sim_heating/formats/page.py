@@ -61,29 +61,29 @@ class _Walk:
         keys = []
         for name, value in js.get("properties", {}).items():
             keys.append(Key(name, self._value(value), _default(value), name in required, self._description(value)))
-            below += [(place, model) for place, model in self._below(f"{heading}.{name}".lstrip("."), value)]
+            below += [(path, model) for path, model in self._below(f"{heading}.{name}".lstrip("."), value)]
         about = "" if js is root else str(js.get("description", ""))
         yield KeyTable(self._heading(heading), about, tuple(keys))
-        for place, model in below:
+        for path, model in below:
             if model not in self.seen:
                 self.seen.add(model)
-                yield from self.tables(place, self.models[model], root)
+                yield from self.tables(path, self.models[model], root)
 
-    def _heading(self, place: str) -> str:
-        if self.language == "json" or not place:
-            return place
-        return f"[[{place[:-2]}]]" if place.endswith("[]") else f"[{place}]"
+    def _heading(self, path: str) -> str:
+        if self.language == "json" or not path:
+            return path
+        return f"[[{path[:-2]}]]" if path.endswith("[]") else f"[{path}]"
 
-    def _below(self, place: str, js: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    def _below(self, path: str, js: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         """Models below a key, each with its place in the file; `place[]` is an entry of a list of tables."""
         if "$ref" in js:
-            yield place, _name(js["$ref"])
+            yield path, _name(js["$ref"])
         if isinstance(js.get("items"), Mapping):
-            yield from self._below(f"{place}[]", js["items"])
+            yield from self._below(f"{path}[]", js["items"])
         if isinstance(js.get("additionalProperties"), Mapping):
-            yield from self._below(f"{place}.NAME", js["additionalProperties"])
+            yield from self._below(f"{path}.NAME", js["additionalProperties"])
         for branch in (*js.get("anyOf", []), *js.get("oneOf", [])):
-            yield from self._below(place, branch)
+            yield from self._below(path, branch)
 
     def _description(self, js: Mapping[str, Any]) -> str:
         if "description" in js:
@@ -170,17 +170,17 @@ def _sentence(text: str) -> str:
 
 
 def _schema_words(declared: ModelFormat) -> list[str]:
-    words = [
+    sentences = [
         f"JSON Schema: `sim_heating/schemas/{declared.name}.schema.json`, printed by `sim-heating formats "
         f"{declared.name} --schema`."
     ]
     if declared.language == "toml":
-        words.append(
+        sentences.append(
             f"Editors that know TOML complete and check a file whose first line is `#:schema PATH`; files that "
             f"`sim-heating new` makes name `{declared.name}.schema.json` beside them, which the command above writes. "
             "An unknown key is an error that names the nearest known one."
         )
-    return [" ".join(words), ""]
+    return [" ".join(sentences), ""]
 
 
 def _markdown(table: KeyTable, declared: FileFormat) -> list[str]:
@@ -219,8 +219,8 @@ def limits_page() -> str:
     """The page of the ranges of quantities: beyond the possible one a number is refused, beyond the usual one told."""
     rows = []
     for name in sorted({*QUANTITIES, *USUAL}):
-        known, usual = quantity(name), USUAL.get(name)
-        possible = "" if known is None else f"{known.lowest:g} to {known.highest:g}"
+        range_, usual = quantity(name), USUAL.get(name)
+        possible = "" if range_ is None else f"{range_.lowest:g} to {range_.highest:g}"
         rows.append(f"| `{name}` | {possible} | " + ("|" if usual is None else f"{usual.lowest:g} to {usual.highest:g}")
                     + (" |" if usual is None else f" | {usual.source} |"))  # fmt: skip
     text = (

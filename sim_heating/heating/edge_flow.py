@@ -97,9 +97,9 @@ class EdgeFlow:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of the conditions that it adds."""
-        asked = (self.turbulent is not None, self.re_theta, self.atoms != "none")
-        return tuple(name for name, wanted in zip(FLOW_COLUMNS, asked, strict=True) if wanted)
+        """Columns of the conditions that it adds: a ratio [-], log10 of a Reynolds number [1/m], an enthalpy [J/kg]."""
+        requested = (self.turbulent is not None, self.re_theta, self.atoms != "none")
+        return tuple(name for name, is_requested in zip(FLOW_COLUMNS, requested, strict=True) if is_requested)
 
 
 def edge_flow(
@@ -133,10 +133,10 @@ def pack_flows(flows: Sequence[EdgeFlow]) -> tuple[FloatArray, FloatArray]:
     """
     numbers, tables, end = np.full((len(flows), FLOW_WIDTH), -1.0), [], 0
     for row, flow in zip(numbers, flows, strict=True):
-        for place, table in ((LAMINAR_AT, flow.laminar), (TURBULENT_AT, flow.turbulent)):
+        for column, table in ((LAMINAR_AT, flow.laminar), (TURBULENT_AT, flow.turbulent)):
             if table is not None:
                 tables.append(pack_table(table))
-                row[place], end = end, end + len(tables[-1])
+                row[column], end = end, end + len(tables[-1])
         largest = 1.0 if flow.laminar is None else float(np.max(flow.laminar.ratio))
         row[LARGEST:] = (
             largest, float(flow.re_theta), ATOMS_OF[flow.atoms], flow.running_length_m, *flow.recovery.parameters(),
@@ -214,7 +214,7 @@ def re_theta_over_mach(edge: SurfaceEdge, length_m: float) -> float:
 @njit
 def edge_flow_kernel(
     state: tuple[float, float, float, float], velocity_m_s: float, x: FloatArray, numbers: FloatArray, first: int,
-    tables: FloatArray, known: SurfaceEdge,
+    tables: FloatArray, last_edge: SurfaceEdge,
 ) -> tuple[float, float, float, SurfaceEdge]:  # fmt: skip
     """turbulent_ratio [-], log10_re_theta_m [-], dissociation_J_kg [J/kg] of a point; 1, 0 and 0 where not asked for.
 
@@ -223,9 +223,9 @@ def edge_flow_kernel(
     velocity_m_s   : free-stream speed [m/s]
     x              : alpha, beta [deg], log10 Re [-], elevon, body flap [deg], at its beginning
     numbers, first : array that holds the numbers of the point from this place on;  tables : both of `pack_flows`
-    known          : last edge with a boundary layer at the same time, or NO_EDGE; returned as the fourth, or the one of
+    last_edge      : last edge with a boundary layer at the same time, or NO_EDGE; returned as the fourth, or the one of
                      this point
-    Source: docs/theory/equations_reference_heating.md, equations 33 to 35.
+    Source         : docs/theory/equations_reference_heating.md, equations 33 to 35.
     """
     ratio, criterion, dissociation = 1.0, 0.0, 0.0
     if numbers[first + TURBULENT_AT] >= 0.0:
@@ -237,19 +237,19 @@ def edge_flow_kernel(
     running_deg = x[0] + numbers[first + ANGLE]
     if has_edge and by_re_theta:
         # Points of one surface differ by their running length alone, and an edge is the largest part of a frame.
-        if running_deg != known.angle_deg:
-            known = surface_edge(state, velocity_m_s, running_deg, True)
-        criterion = math.log10(re_theta_over_mach(known, numbers[first + LENGTH]))
+        if running_deg != last_edge.angle_deg:
+            last_edge = surface_edge(state, velocity_m_s, running_deg, True)
+        criterion = math.log10(re_theta_over_mach(last_edge, numbers[first + LENGTH]))
     if has_edge and of_edge:
         angle = running_deg + numbers[first + BY_ELEVON] * x[3] + numbers[first + BY_BODYFLAP] * x[4]
-        edge = known if angle == known.angle_deg else surface_edge(state, velocity_m_s, angle, False)
+        edge = last_edge if angle == last_edge.angle_deg else surface_edge(state, velocity_m_s, angle, False)
         dissociation = edge.dissociation_J_kg
     elif atoms > NO_ATOMS:
         # Without a known edge: the flow of the stagnation point.
         dissociation = air_dissociation_kernel(state[1], state[0])
     if atoms >= EDGE_OXYGEN:
         dissociation = min(dissociation, HEAT_OF_OXYGEN)
-    return ratio, criterion, dissociation, known
+    return ratio, criterion, dissociation, last_edge
 
 
 @njit
@@ -280,5 +280,5 @@ def edge_flow_columns(flow: EdgeFlow, flown: Conditions) -> dict[str, FloatArray
     x = np.column_stack([flown[name] for name in RATIO_VARIABLES])
     out = np.empty((len(flown), 3))
     _flow_loop(rho, V, T_inf, np.ascontiguousarray(x), numbers[0], tables, out)
-    found = dict(zip(FLOW_COLUMNS, out.T, strict=True))
-    return {name: np.ascontiguousarray(found[name]) for name in flow.columns}
+    by_column = dict(zip(FLOW_COLUMNS, out.T, strict=True))
+    return {name: np.ascontiguousarray(by_column[name]) for name in flow.columns}

@@ -193,10 +193,10 @@ def _air_places(B: FloatArray, J: IntArray, table: FloatArray, stage: int) -> No
     """
     for lane in range(LANES):
         first = J[k.ENTHALPY_TABLE + lane]
-        place = (B[(k.CELL_X + PRESSURE) * LANES + lane] - table[first]) * table[first + 1]
+        position = (B[(k.CELL_X + PRESSURE) * LANES + lane] - table[first]) * table[first + 1]
         # In this order a place that is no number becomes 0: it is to be an index.
-        place = place if place > 0.0 else 0.0
-        B[(k.AIR_PLACE + stage) * LANES + lane] = place if place < table[first + 2] else table[first + 2]
+        position = position if position > 0.0 else 0.0
+        B[(k.AIR_PLACE + stage) * LANES + lane] = position if position < table[first + 2] else table[first + 2]
 
 
 @njit

@@ -55,9 +55,9 @@ def surroundings_kernel(T_air: float, p: float, view: float) -> float:
 
     view : of the ground [-]. Source: docs/theory/equations.md, section 4a.
     """
-    share = min(p / SEA_LEVEL_PA, 1.0)
-    ground = share * SEA_LEVEL_K**4 + (1.0 - share) * EARTH_K**4
-    sky = share * min(SKY_PER_K2 * T_air * T_air, 1.0) * T_air**4
+    density_fraction = min(p / SEA_LEVEL_PA, 1.0)
+    ground = density_fraction * SEA_LEVEL_K**4 + (1.0 - density_fraction) * EARTH_K**4
+    sky = density_fraction * min(SKY_PER_K2 * T_air * T_air, 1.0) * T_air**4
     return math.sqrt(math.sqrt(view * ground + (1.0 - view) * sky))
 
 

@@ -65,9 +65,9 @@ def averaged_record(record: Record) -> tuple[Record, list[str]]:
     """
     if len(record.time_s) < LARGE and len(record.conditions) < LARGE:
         return record, []
-    found, lines = record, []
+    averaged, lines = record, []
     if len(record.time_s) >= LARGE:
-        found, line = _averaged_readings(found)
+        averaged, line = _averaged_readings(averaged)
         lines.append(line)
     if len(record.conditions) >= LARGE:
         conditions = _averaged_conditions(record.conditions)
@@ -75,8 +75,8 @@ def averaged_record(record: Record) -> tuple[Record, list[str]]:
             f"{record.name}: {len(record.conditions)} rows of conditions averaged to {len(conditions)}, all rows kept "
             "where one of them jumps"
         )
-        found = replace(found, conditions=conditions)
-    return found, lines
+        averaged = replace(averaged, conditions=conditions)
+    return averaged, lines
 
 
 def _averaged_readings(record: Record) -> tuple[Record, str]:
@@ -101,11 +101,11 @@ def _averaged_readings(record: Record) -> tuple[Record, str]:
     }
     sensors = [_of_mean(s, n) for s in record.sensors]
     other = replace(record.with_sensors(sensors), thermocouples=readings)
-    more = f"; {left_out} means over a bend left out" if left_out else ""
+    remark = f"; {left_out} means over a bend left out" if left_out else ""
     line = (
         f"{record.name}: {rows} readings averaged by {n} neighbours to {len(groups.first)}, with the noise of the mean"
     )
-    return other, line + more
+    return other, line + remark
 
 
 def _of_mean(sensor: Sensor, n: int) -> Sensor:

@@ -94,14 +94,14 @@ class Transition(Declared):
 
     @model_validator(mode="after")
     def _check_onset(self) -> Transition:
-        given = [key for key in ("log10_re_onset", "re_theta_over_m_e") if getattr(self, key) is not None]
-        if len(given) != 1:
+        onsets = [key for key in ("log10_re_onset", "re_theta_over_m_e") if getattr(self, key) is not None]
+        if len(onsets) != 1:
             rule = "give one onset, `log10_re_onset` or `re_theta_over_m_e`"
-            raise LocatedError(((given[1] if given else "log10_re_onset",), rule))
+            raise LocatedError(((onsets[1] if onsets else "log10_re_onset",), rule))
         problems: list[tuple[Location, str]] = [
             ((key,), f"{key.removesuffix(SIGMA)} is not given; remove its sigma, or give it")
             for key in ("log10_re_onset_sigma", "re_theta_over_m_e_sigma")
-            if getattr(self, key) is not None and key.removesuffix(SIGMA) not in given
+            if getattr(self, key) is not None and key.removesuffix(SIGMA) not in onsets
         ]
         if problems:
             raise LocatedError(*problems)
@@ -123,9 +123,9 @@ class Transition(Declared):
             values["log10_re_onset"] = self.log10_re_onset or 0.0
             return values, sigma | {"log10_re_onset": self.log10_re_onset_sigma}
         values |= {"log10_re_onset": math.log10(self.re_theta_over_m_e), "by_re_theta": 1.0}
-        own = self.re_theta_over_m_e_sigma
+        onset_sigma = self.re_theta_over_m_e_sigma
         return values, sigma | {
-            "log10_re_onset": None if own is None else own / (self.re_theta_over_m_e * math.log(10.0))
+            "log10_re_onset": None if onset_sigma is None else onset_sigma / (self.re_theta_over_m_e * math.log(10.0))
         }
 
     def use(self, factor: float, by_table: bool, factor_sigma: float | None = None) -> EffectUse:
@@ -278,7 +278,7 @@ def declared_use(used: EffectUse, sigma: dict[str, float | None]) -> EffectUse:
     sigma : standard deviation by parameter, None or absent for that of the effect, each in the parameter's unit
     """
     definitions = tuple(
-        replace(p, value=value, sigma=p.sigma if (own := sigma.get(p.name)) is None else own)
+        replace(p, value=value, sigma=p.sigma if (declared_sigma := sigma.get(p.name)) is None else declared_sigma)
         for p, value in zip(used.effect.parameters, used.values, strict=True)
     )
     return replace(used, declared=definitions)

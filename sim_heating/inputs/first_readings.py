@@ -61,10 +61,10 @@ def other_start(record: Record) -> OtherStart | None:
     begin_s = record.conditions.time_s[0]
     for sensor in sorted(record.used_sensors, key=lambda s: s.depth_m):
         read, t = record.thermocouples[sensor.column], record.time_s
-        within = np.flatnonzero(np.isfinite(read) & (t >= begin_s))
-        if len(within) == 0:
+        readings = np.flatnonzero(np.isfinite(read) & (t >= begin_s))
+        if len(readings) == 0:
             continue
-        i = int(within[0])
+        i = int(readings[0])
         declared_K, wait_s = declared_reading_K(record, sensor), float(t[i] - begin_s)
         if abs(float(read[i]) - declared_K) > TOLERANCE_K + FASTEST_K_S * wait_s:
             return OtherStart(record.name, sensor.name, float(t[i]), float(read[i]), declared_K)

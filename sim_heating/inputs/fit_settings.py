@@ -32,11 +32,11 @@ def _by_dotted_name(tables: Any) -> Any:
     """Nested tables as one with dotted names: TOML reads the key `ratio.d_alpha` as `d_alpha` of a table `ratio`."""
     if not isinstance(tables, Mapping):
         return tables
-    found: dict[str, Any] = {}
+    dotted: dict[str, Any] = {}
     for key, value in tables.items():
         below = _by_dotted_name(value)
-        found |= {f"{key}.{k}": v for k, v in below.items()} if isinstance(below, dict) else {key: value}
-    return found
+        dotted |= {f"{key}.{k}": v for k, v in below.items()} if isinstance(below, dict) else {key: value}
+    return dotted
 
 
 def dotted(value: Any) -> BeforeValidator:
@@ -102,8 +102,8 @@ class FitSettings(ParameterSettings):
     @field_validator("fit")
     @classmethod
     def _check_segments(cls, segments: Any) -> Any:
-        for own in segments.values() if isinstance(segments, dict) else [segments]:
-            Segments(fit=own)
+        for of_record in segments.values() if isinstance(segments, dict) else [segments]:
+            Segments(fit=of_record)
         return segments
 
     @property

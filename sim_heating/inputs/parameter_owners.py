@@ -62,10 +62,10 @@ class Owners:
         """
         # a record's own name comes first: it may be that of its control point, which others may share
         for kind in (lambda r: r.name, lambda r: r.flight, lambda r: r.declared.control_point):
-            if found := [r for r in self.records if kind(r) == owner]:
-                return found
-        known = [*(r.name for r in self.records), *(r.flight for r in self.records), *self.points]
-        hint = suggestion(owner, dict.fromkeys(known))
+            if records := [r for r in self.records if kind(r) == owner]:
+                return records
+        names = [*(r.name for r in self.records), *(r.flight for r in self.records), *self.points]
+        hint = suggestion(owner, dict.fromkeys(names))
         raise InputError(f"`{name}`: there is no record, flight or control point `{owner}`{hint}")
 
     def of_owner(self, values: Mapping[str, T], record: Record, name: str) -> T | None:

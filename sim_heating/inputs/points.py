@@ -129,8 +129,8 @@ def _behind_wall(
     if upstream is None:
         return conditions
     model = models.get(upstream.name) or point_of_vehicle(vehicle, upstream)
-    along = _behind_wall(vehicle, upstream, flown, models, longest_step_s)
-    (history,) = march_points([model], [along], longest_step_s=longest_step_s)
+    flown_upstream = _behind_wall(vehicle, upstream, flown, models, longest_step_s)
+    (history,) = march_points([model], [flown_upstream], longest_step_s=longest_step_s)
     columns = conditions.with_columns(T_upstream_K=history.surface_K)
     return with_upstream_wall(columns, wall_enthalpy_of(vehicle.heating.wall_enthalpy))
 
@@ -167,9 +167,9 @@ def excess_behind_interface(
     if declared is None:
         return np.zeros(len(conditions))
     turning = [used for used in point.effects if used.effect.name == TRANSITION]
-    share = intermittency_along(turning[0], conditions) if turning else 0.0
+    turbulent_fraction = intermittency_along(turning[0], conditions) if turning else 0.0
     cp = wall_enthalpy_code(wall_enthalpy_of(vehicle.heating.wall_enthalpy))
-    return interface_excess(declared.interface, conditions, surface_K, cp, share)
+    return interface_excess(declared.interface, conditions, surface_K, cp, turbulent_fraction)
 
 
 def reference_of_record(record: Record) -> tuple[float, ...]:
@@ -243,9 +243,9 @@ def _heated_with(record: Record, table: RatioTable | None) -> Conditions:
     )
     heated = record.conditions.with_columns(**columns._asdict())
     if record.upstream is not None:
-        along = heated.with_columns(**edge_flow_columns(flow_of_record(record), record.conditions))
+        flown_upstream = heated.with_columns(**edge_flow_columns(flow_of_record(record), record.conditions))
         wall = replace(_declared_point(record), construction=record.upstream, depths_m=(), lags_s=(), interface=None)
-        (history,) = march_points([wall], [along])
+        (history,) = march_points([wall], [flown_upstream])
         heated = heated.with_columns(T_upstream_K=history.surface_K)
     return with_upstream_wall(heated, wall_enthalpy_of(heating.wall_enthalpy))
 
@@ -274,10 +274,10 @@ def intermittency_along(transition: EffectUse, conditions: Conditions) -> FloatA
     """
     history = condition_history(conditions)
     block = np.column_stack([history, np.tile(transition.values, (len(history), 1))])
-    turbulent, held, at = np.empty(len(block)), -np.inf, history.shape[1]
+    turbulent, highest_past, at = np.empty(len(block)), -np.inf, history.shape[1]
     for i, row in enumerate(block):
-        held = held_past(held, past_onset_now(row, 0, at), row[at + HYSTERESIS])
-        turbulent[i] = turbulent_part(row, at, held)
+        highest_past = held_past(highest_past, past_onset_now(row, 0, at), row[at + HYSTERESIS])
+        turbulent[i] = turbulent_part(row, at, highest_past)
     return turbulent
 
 
@@ -296,10 +296,10 @@ def check_reference(record: Record, vehicle: Vehicle, point: ControlPoint) -> No
             f"{record.name}: its ratio is over `{named}`, the tables of {vehicle.name} over `{required.reference}`; "
             "fit the record over the vehicle's reference heating"
         )
-    own = heating.recovery_of_point.kind
-    if own != point.recovery.kind:
+    recovery = heating.recovery_of_point.kind
+    if recovery != point.recovery.kind:
         raise InputError(
-            f"{record.name}: its ratio is reduced with recovery `{own}`, the table of {point.name} with "
+            f"{record.name}: its ratio is reduced with recovery `{recovery}`, the table of {point.name} with "
             f"`{point.recovery.kind}`; fit the record with the recovery enthalpy of the control point"
         )
     if wall_enthalpy_of(heating.wall_enthalpy) != wall_enthalpy_of(required.wall_enthalpy):

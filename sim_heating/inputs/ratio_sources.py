@@ -211,8 +211,8 @@ class Axes(Declared):
 def _base_kind(value: Any) -> str:
     """Tag of a base; tags are no keys of the file, so that the place of a problem leaves them out."""
     kinds = {"file": FileBase, "theory": TheoryBase}
-    of = (k for k, model in kinds.items() if isinstance(value, model) or (isinstance(value, dict) and k in value))
-    return f"by {next(of, 'curve')}"
+    tags = (k for k, model in kinds.items() if isinstance(value, model) or (isinstance(value, dict) and k in value))
+    return f"by {next(tags, 'curve')}"
 
 
 class RatioSource(Declared):
@@ -287,10 +287,12 @@ def build_tables(
     points = sorted(p.stem for p in (directory / "control_points").glob("*.toml"))
     for path in sources:
         source = read_toml(path, RatioSource)
-        part = "[base]" if isinstance(source.base, TheoryBase) else "[scaling]" if source.scaling is not None else None
-        if part is not None and file.heating.reference != REFERENCE:
+        table_key = (
+            "[base]" if isinstance(source.base, TheoryBase) else "[scaling]" if source.scaling is not None else None
+        )
+        if table_key is not None and file.heating.reference != REFERENCE:
             raise InputError(
-                f"{display_path(path)}, {part}: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
+                f"{display_path(path)}, {table_key}: takes ratios over `{REFERENCE}`, not {file.heating.reference}"
             )
         for name in source.control_points:
             table = name + (TURBULENT if source.flow == "turbulent" else "")

@@ -198,7 +198,7 @@ class ConditionsFile(FileReference):
     def unusual(self) -> list[tuple[Location, str]]:
         """As of all declarations; an enthalpy without a flow states a lamp, and is looked at with the other columns."""
         flows = self.velocity_m_s is not None and self.velocity_m_s >= STILL_M_S
-        return [found for found in super().unusual() if flows or found[0] != ("H_r_J_kg",)]
+        return [remark for remark in super().unusual() if flows or remark[0] != ("H_r_J_kg",)]
 
 
 class ConstantHeat(Declared):
@@ -471,13 +471,13 @@ class RecordFile(Construction):
     def unusual(self) -> list[tuple[Location, str]]:
         """As of all declarations, and sensors within layers that are too thin for them."""
         sensors = sensor_remarks(self.stack, self.thermocouples.sensor)
-        return [*super().unusual(), *((("thermocouples", "sensor", *place), text) for place, text in sensors)]
+        return [*super().unusual(), *((("thermocouples", "sensor", *location), text) for location, text in sensors)]
 
     @model_validator(mode="after")
     def _check_record(self) -> RecordFile:
         problems: list[tuple[Location, str]] = [
-            (("thermocouples", "sensor", *place), text)
-            for place, text in sensor_problems(self.stack, self.thermocouples.sensor, self.materials)
+            (("thermocouples", "sensor", *location), text)
+            for location, text in sensor_problems(self.stack, self.thermocouples.sensor, self.materials)
         ]
         heating = self.heating
         files = (self.conditions.file, self.thermocouples.file, heating.ratio_table, heating.turbulent_file)
@@ -733,9 +733,9 @@ def named_apart(records: Sequence[Record]) -> list[Record]:
     """
     plain = [r for r in records if not r.label]
     names = iter(distinct_names([r.folder_name for r in plain], lambda i: plain[i].flight))
-    found = [r if r.label or (name := next(names)) == r.folder_name else replace(r, label=name) for r in records]
-    _require_distinct([r.name for r in found])
-    return found
+    named = [r if r.label or (name := next(names)) == r.folder_name else replace(r, label=name) for r in records]
+    _require_distinct([r.name for r in named])
+    return named
 
 
 # Reading -------------------------------------------------------------------------------------------------------------
@@ -780,9 +780,9 @@ def load_record(directory: str | os.PathLike[str] | Record, *, root: str | os.Pa
             roots.check_link(home / name)
     reference = REFERENCE_COLUMNS if declared.heating.reference == "columns" else ()
     ground = declared.heating.reference == "none"
-    wanted = ("time_s",) if ground else (*STATE, "p_surface_Pa", *reference)
+    columns_needed = ("time_s",) if ground else (*STATE, "p_surface_Pa", *reference)
     # the density may follow from q_Pa: its absence is noticed where it does not
-    required = tuple(c for c in wanted if c not in (*declared.conditions.constants, "rho_kg_m3"))
+    required = tuple(c for c in columns_needed if c not in (*declared.conditions.constants, "rho_kg_m3"))
     files = (heating.ratio_table, heating.turbulent_file)
     table, turbulent = (None if file is None else read_ratio_table(home / file) for file in files)
     spared = [name for name in SURFACES if not _depends_on_surface(name, heating, (table, turbulent))]
@@ -833,10 +833,10 @@ def _refuse_folder_of_records(home: Path) -> None:
     """Refuse a directory that contains records and is not one itself, as that of `synthesize` for several points."""
     inside = [] if os.path.lexists(home / DECLARATION) else sorted(p.parent for p in home.glob(f"*/{DECLARATION}"))
     if inside:
-        more = f" and {len(inside) - 2} more" if len(inside) > 2 else ""
+        rest = f" and {len(inside) - 2} more" if len(inside) > 2 else ""
         raise InputError(
             f"{display_path(home)}: is a folder of records, not a record; name the records, such as "
-            f"{' '.join(map(display_path, inside[:2]))}{more}"
+            f"{' '.join(map(display_path, inside[:2]))}{rest}"
         )
 
 
@@ -901,8 +901,8 @@ def _check_record(
     home: Path,
 ) -> Record:
     table, turbulent = tables
-    given = {*conditions.columns, *declared.conditions.constants}
-    spared = [n for n in SURFACES if n not in given and not _depends_on_surface(n, declared.heating, tables)]
+    available = {*conditions.columns, *declared.conditions.constants}
+    spared = [n for n in SURFACES if n not in available and not _depends_on_surface(n, declared.heating, tables)]
     conditions = conditions.with_columns({name: np.zeros(len(conditions)) for name in spared})
     raise_problems(_missing_columns(conditions, declared))
     conditions = _whole_conditions(conditions, declared)
@@ -1147,8 +1147,8 @@ def _missing_columns(table: CsvTable, declared: RecordFile) -> list[str]:
     if declared.heating.reference == "none":
         return []
     needed = ["p_surface_Pa", *(REFERENCE_COLUMNS if declared.heating.reference == "columns" else ())]
-    known = {*table.columns, *declared.conditions.constants} | {"rho_kg_m3"}
-    absent = [name for name in (*STATE, *needed) if name not in known]
+    available = {*table.columns, *declared.conditions.constants} | {"rho_kg_m3"}
+    absent = [name for name in (*STATE, *needed) if name not in available]
     return [f"{display_path(table.path)}: there is no column `{name}`; add it" for name in absent]
 
 
@@ -1224,9 +1224,9 @@ def _reference_problems(heating: Heating, table: RatioTable, file: str) -> list[
     """A ratio table over an unknown reference heating, or over another one than the record's."""
     if table.reference is None:
         return []
-    known = (*STAGNATION, *FLAT_PLATE)
-    if table.reference not in known:
-        rule = f"unknown reference heating `{table.reference}`{suggestion(table.reference, known)}"
+    models = (*STAGNATION, *FLAT_PLATE)
+    if table.reference not in models:
+        rule = f"unknown reference heating `{table.reference}`{suggestion(table.reference, models)}"
         return [f"{file}, header `reference`: {rule}"]
     if heating.reference in ("columns", "none", table.reference):
         return []

@@ -194,10 +194,10 @@ class Truth(Declared):
     @classmethod
     def _check_parameters(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name in parameters:
-            own = layer_parameter(name)
-            if name not in MODEL and own is None:
+            of_layer = layer_parameter(name)
+            if name not in MODEL and of_layer is None:
                 raise ValueError(f"unknown parameter `{name}`{suggestion(name, MODEL, otherwise='')}")
-            p = MODEL[name] if own is None or name in MODEL else own[1]
+            p = MODEL[name] if of_layer is None or name in MODEL else of_layer[1]
             low, high = p.lower, p.upper
             if not low <= parameters[name] <= high:
                 raise ValueError(f"{name}: {parameters[name]:g} is outside its bounds {low:g} to {high:g}")
@@ -397,14 +397,14 @@ def load_scenario(path: str | os.PathLike[str] | Scenario, *, root: str | os.Pat
     """
     if isinstance(path, Scenario):
         return path
-    place = Path(path)
-    declared = read_toml(place, ScenarioFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
-    return make_scenario(place, declared, vehicle, root=root)
+    file = Path(path)
+    declared = read_toml(file, ScenarioFile)
+    vehicle = load_vehicle(vehicle_place(file, declared.vehicle, root=root), root=root)
+    return make_scenario(file, declared, vehicle, root=root)
 
 
 def make_scenario(
-    place: Path,
+    file: Path,
     declared: ScenarioFile,
     vehicle: Vehicle,
     error_file: Path | None = None,
@@ -413,29 +413,29 @@ def make_scenario(
 ) -> Scenario:
     """A checked scenario from its declaration and a loaded vehicle.
 
-    place      : the scenario's file, which other files are relative to
+    file       : the scenario's file, which other files are relative to
     error_file : file that messages name, where it is not the scenario's own
     root       : as `load_scenario` takes it
     raises     : InputError as `load_scenario`
     """
-    roots = roots_of(place, root, vehicle.directory)
-    file = declared.trajectory.file
-    if file is not None:
-        roots.named(file, "[trajectory]: `file`", code=declared.trajectory.source == "fmu")
-        if not os.path.isfile(place.parent / file):
+    roots = roots_of(file, root, vehicle.directory)
+    trajectory_file = declared.trajectory.file
+    if trajectory_file is not None:
+        roots.named(trajectory_file, "[trajectory]: `file`", code=declared.trajectory.source == "fmu")
+        if not os.path.isfile(file.parent / trajectory_file):
             raise InputError(
-                f"{display_path(place)}, [trajectory]: `file`: there is no {display_path(place.parent / file)}"
+                f"{display_path(file)}, [trajectory]: `file`: there is no {display_path(file.parent / trajectory_file)}"
             )
         declared = declared.model_copy(
-            update={"trajectory": declared.trajectory.model_copy(update={"file": str(place.parent / file)})}
+            update={"trajectory": declared.trajectory.model_copy(update={"file": str(file.parent / trajectory_file)})}
         )
-    raise_problems([f"{display_path(error_file or place)}: {line}" for line in _problems(declared, vehicle)])
+    raise_problems([f"{display_path(error_file or file)}: {line}" for line in _problems(declared, vehicle)])
     names = tuple(declared.control_points or vehicle.control_points)
     compare = []
     for i, c in enumerate(declared.compare, start=1):
-        history = roots.named(c.file, f"[compare] {i}: `file`", _history_folder(place, vehicle, c.file))
+        history = roots.named(c.file, f"[compare] {i}: `file`", _history_folder(file, vehicle, c.file))
         compare += [_measured_history(c, history)] if c.control_point in names else []
-    return Scenario(place, declared, vehicle.without_effects(declared.heating.left_out), names, tuple(compare))
+    return Scenario(file, declared, vehicle.without_effects(declared.heating.left_out), names, tuple(compare))
 
 
 def with_design(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -520,10 +520,10 @@ def _idle_back(declared: ScenarioFile, vehicle: Vehicle) -> list[str]:
 
 def _lacking(effect: ScenarioEffect, flow: EdgeFlow) -> Iterator[str]:
     """Declarations that an effect reads the flow at a point by, and that the point does not have."""
-    asked = {name for name, value in effect.parameters.items() if value > 0.0}
-    if effect.name == TRANSITION and "by_table" in asked and flow.turbulent is None:
+    requested = {name for name, value in effect.parameters.items() if value > 0.0}
+    if effect.name == TRANSITION and "by_table" in requested and flow.turbulent is None:
         yield "[transition] with `ratio_table_turbulent` (by_table = 1)"
-    if effect.name == TRANSITION and "by_re_theta" in asked and not flow.re_theta:
+    if effect.name == TRANSITION and "by_re_theta" in requested and not flow.re_theta:
         yield "[transition] with `re_theta_over_m_e` (by_re_theta = 1)"
     if effect.name == RECOMBINATION and flow.atoms == "none":
         yield "[catalysis]"
@@ -554,10 +554,8 @@ def _design_problems(declared: ScenarioFile) -> list[str]:
             continue
         value = getattr(manoeuvres[vary.manoeuvre - 1], vary.key, None)
         if not isinstance(value, float):
-            known = [k for k, v in manoeuvres[vary.manoeuvre - 1] if isinstance(v, float)]
-            lines.append(
-                f"{where}: `{vary.key}` is not a number that this manoeuvre gives{suggestion(vary.key, known)}"
-            )
+            keys = [k for k, v in manoeuvres[vary.manoeuvre - 1] if isinstance(v, float)]
+            lines.append(f"{where}: `{vary.key}` is not a number that this manoeuvre gives{suggestion(vary.key, keys)}")
         elif not vary.low <= value <= vary.high or not vary.low < vary.high:
             lines.append(f"{where}: {vary.key} = {value:g} as planned is not within {vary.low:g} to {vary.high:g}")
     return lines
@@ -591,8 +589,8 @@ def _collect_problems(call: Callable[[Any], object], items: Iterable[Any]) -> li
 
 def _history_folder(scenario: Path, vehicle: Vehicle, file: str) -> Path:
     """Folder that a measured history is relative to: the vehicle's, or the scenario's where only that has the file."""
-    own = os.path.isfile(scenario.parent / file) and not os.path.isfile(vehicle.directory / file)
-    return scenario.parent if own else vehicle.directory
+    beside_scenario = os.path.isfile(scenario.parent / file) and not os.path.isfile(vehicle.directory / file)
+    return scenario.parent if beside_scenario else vehicle.directory
 
 
 HISTORY = ("time_s", "temperature_K", "sigma_K")
@@ -608,15 +606,15 @@ def _history_table(file: Path) -> CsvTable:
     """
     if states_columns(file, HISTORY):
         return read_csv_columns(file, HISTORY)
-    found = read_fields(file)
-    sigma = next((n for n in found.unused if SIGMA.search(n)), "")
+    fields = read_fields(file)
+    sigma = next((n for n in fields.unused if SIGMA.search(n)), "")
     scale = converted(name_and_unit(sigma, ["K"])[1], "K")
-    if "time_s" not in found.columns or "T_inf_K" not in found.columns or scale is None:
+    if "time_s" not in fields.columns or "T_inf_K" not in fields.columns or scale is None:
         return read_csv_columns(file, HISTORY)
-    sigma_K = scale.factor * found.numbers[sigma]  # a difference of temperatures has no offset
-    columns = {"time_s": found.columns["time_s"], "temperature_K": found.columns["T_inf_K"], "sigma_K": sigma_K}
+    sigma_K = scale.factor * fields.numbers[sigma]  # a difference of temperatures has no offset
+    columns = {"time_s": fields.columns["time_s"], "temperature_K": fields.columns["T_inf_K"], "sigma_K": sigma_K}
     read = np.all([np.isfinite(v) for v in columns.values()], axis=0)  # an empty cell is a lost sample
-    return replace(found.table({n: v[read] for n, v in columns.items()}), lines=found.lines[read])
+    return replace(fields.table({n: v[read] for n, v in columns.items()}), lines=fields.lines[read])
 
 
 def _measured_history(compare: Compare, file: Path) -> MeasuredHistory:

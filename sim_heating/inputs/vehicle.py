@@ -219,13 +219,13 @@ def load_vehicle(vehicle: str | os.PathLike[str] | Vehicle, *, root: str | os.Pa
         settle(directory)
         before = _change_times(directory)
         try:
-            found = _load(directory)
+            loaded = _load(directory)
         except InputError:
             if _change_times(directory) == before:
                 raise
         else:
             if _change_times(directory) == before:
-                return found
+                return loaded
     raise InputError(f"{display_path(directory)}: other processes keep changing it; wait until they end")
 
 
@@ -241,10 +241,10 @@ def _load(directory: Path) -> Vehicle:
     """A vehicle from its files, all of it checked."""
     problems = _Problems()
     file = problems.attempt(read_toml, directory / "vehicle.toml", VehicleFile)
-    if file is not None and file.name != (own := real_path(directory).name):
+    if file is not None and file.name != (folder_name := real_path(directory).name):
         problems.add(
             f'{display_path(directory / "vehicle.toml")}: `name`: "{file.name}" is not the name of its directory; '
-            f'write "{own}", or rename the directory'
+            f'write "{folder_name}", or rename the directory'
         )
     materials, invalid = _read_materials(directory, problems)
     points = _read_control_points(directory, materials, invalid, file, problems)
@@ -287,14 +287,14 @@ def vehicle_directory(vehicle: str | os.PathLike[str]) -> Path:
         return path
     text = os.fspath(vehicle)
     if os.sep in text or "/" in text:
-        what = "the directory has no vehicle.toml" if os.path.isdir(path) else "there is no such directory"
-        raise InputError(f"{text}: not a vehicle; {what}")
+        reason = "the directory has no vehicle.toml" if os.path.isdir(path) else "there is no such directory"
+        raise InputError(f"{text}: not a vehicle; {reason}")
     for folder in vehicle_folders():
         if text and os.path.isfile(folder / text / "vehicle.toml"):
             return folder / text
-    known = vehicle_names()
-    directory = f"; known: {', '.join(known) or 'none'}; or give a directory"
-    raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, known, otherwise=directory)}")
+    names = vehicle_names()
+    directory = f"; known: {', '.join(names) or 'none'}; or give a directory"
+    raise InputError(f"vehicle `{text}`: unknown vehicle{suggestion(text, names, otherwise=directory)}")
 
 
 def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | os.PathLike[str] | None = None) -> Path:
@@ -314,8 +314,8 @@ def vehicle_place(file: Path, vehicle: str, key: str = "`vehicle`", root: str | 
 
 def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:
     """Add names and contents of all files of a vehicle that a computation may read to a digest."""
-    found = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
-    files = (p for p in found if p.name != REVIEWS)
+    readable = (p for p in directory.rglob("*") if p.suffix in SUFFIXES and p.is_file() and p.name[0] != ".")
+    files = (p for p in readable if p.name != REVIEWS)
     for path in sorted(files):
         digest.update(path.relative_to(directory).as_posix().encode())
         digest.update(path.read_bytes())
@@ -324,8 +324,8 @@ def add_vehicle_files(digest: hashlib._Hash, directory: Path) -> None:
 def vehicle_folders() -> list[Path]:
     """Existing folders that are searched for vehicles by name, in this order."""
     named = os.environ.get(ENVIRONMENT)
-    places = [Path(FOLDER), *([Path(named)] if named else []), *data_folders(FOLDER)]
-    return [place for place in places if place.is_dir()]
+    folders = [Path(FOLDER), *([Path(named)] if named else []), *data_folders(FOLDER)]
+    return [folder for folder in folders if folder.is_dir()]
 
 
 def vehicle_names() -> list[str]:
@@ -338,13 +338,13 @@ def library_materials() -> dict[str, Material]:
 
     Files that are damaged are left out: they are errors of the vehicle that needs them.
     """
-    found: dict[str, Material] = {}
+    by_name: dict[str, Material] = {}
     for name in vehicle_names():
         with suppress(InputError):
             directory = vehicle_directory(name)
             roots_of(directory / "vehicle.toml").check_links(directory)
-            found = {**_read_materials(directory, _Problems())[0], **found}
-    return found
+            by_name = {**_read_materials(directory, _Problems())[0], **by_name}
+    return by_name
 
 
 def known_control_point(vehicle: str, point: str) -> ControlPoint | None:
@@ -363,33 +363,35 @@ def known_control_point(vehicle: str, point: str) -> ControlPoint | None:
 
 
 def _files(directory: Path, pattern: str, problems: _Problems) -> Iterator[Path]:
-    found = sorted(directory.glob(pattern))
-    if not found:
+    files = sorted(directory.glob(pattern))
+    if not files:
         problems.add(f"{display_path(directory)}: there is no {pattern}; a vehicle has at least one")
-    yield from found
+    yield from files
 
 
 def _read_materials(directory: Path, problems: _Problems) -> tuple[dict[str, Material], frozenset[str]]:
     """All materials of a vehicle, derived ones evaluated, and the names of invalid ones, which are reported."""
-    whole: dict[str, Material] = {}
+    complete: dict[str, Material] = {}
     derived: dict[str, tuple[Path, DerivedMaterial]] = {}
     invalid: set[str] = set()
     for path in _files(directory, "materials/*.toml", problems):
         read = problems.attempt(_read_material, path)
         if isinstance(read, Material):
-            whole[path.stem] = read
+            complete[path.stem] = read
         elif read is not None:
             derived[path.stem] = (path, read)
         else:
             invalid.add(path.stem)
     evaluated = {}
     for name, (path, material) in derived.items():
-        made = None if material.based_on in invalid else problems.attempt(_derive, path, material, whole)
-        if made is None:
+        evaluated_material = (
+            None if material.based_on in invalid else problems.attempt(_derive, path, material, complete)
+        )
+        if evaluated_material is None:
             invalid.add(name)
         else:
-            evaluated[name] = made
-    return dict(sorted((whole | evaluated).items())), frozenset(invalid)
+            evaluated[name] = evaluated_material
+    return dict(sorted((complete | evaluated).items())), frozenset(invalid)
 
 
 def _read_material(path: Path) -> Material | DerivedMaterial:
@@ -399,13 +401,13 @@ def _read_material(path: Path) -> Material | DerivedMaterial:
     return check(data, Material, display_path(path))
 
 
-def _derive(path: Path, material: DerivedMaterial, whole: Mapping[str, Material]) -> Material:
-    if material.based_on not in whole:
-        hint = suggestion(material.based_on, whole, otherwise="")
+def _derive(path: Path, material: DerivedMaterial, complete: Mapping[str, Material]) -> Material:
+    if material.based_on not in complete:
+        hint = suggestion(material.based_on, complete, otherwise="")
         raise InputError(
             f"{display_path(path)}: `based_on`: `{material.based_on}` is not a material that is given whole{hint}"
         )
-    return check(material.apply(whole[material.based_on]), Material, display_path(path))
+    return check(material.apply(complete[material.based_on]), Material, display_path(path))
 
 
 def _read_control_points(
@@ -444,12 +446,14 @@ def _read_control_points(
             flow = problems.attempt(_flow, path, file, vehicle, recovery, effects, (ratio, *turbulent))
             if flow is not None:
                 declared = (_transition(file, vehicle), _catalysis(file, vehicle))
-                made = _control_point(file, construction, ratio, effects, flow, *declared)
+                control_point = _control_point(file, construction, ratio, effects, flow, *declared)
                 stack = None if file.interface is None else file.interface.stack
                 if stack is not None and invalid.isdisjoint(layer.material for layer in stack.layer):
                     where = f"{display_path(path)}, [interface]"
-                    made = replace(made, upstream=problems.attempt(construct, stack, materials, where))
-                points[file.name] = made
+                    control_point = replace(
+                        control_point, upstream=problems.attempt(construct, stack, materials, where)
+                    )
+                points[file.name] = control_point
     if len(points) == len(list(directory.glob("control_points/*.toml"))):
         for line in _interface_problems(directory, points):
             problems.add(line)
@@ -486,15 +490,15 @@ def _tables_of_others(directory: Path, tables: Sequence[tuple[str, str, RatioTab
 
     tables : control point, file, table; points that share one file may do so
     """
-    found = []
+    problems = []
     for name, file, table in tables:
         stated = table.header.get("control_point", name)
         if any(other == stated for other, _, _ in tables) and (stated, file) not in {(o, f) for o, f, _ in tables}:
-            found.append(
+            problems.append(
                 f"{display_path(directory / file)}, header `control_point`: `{stated}`, but it is the table of {name}; "
                 f"put back the file of {name}, or correct the header"
             )
-    return found
+    return problems
 
 
 AWAY = 0.2
@@ -506,17 +510,17 @@ def _position_remarks(path: Path, file: ControlPointFile, vehicle: VehicleFile) 
     x, length = file.position_m[0], vehicle.reference_length_m
     if abs(x / length - file.x_over_L) <= AWAY:
         return []
-    found = f"position_m has x = {x:g} m, {x / length:.3g} of reference_length_m = {length:g}"
-    return [f"{display_path(path)}: x_over_L is {file.x_over_L:g}, and {found}; check them"]
+    position = f"position_m has x = {x:g} m, {x / length:.3g} of reference_length_m = {length:g}"
+    return [f"{display_path(path)}: x_over_L is {file.x_over_L:g}, and {position}; check them"]
 
 
 def _position_problems(path: Path, file: ControlPointFile, vehicle: VehicleFile) -> list[str]:
     """A position far from the distance from the nose that x_over_L states."""
     away, L = math.hypot(*file.position_m), vehicle.reference_length_m
-    along = file.x_over_L * L
-    if away <= FAR * max(along, L) and (file.x_over_L < NEAR_NOSE or along <= FAR * away):
+    distance = file.x_over_L * L
+    if away <= FAR * max(distance, L) and (file.x_over_L < NEAR_NOSE or distance <= FAR * away):
         return []
-    stated = f"{away:g} m from the nose, x_over_L = {file.x_over_L:g} of reference_length_m = {L:g} is {along:g} m"
+    stated = f"{away:g} m from the nose, x_over_L = {file.x_over_L:g} of reference_length_m = {L:g} is {distance:g} m"
     return [f"{display_path(path)}: `position_m`: {stated}; correct one of the three"]
 
 
@@ -577,8 +581,8 @@ def _read_turbulent(
 def _effects(path: Path, file: ControlPointFile, vehicle: VehicleFile | None) -> tuple[EffectUse, ...]:
     """The declared effects of a control point with their parameters: those of its own file take the place of others."""
     with error_context(f"{display_path(path)}, [effect]"):
-        own = tuple(use(effect.name, effect.parameters) for effect in file.effect)
-    uses = combined_uses((*_transition_use(path, file, vehicle), *_recombination(file, vehicle)), own)
+        of_file = tuple(use(effect.name, effect.parameters) for effect in file.effect)
+    uses = combined_uses((*_transition_use(path, file, vehicle), *_recombination(file, vehicle)), of_file)
     check_count(uses, display_path(path))
     return uses
 

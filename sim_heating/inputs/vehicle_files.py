@@ -99,8 +99,13 @@ class DerivedMaterial(Declared):
             data["conductivity_W_mK"] = [[T, value * self.conductivity_factor] for T, value in k]
         replaced = {"density_kg_m3": self.density_kg_m3, "emissivity": self.emissivity}
         data.update({key: value for key, value in replaced.items() if value is not None})
-        own = {"max_use_K": self.max_use_K, "source": self.source, "confidence": self.confidence, "note": self.note}
-        return data | own
+        replacing = {
+            "max_use_K": self.max_use_K,
+            "source": self.source,
+            "confidence": self.confidence,
+            "note": self.note,
+        }
+        return data | replacing
 
 
 class Limits(Declared):
@@ -162,7 +167,7 @@ class ControlPointFile(Declared):
 
     def unusual(self) -> list[tuple[Location, str]]:
         """As of all declarations, and sensors within layers that are too thin for them."""
-        sensors = [(("sensor", *place), text) for place, text in sensor_remarks(self.stack, self.sensor)]
+        sensors = [(("sensor", *location), text) for location, text in sensor_remarks(self.stack, self.sensor)]
         return [*super().unusual(), *sensors]
 
     @model_validator(mode="after")

@@ -67,25 +67,25 @@ def set_flight_conditions(B: FloatArray, flights: Flights, k: int) -> None:
 
 
 @njit
-def set_conditions(B: FloatArray, vectors: FloatArray, first: int, share: float) -> None:
+def set_conditions(B: FloatArray, vectors: FloatArray, first: int, fraction: float) -> None:
     """Move the conditions at the end of a frame part of the way to new ones: c <- c + share (c_then - c).
 
-    B       : block of a lane group, changed
-    vectors : (row, condition) new flight conditions, in the units of their columns
-    first   : row of the group's first lane
-    share   : part of the way [-]; from 1 on the new conditions are set exactly, without rounding
+    B        : block of a lane group, changed
+    vectors  : (row, condition) new flight conditions, in the units of their columns
+    first    : row of the group's first lane
+    fraction : part of the way [-]; from 1 on the new conditions are set exactly, without rounding
 
     Derived in docs/theory/equations_march.md, equation 3.
     """
     for lane in range(LANES):
         at = END_STAGE + lane * N_CONDITIONS
         # c + 1 (then - c) need not be `then` in floating point; a host must find the conditions that it set.
-        if share >= 1.0:
+        if fraction >= 1.0:
             for c in range(N_CONDITIONS):
                 B[at + c] = vectors[first + lane, c]
         else:
             for c in range(N_CONDITIONS):
-                B[at + c] += share * (vectors[first + lane, c] - B[at + c])
+                B[at + c] += fraction * (vectors[first + lane, c] - B[at + c])
 
 
 @njit

@@ -119,12 +119,14 @@ def _point_histories(
     films, entering, leaving, surroundings = np.split(out[:, -4 * len(ensemble.models) :], 4, axis=1)
     for i, model in enumerate(ensemble.models):
         count = 2 + len(model.depths_m)
-        own = out[:, column : column + count].T
+        of_point = out[:, column : column + count].T
         h_ref = flown[i]["h_ref_kg_m2_s"]
         ratio = np.divide(films[:, i], h_ref, out=np.full(len(time), np.nan), where=h_ref > 0.0)
-        sensed, nodes = _sensed(model, time, own[2:]), ensemble.meshes[i].nodes
-        heat = surface_heat(model, flown[i], own[0], entering[:, i], leaving[:, i], surroundings[:, i])
-        points.append(PointHistory(model.name, time, own[0], own[1], sensed, ratio, heat, nodes, mesh_errors_K[i]))
+        sensed, nodes = _sensed(model, time, of_point[2:]), ensemble.meshes[i].nodes
+        heat = surface_heat(model, flown[i], of_point[0], entering[:, i], leaving[:, i], surroundings[:, i])
+        points.append(
+            PointHistory(model.name, time, of_point[0], of_point[1], sensed, ratio, heat, nodes, mesh_errors_K[i])
+        )
         column += count
     return points
 
@@ -147,11 +149,11 @@ def values_at(history_s: FloatArray, values: FloatArray, time_s: FloatArray) -> 
 
     Every sample time is an end of a step: docs/theory/equations_march.md, equation 2.
     """
-    place = np.clip(np.searchsorted(history_s, time_s), 0, len(history_s) - 1)
+    index = np.clip(np.searchsorted(history_s, time_s), 0, len(history_s) - 1)
     inside = (time_s >= history_s[0]) & (time_s <= history_s[-1])
-    if not np.allclose(history_s[place][inside], time_s[inside], rtol=0.0, atol=1e-9):
+    if not np.allclose(history_s[index][inside], time_s[inside], rtol=0.0, atol=1e-9):
         raise InputError("temperatures: no step ended at one of the times; use sample times of the march")
-    return np.where(inside, values[..., place], np.nan)
+    return np.where(inside, values[..., index], np.nan)
 
 
 def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursion]:
@@ -166,15 +168,15 @@ def table_excursions(model: PointModel, flown: Conditions) -> list[TableExcursio
     if model.ratio is None or model.ratio.ratio.size == 1:  # a constant has no outside
         return []
     span = flown.duration_s if len(flown) > 1 else np.zeros(1)
-    found = []
+    excursions = []
     for variable, axis in zip(RATIO_VARIABLES, model.ratio.axes, strict=True):
         x = flown[variable]
         beyond = np.maximum(axis[0] - x, x - axis[-1])
         out = beyond > (NODE_SLACK if len(axis) == 1 else 0.0)
         if np.any(out):
             first = float(flown.time_s[out][0])
-            found.append(TableExcursion(variable, float(np.sum(span[out])), float(np.max(beyond)), first))
-    return found
+            excursions.append(TableExcursion(variable, float(np.sum(span[out])), float(np.max(beyond)), first))
+    return excursions
 
 
 def negative_ratio_s(history: PointHistory) -> float:
@@ -252,8 +254,8 @@ def rising_bondlines(points: Mapping[str, Mapping[str, Any]], shown: int | None 
     if not rising:
         return []
     named = rising if shown is None else rising[:shown]
-    more = f" and {len(rising) - len(named)} more" if len(named) < len(rising) else ""
+    rest = f" and {len(rising) - len(named)} more" if len(named) < len(rising) else ""
     return [
-        f"The bondline of {', '.join(named)}{more} still rises at the end, and its margin is that so far: end the "
+        f"The bondline of {', '.join(named)}{rest} still rises at the end, and its margin is that so far: end the "
         "flight later (`[trajectory.stop]`), or `plan` with `soak_s`"
     ]

@@ -137,8 +137,8 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
     good to about 1e-8. Derived in docs/theory/equations_march.md, equations 9 and 10.
     """
     definition, value = model.definition(name), abs(model.value(name))
-    known = 0.0 < definition.sigma < np.inf
-    scale = definition.sigma if known else max(value, 1.0)
+    has_prior = 0.0 < definition.sigma < np.inf
+    scale = definition.sigma if has_prior else max(value, 1.0)
     curved = (
         model.is_curved(name) or name.startswith(EFFECT_PREFIX) or (name in LINEAR_RATIO and _curved_in_ratio(model))
     )
@@ -179,22 +179,22 @@ def _sides(both: bool) -> tuple[float, ...]:
 
 def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
     """The perturbed lanes of a track, the nominal one first; none for a track without sensitivities."""
-    found = [_PerturbedLane(i)] if track.columns else []
+    lanes = [_PerturbedLane(i)] if track.columns else []
     # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
     remembered = any(used.effect.lags for used in track.model.effects)
     shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
     if shared:
         by, both = perturbation(track.model, RATIO_ITSELF)
-        found += [_PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
+        lanes += [_PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
     for column, name in enumerate(track.names):
         if column not in shared:
             (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
-            found += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
+            lanes += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
     # Where the balance is affine in the ratio, a whole unit of the error gives the exact derivative.
     both = _curved_in_ratio(track.model)
     by = PERTURBATION if both else 1.0
-    return found + [
+    return lanes + [
         _PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
         for column in tables
         for side in _sides(both)
@@ -268,15 +268,17 @@ class LinearMarch:
         if e is None:
             return no_perturbed_groups()
         owner = np.array([perturbed.track for perturbed in self._lanes])
-        whole = {
-            place.group for place, perturbed in zip(e.lane_offsets, self._lanes, strict=True) if not perturbed.at_faces
+        assembled = {
+            offsets.group
+            for offsets, perturbed in zip(e.lane_offsets, self._lanes, strict=True)
+            if not perturbed.at_faces
         }
         source = self._lane_of[owner][e.lanes].astype(np.int64)
-        return PerturbedGroups(e.ints, e.groups, len(whole), source, *assembly_addresses())
+        return PerturbedGroups(e.ints, e.groups, len(assembled), source, *assembly_addresses())
 
     def _offsets(self, m: int) -> PerturbedOffsets:
         """Offsets of the perturbed lanes of each track, with m columns for each lane."""
-        faces = ACTS_ALONG_GAP if self.nominal.integers(0)[GAPS] == 1 else ACTS_AT_FACES
+        faces = ACTS_ALONG_GAP if self.nominal.memory.integers(0)[GAPS] == 1 else ACTS_AT_FACES
         if (m, faces) not in self._cached_offsets:
             self._cached_offsets[m, faces] = self._find_offsets(m, faces)
         return self._cached_offsets[m, faces]
@@ -285,9 +287,9 @@ class LinearMarch:
         at, inverse = np.zeros(LANES, dtype=np.int64), np.zeros((LANES, m))
         plus, minus, reach = np.zeros((3, LANES, m), dtype=np.int64)
         linear = np.full((LANES, m), OWN_PERTURBATION)
-        offsets = () if self.perturbed is None else self.perturbed.lane_offsets
-        for perturbed, place in zip(self._lanes, offsets, strict=True):
-            lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), place.node_0
+        lane_offsets = () if self.perturbed is None else self.perturbed.lane_offsets
+        for perturbed, offsets in zip(self._lanes, lane_offsets, strict=True):
+            lane, columns, first = self._lane_of[perturbed.track], list(perturbed.columns), offsets.node_0
             if not columns:
                 # Equal on both sides by default: a column without a perturbed lane has no forcing.
                 at[lane], plus[lane], minus[lane] = first, first, first
@@ -317,16 +319,16 @@ class LinearMarch:
         """Give a point new parameter values in all its lanes, without a model made for each; its tables stay.
 
         i      : number of the track
-        values : of the stack and the heating, as of `Ensemble.set_values`, where the parameter of a name has a value by
-                 so much larger; that of no name is the point itself
+        values : of the stack and the heating, as of `PointWriter.set_values`, where the parameter of a name has a value
+                 by so much larger; that of no name is the point itself
 
         Source: docs/theory/equations_march.md, equations 9 and 10.
         """
-        self.nominal.set_values(i, *values("", 0.0))
+        self.nominal.writer.set_values(i, *values("", 0.0))
         if self.perturbed is not None:
             for k, perturbed in enumerate(self._lanes):
                 if perturbed.track == i:
-                    self.perturbed.set_values(k, *values(perturbed.name, perturbed.by))
+                    self.perturbed.writer.set_values(k, *values(perturbed.name, perturbed.by))
 
     def move(self, tracks: Sequence[Track], time_s: FloatArray, histories: FloatArray) -> None:
         """Go over to other steps, conditions, samples and starts.
@@ -360,14 +362,14 @@ class LinearMarch:
 
         Derived in docs/theory/equations_march.md, equations 4 to 8.
         """
-        found = self.attempt(shifts_s, initial_K)
-        self._check_effects(found)
+        results = self.attempt(shifts_s, initial_K)
+        self._check_effects(results)
         self.nominal.check()
-        return [self._checked(track, result) for track, result in zip(self.tracks, found, strict=True)]
+        return [self._checked(track, result) for track, result in zip(self.tracks, results, strict=True)]
 
-    def _check_effects(self, found: Sequence[Linearised | None]) -> None:
+    def _check_effects(self, results: Sequence[Linearised | None]) -> None:
         """Look for the reason of a failure in the effects that a user defined, as an ensemble does."""
-        for track, result in zip(self.tracks, found, strict=True):
+        for track, result in zip(self.tracks, results, strict=True):
             for use in track.model.effects if result is None else ():
                 if fault := unusable_value(use, self.time_s, self.histories[track.flight]):
                     raise RunError(f"{track.model.name}: {fault}")
@@ -431,7 +433,7 @@ class LinearMarch:
         """
         self.nominal.reset()
         if self.perturbed is not None:
-            self.perturbed.clear()
+            self.perturbed.counters.clear()
         started = [profile is None or bool(np.all(profile > 0.0)) for profile in initial_K]
         for i, profile in enumerate(initial_K):
             # The perturbed lanes take their temperatures from the nominal ones at every stage.
@@ -469,10 +471,10 @@ class LinearMarch:
 
     def _result(self, i: int, out: FloatArray) -> Linearised | None:
         track = self.tracks[i]
-        own = out[self._lane_of[i], : len(track.read_nodes), : len(track.sample_s), : 2 + track.columns]
-        if not np.all(np.isfinite(own)):
+        of_track = out[self._lane_of[i], : len(track.read_nodes), : len(track.sample_s), : 2 + track.columns]
+        if not np.all(np.isfinite(of_track)):
             return None
-        return Linearised(own[..., 0], own[..., 1], own[..., 2:])
+        return Linearised(of_track[..., 0], of_track[..., 1], of_track[..., 2:])
 
 
 def initial_profile(track: Track) -> FloatArray:

@@ -110,22 +110,22 @@ def meshes_on_flights(
     meshes = [mesh for mesh, _ in choose_meshes(models, step_s)]
     time_s, histories = flights[0].time_s, [condition_history(flight) for flight in flights]
     keys = [_flown_key(m, mesh, step_s, time_s, h) for m, mesh, h in zip(models, meshes, histories, strict=True)]
-    found = {key: _CONFIRMED[key] for key in keys if key in _CONFIRMED}
-    trying = {i: mesh for i, (key, mesh) in enumerate(zip(keys, meshes, strict=True)) if key not in found}
+    confirmed = {key: _CONFIRMED[key] for key in keys if key in _CONFIRMED}
+    trying = {i: mesh for i, (key, mesh) in enumerate(zip(keys, meshes, strict=True)) if key not in confirmed}
     while trying:
         flown = np.stack([histories[i] for i in trying])
         errors = _flown_errors([models[i] for i in trying], list(trying.values()), step_s, time_s, flown)
         again: dict[int, Mesh] = {}
         for (i, mesh), error in zip(trying.items(), errors, strict=True):
-            found[keys[i]] = (mesh, error)
+            confirmed[keys[i]] = (mesh, error)
             nodes = _next_count(mesh.nodes, error) if error is not None and models[i].nodes is None else None
             if nodes is not None:
                 again[i] = mesh_of_nodes(models[i], nodes, step_s)
         trying = again
-    _CONFIRMED.update(found)
+    _CONFIRMED.update(confirmed)
     while len(_CONFIRMED) > KEPT:
         _CONFIRMED.pop(next(iter(_CONFIRMED)), None)
-    return [found[key] for key in keys]
+    return [confirmed[key] for key in keys]
 
 
 _Key = tuple[str, tuple[float, ...], int | None, float]
@@ -192,8 +192,8 @@ def _flown_key(model: PointModel, mesh: Mesh, step_s: float, time_s: FloatArray,
     if model.ratio is not None:
         parts.append(pack_table(model.ratio))
     digest = hashlib.sha256(repr((_key(model, step_s), model.wall_enthalpy)).encode())
-    for part in parts:
-        digest.update(np.ascontiguousarray(part).tobytes())
+    for numbers in parts:
+        digest.update(np.ascontiguousarray(numbers).tobytes())
     return digest.digest(), tuple(use.effect for use in kernel_effects(model))
 
 
@@ -210,7 +210,7 @@ def _mesh_errors(
     )
     change = np.max(np.abs(coarse - fine), axis=0)
     ends = np.cumsum([2 + len(point.depths_m) for point in points])
-    return [float(SAFETY * 4.0 / 3.0 * np.max(part)) for part in np.split(change, ends[:-1])]
+    return [float(SAFETY * 4.0 / 3.0 * np.max(of_point)) for of_point in np.split(change, ends[:-1])]
 
 
 def _flown_errors(

@@ -1,5 +1,7 @@
 """Model of a control point for the kernels: construction, sensors, ratio table, parameters and effects, and the numbers
 that a lane takes from them.
+
+Source: docs/theory/equations.md, equations 5 and 6.
 """
 
 from __future__ import annotations
@@ -64,8 +66,8 @@ AMBIGUOUS = -1
 """Place of a name that is the role of one layer, and what the file calls another."""
 
 
-def _unknown(point: str, name: str, known: Iterable[str]) -> str:
-    return f"{point}: unknown parameter `{name}`{suggestion(name, known, otherwise='')}"
+def _unknown(point: str, name: str, names: Iterable[str]) -> str:
+    return f"{point}: unknown parameter `{name}`{suggestion(name, names, otherwise='')}"
 
 
 @dataclass(frozen=True)
@@ -143,19 +145,19 @@ class PointModel:
         layer that has a role are the role's.
         """
         stack, insulation = self.construction.stack, insulation_layer(self.construction)
-        found = dict(VALUE_INDEX)
+        indices = dict(VALUE_INDEX)
         for slot, name in enumerate(_slot_names(self.construction)):
-            layers = [i for i, own in enumerate(stack.layer_names) if own == name]
+            layers = [i for i, layer_name in enumerate(stack.layer_names) if layer_name == name]
             role = RSI_PREFIX if layers == [insulation] else COATING_PREFIX if layers == [0] else None
             of_role_alone = {} if role is None else {n: k for n, k in VALUE_INDEX.items() if n.startswith(role)}
-            for n, place in of_role_alone.items():
-                found.setdefault(f"{STACK_PREFIX}{name}.{n.rpartition('.')[2]}", place)
+            for n, index in of_role_alone.items():
+                indices.setdefault(f"{STACK_PREFIX}{name}.{n.rpartition('.')[2]}", index)
             for k, p in enumerate(LAYER):
                 of_role = None if role is None else VALUE_INDEX.get(f"{role}{p.name}")
-                place = len(MODEL) + OWN_WIDTH * slot + k if of_role is None else of_role
-                if found.setdefault(f"{STACK_PREFIX}{name}.{p.name}", place) != place:
-                    found[f"{STACK_PREFIX}{name}.{p.name}"] = AMBIGUOUS
-        return found
+                index = len(MODEL) + OWN_WIDTH * slot + k if of_role is None else of_role
+                if indices.setdefault(f"{STACK_PREFIX}{name}.{p.name}", index) != index:
+                    indices[f"{STACK_PREFIX}{name}.{p.name}"] = AMBIGUOUS
+        return indices
 
     @property
     def runs_away(self) -> bool:
@@ -197,9 +199,9 @@ class PointModel:
                 values[VALUE_INDEX[name]] = self._declared_back(name)
         # Reversed, so that of two effects which set one parameter the first prevails.
         for used in reversed(self.effects):
-            for place, value in zip(used.effect.model_parameters, used.values, strict=False):
-                if place in VALUE_INDEX:
-                    values[VALUE_INDEX[place]] = value
+            for parameter, value in zip(used.effect.model_parameters, used.values, strict=False):
+                if parameter in VALUE_INDEX:
+                    values[VALUE_INDEX[parameter]] = value
         return values
 
     def value(self, name: str) -> float:
@@ -221,11 +223,11 @@ class PointModel:
         raises : InputError where the point has none of this name, or the file calls another layer by that of a role
         """
         if name not in self.places:
-            found = layer_parameter(name)
-            own = self.construction.stack.layer_names
-            if found is not None and found[0] not in own:
-                layers = ", ".join(dict.fromkeys(own))
-                raise InputError(f"{self.name}: `{name}`: there is no layer `{found[0]}`; its layers are {layers}")
+            of_layer = layer_parameter(name)
+            layer_names = self.construction.stack.layer_names
+            if of_layer is not None and of_layer[0] not in layer_names:
+                layers = ", ".join(dict.fromkeys(layer_names))
+                raise InputError(f"{self.name}: `{name}`: there is no layer `{of_layer[0]}`; its layers are {layers}")
             raise InputError(_unknown(self.name, name, self.places))
         if self.places[name] == AMBIGUOUS:
             raise InputError(
@@ -236,10 +238,10 @@ class PointModel:
 
     def _existing_place(self, name: str) -> int:
         """As `_place`; raises InputError for a coating in a wall of one layer as well."""
-        place = self._place(name)
+        index = self._place(name)
         if name in MODEL and name.startswith(COATING_PREFIX) and insulation_layer(self.construction) == 0:
             raise InputError(f"{self.name}: `{name}`: a wall of one layer has no coating; its layer is `stack.rsi.*`")
-        return place
+        return index
 
     def _declared_back(self, name: str) -> float:
         back = self.construction.stack.back
@@ -257,12 +259,12 @@ class PointModel:
         """
         if name.startswith(EFFECT_PREFIX):
             use, k = self._effect_parameter(name)
-            own, usual = self.effects[use].definitions[k], self.effects[use].effect.parameters[k]
+            set_here, usual = self.effects[use].definitions[k], self.effects[use].effect.parameters[k]
             stands_for = usual.stands_for if isinstance(usual, ModelParameter) else ""
-            scatter = self._declared_scatter(stands_for) if own.sigma == usual.sigma else None
-            return own if scatter is None else replace(own, sigma=scatter)
-        place = self._existing_place(name)
-        p = _PARAMETERS[place] if place < len(MODEL) else LAYER[(place - len(MODEL)) % OWN_WIDTH]
+            scatter = self._declared_scatter(stands_for) if set_here.sigma == usual.sigma else None
+            return set_here if scatter is None else replace(set_here, sigma=scatter)
+        index = self._existing_place(name)
+        p = _PARAMETERS[index] if index < len(MODEL) else LAYER[(index - len(MODEL)) % OWN_WIDTH]
         sigma = self._declared_scatter(name) or p.sigma
         return replace(p, name=name, sigma=sigma, lower=max(p.lower, self._least_thickness(name)))
 
@@ -278,11 +280,11 @@ class PointModel:
 
     def _layers_of(self, name: str) -> list[int]:
         """Indices of the layers that a parameter of parameters.LAYER is of, by their own name or by a role."""
-        found = layer_parameter(name)
-        own = "" if found is None else found[0]
-        role = {"coating": 0, "rsi": insulation_layer(self.construction)}.get(own)
-        named = [i for i, layer in enumerate(self.construction.stack.layer_names) if layer == own]
-        return [] if found is None else named if role is None else [role]
+        of_layer = layer_parameter(name)
+        layer_name = "" if of_layer is None else of_layer[0]
+        role = {"coating": 0, "rsi": insulation_layer(self.construction)}.get(layer_name)
+        named = [i for i, layer in enumerate(self.construction.stack.layer_names) if layer == layer_name]
+        return [] if of_layer is None else named if role is None else [role]
 
     def _least_thickness(self, name: str) -> float:
         """Part of the thickness of a layer down to its deepest sensor, which keeps its place [-]; else no limit."""
@@ -292,28 +294,28 @@ class PointModel:
         faces, parts = stack.interfaces_m, [0.0]
         slack = 1e-9 * stack.thickness_m  # a depth in a file is that of a face to rounding
         for i in self._layers_of(name):
-            within = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1] - slack]
-            parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in within]
+            inside = [x - faces[i] for x in self.depths_m if faces[i] < x < faces[i + 1] - slack]
+            parts += [LEAST_BEHIND + float(x / (faces[i + 1] - faces[i])) for x in inside]
         return max(parts)
 
     def _declared_scatter(self, name: str) -> float | None:
         """Relative standard deviation that the layer of a parameter, or its material, declares [-]; else None."""
-        own, found = name.rpartition(".")[2], []
+        suffix, scatters = name.rpartition(".")[2], []
         for i in self._layers_of(name):
             layer, material = self.construction.stack.layer[i], self.construction.layer_materials()[i]
             of_thickness = None if layer.thickness_sigma_m is None else layer.thickness_sigma_m / layer.thickness_m
             scatter = (of_thickness, material.conductivity_sigma, material.heat_capacity_sigma)
-            found.append(dict(zip((p.name for p in LAYER), scatter, strict=True))[own])
-        return max((s for s in found if s is not None), default=None)
+            scatters.append(dict(zip((p.name for p in LAYER), scatter, strict=True))[suffix])
+        return max((s for s in scatters if s is not None), default=None)
 
     def is_curved(self, name: str) -> bool:
         """Whether the heat balance at given temperatures is not affine in a parameter of stack or ratio.
 
         name : dotted name; a layer's by its own name or its role
         """
-        place = self.places.get(name, AMBIGUOUS)
-        known = _PARAMETERS[place].name if 0 <= place < len(MODEL) else name
-        return known in NONLINEAR or known.endswith(f".{LAYER[0].name}")
+        index = self.places.get(name, AMBIGUOUS)
+        canonical = _PARAMETERS[index].name if 0 <= index < len(MODEL) else name
+        return canonical in NONLINEAR or canonical.endswith(f".{LAYER[0].name}")
 
     def same_parameter(self, name: str, other: str) -> bool:
         """Whether two dotted names are of one parameter, as those of a layer by its own name and by its role."""
@@ -333,14 +335,14 @@ class PointModel:
         return name in BOUNDARY
 
     def _effect_parameter(self, name: str) -> tuple[int, int]:
-        known = {
+        by_name = {
             f"{EFFECT_PREFIX}{use.effect.name}.{p.name}": (i, k)
             for i, use in enumerate(self.effects)
             for k, p in enumerate(use.effect.parameters)
         }
-        if name not in known:
-            raise InputError(_unknown(self.name, name, known))
-        return known[name]
+        if name not in by_name:
+            raise InputError(_unknown(self.name, name, by_name))
+        return by_name[name]
 
     def with_parameters(self, values: Mapping[str, float]) -> PointModel:
         """Copy of the point with parameters set by their dotted names.
@@ -386,7 +388,7 @@ class PointModel:
         return other
 
 
-def check_one_name(where: str, places: Mapping[str, int], names: Iterable[str]) -> None:
+def check_one_name(where: str, indices: Mapping[str, int], names: Iterable[str]) -> None:
     """Refuse two names of one parameter.
 
     where  : for the message;  places : index of each parameter by name
@@ -394,8 +396,8 @@ def check_one_name(where: str, places: Mapping[str, int], names: Iterable[str]) 
     """
     seen: dict[int, str] = {}
     for name in names:
-        first = seen.setdefault(places.get(name, AMBIGUOUS), name)
-        if name in places and first != name:
+        first = seen.setdefault(indices.get(name, AMBIGUOUS), name)
+        if name in indices and first != name:
             raise InputError(f"{where}: `{first}` and `{name}` are one parameter of the same layer; name it once")
 
 
@@ -412,10 +414,12 @@ def _stretch(mesh: Mesh) -> FloatArray:
     """
     stretch = np.ones(len(mesh.layer))
     for layer in set(mesh.layer[mesh.layer >= 0]):
-        own = np.flatnonzero(mesh.layer == layer)
-        behind = own[0] + max((node - own[0] for node in mesh.sensors if own[0] < node <= own[-1]), default=0)
-        whole, stretched = np.sum(mesh.length_m[own]), np.sum(mesh.length_m[behind : own[-1] + 1])
-        stretch[own] = np.where(own < behind, 0.0, whole / stretched)
+        of_layer = np.flatnonzero(mesh.layer == layer)
+        behind = of_layer[0] + max(
+            (node - of_layer[0] for node in mesh.sensors if of_layer[0] < node <= of_layer[-1]), default=0
+        )
+        thickness, stretched = np.sum(mesh.length_m[of_layer]), np.sum(mesh.length_m[behind : of_layer[-1] + 1])
+        stretch[of_layer] = np.where(of_layer < behind, 0.0, thickness / stretched)
     return stretch
 
 

@@ -62,18 +62,18 @@ def _ends(ensemble: Ensemble, time_s: FloatArray, flown: FloatArray, divided: In
 
 def _halve(ensemble: Ensemble, span_s: FloatArray, ends: FloatArray) -> list[float]:
     """March an interval between two condition vectors (2, condition); ends of its steps [s], its own left out."""
-    found: list[float] = []
+    step_ends: list[float] = []
     begin, length = 0, FINEST
     while begin < FINEST:
-        before, done = ensemble.snapshot(), ensemble.steps[0]
+        before, done = ensemble.snapshot(), ensemble.counters.steps[0]
         after = (begin + length) / FINEST
         then = ends[1] if begin + length == FINEST else ends[0] + after * (ends[1] - ends[0])
         ensemble.advance(then[np.newaxis], (span_s[1] - span_s[0]) * length / FINEST)
-        if ensemble.steps[0] - done > 1.0 and length > 1:
+        if ensemble.counters.steps[0] - done > 1.0 and length > 1:
             ensemble.restore(before)
             length //= 2
         else:
             begin += length
-            found.append(float(span_s[0] + begin / FINEST * (span_s[1] - span_s[0])))
+            step_ends.append(float(span_s[0] + begin / FINEST * (span_s[1] - span_s[0])))
             length = begin & -begin
-    return found[:-1]
+    return step_ends[:-1]

@@ -145,13 +145,13 @@ class HeatingPlugin:
         place_upstream_walls(self.constants.numbers, stepped, e)
         self._host = host_array(vehicle, longest_step_s, longest_wait_s)
         outputs = _outputs(self.points, e)
-        self.outputs = tuple((point, what) for point, what, _ in outputs)
+        self.outputs = tuple((point, output) for point, output, _ in outputs)
         self._published = np.zeros((k.PUBLISHED_ROWS, len(outputs)))
         self._published[k.TAU, 2 * len(names) :] = [s.tau_s for p in self.points for s in p.sensors]
         self.watch = partial(k.watch_frame, self._host, self._published)
         self._arguments = (
             e.lane_groups, self.constants, e.lanes, np.zeros((len(e.lanes), N_CONDITIONS)),
-            np.array([place for _, _, place in outputs]), self._host, self._published,
+            np.array([offset for _, _, offset in outputs]), self._host, self._published,
         )  # fmt: skip
 
     # Stepping --------------------------------------------------------------------------------------------------------
@@ -249,8 +249,8 @@ class HeatingPlugin:
         if flags.density_spikes:
             lines.append(f"{flags.density_spikes} sudden changes of density, the last at {flags.last_spike_s:g} s")
         counted = {"outside the ratio table": self.steps_outside, "of a ratio below 0": self.steps_negative}
-        for what, counts in counted.items():
-            lines += [f"{name}: {count} thermal steps {what}" for name, count in counts.items()]
+        for condition, counts in counted.items():
+            lines += [f"{name}: {count} thermal steps {condition}" for name, count in counts.items()]
         return lines
 
     def _problem(self, values: FloatArray, outcome: int) -> str:
@@ -314,18 +314,18 @@ class HeatingPlugin:
     def steps_outside(self) -> dict[str, int]:
         """Number of thermal steps since the reset that ended outside a point's ratio table; points without one are
         omitted."""
-        return _counted(self.names, self.ensemble.steps_outside_table)
+        return _counted(self.names, self.ensemble.counters.steps_outside_table)
 
     @property
     def steps_negative(self) -> dict[str, int]:
         """Number of thermal steps since the reset that ended with a negative heating ratio; points without one are
         omitted."""
-        return _counted(self.names, self.ensemble.steps_of_negative_ratio)
+        return _counted(self.names, self.ensemble.counters.steps_of_negative_ratio)
 
     def check(self) -> None:
         """raises : RunError naming the points whose step did not converge since the reset; an effect that a user
         defined and that has no usable value at the last frame is named with its file."""
-        failed = _counted(self.names, self.ensemble.failures)
+        failed = _counted(self.names, self.ensemble.counters.failures)
         if failed:
             lanes, conditions = self.ensemble.lanes.tolist(), self._arguments[3]
             for i, model in enumerate(self.ensemble.models):
@@ -401,18 +401,18 @@ def _outputs(points: Sequence[ControlPoint], ensemble: Ensemble) -> list[tuple[s
     """(control point, `surface`, `bondline` or sensor, place in the state): all surfaces, all bondlines, all
     sensors."""
     packed = list(zip(points, ensemble.meshes, ensemble.lane_offsets, strict=False))
-    surfaces = [(point.name, "surface", place.temperature(0)) for point, _, place in packed]
-    bondlines = [(point.name, "bondline", place.temperature(mesh.bondline)) for point, mesh, place in packed]
+    surfaces = [(point.name, "surface", lane.temperature(0)) for point, _, lane in packed]
+    bondlines = [(point.name, "bondline", lane.temperature(mesh.bondline)) for point, mesh, lane in packed]
     sensors = [
-        (point.name, sensor.name, place.temperature(node))
-        for point, mesh, place in packed
+        (point.name, sensor.name, lane.temperature(node))
+        for point, mesh, lane in packed
         for sensor, node in zip(point.sensors, mesh.sensors, strict=True)
     ]
     return surfaces + bondlines + sensors
 
 
-def _value_problem(values: FloatArray, place: int) -> str:
-    return f"plug-in, time_s {values[k.F_TIME]:g}: {FRAME[place]} {limit_message(FRAME[place], float(values[place]))}"
+def _value_problem(values: FloatArray, index: int) -> str:
+    return f"plug-in, time_s {values[k.F_TIME]:g}: {FRAME[index]} {limit_message(FRAME[index], float(values[index]))}"
 
 
 _SHAPE, _DTYPE = (len(FRAME),), np.dtype(np.float64)
@@ -427,6 +427,6 @@ def _values(frame: FloatArray | Mapping[str, float], spared: Sequence[str] = ("j
     unknown = [name for name in frame if name not in FRAME]
     missing = [name for name in FRAME if name not in frame and name not in spared]
     if unknown or missing:
-        what = f"unknown `{unknown[0]}`" if unknown else f"`{missing[0]}` is missing"
-        raise InputError(f"plug-in: {what}; a frame has {', '.join(FRAME)}")
+        problem = f"unknown `{unknown[0]}`" if unknown else f"`{missing[0]}` is missing"
+        raise InputError(f"plug-in: {problem}; a frame has {', '.join(FRAME)}")
     return np.array([float(frame.get(name, 0.0)) for name in FRAME])

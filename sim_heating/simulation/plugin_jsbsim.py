@@ -27,7 +27,7 @@ class JSBSimHeating:
         self.host = host
         self.plugin = plugin
         published = plugin.outputs if sensors else plugin.outputs[: 2 * len(plugin.names)]
-        self._writers = [host.publish(f"{ROOT}/{point}/{what}-K").set_double_value for point, what in published]
+        self._writers = [host.publish(f"{ROOT}/{point}/{output}-K").set_double_value for point, output in published]
         self._values = plugin.temperatures()[: len(published)]
         self._watch = plugin.watch
         self._started = False

@@ -305,10 +305,10 @@ def follow_upstream_walls(
     first, last : the lanes, from `first` to before `last`
     """
     for i in range(first, last):
-        place = int(points.numbers[lanes[i], UPSTREAM_PLACE])
-        if place >= 0:
+        offset = int(points.numbers[lanes[i], UPSTREAM_PLACE])
+        if offset >= 0:
             vectors[i, UPSTREAM] = upstream_enthalpy(
-                state[place], vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
+                state[offset], vectors[i, P_SURFACE], points.numbers[lanes[i], UPSTREAM_CP]
             )
 
 
@@ -331,18 +331,18 @@ def advance_behind_walls(
         advance_groups(state, ints, table, dispatcher, advance, groups, vectors, dt, steps)
         return
     for k in range(steps):
-        share = 1.0 / (steps - k)
+        fraction = 1.0 / (steps - k)
         for g in range(len(groups)):
             first = g * LANES
             for i in range(first, first + LANES):
                 now = groups[g, BLOCK_START] + END_STAGE + (i - first) * N_CONDITIONS
                 for c in range(N_CONDITIONS):
                     # c + 1 (then - c) need not be `then` in floating point.
-                    part = share * (then[i, c] - state[now + c])
-                    vectors[i, c] = state[now + c] + part if share < 1.0 else then[i, c]
+                    change = fraction * (then[i, c] - state[now + c])
+                    vectors[i, c] = state[now + c] + change if fraction < 1.0 else then[i, c]
             follow_upstream_walls(state, points, lanes, vectors, first, first + LANES)
-            own, of_lanes = groups[g : g + 1], vectors[first : first + LANES]
-            advance_groups(state, ints, table, dispatcher, advance, own, of_lanes, dt / steps, 1)
+            group, of_lanes = groups[g : g + 1], vectors[first : first + LANES]
+            advance_groups(state, ints, table, dispatcher, advance, group, of_lanes, dt / steps, 1)
 
 
 @njit
@@ -361,25 +361,25 @@ def derive_history(
 
 
 @njit
-def _update_parabolas(state: FloatArray, places: IntArray, published: FloatArray, dt: float) -> float:
+def _update_parabolas(state: FloatArray, offsets: IntArray, published: FloatArray, dt: float) -> float:
     """Publish the parabolas of the last step, of dt [s]; the largest error [K] of the previous ones at its end."""
     largest = 0.0
-    for i in range(len(places)):
-        end = state[places[i]]
+    for i in range(len(offsets)):
+        end = state[offsets[i]]
         expected = published[VALUE, i] + dt * (published[LINEAR, i] + dt * published[QUADRATIC, i])
         largest = max(largest, abs(end - expected))
         sensed = end
         if published[TAU, i] > 0.0:
             sensed = lag_step(published[LAGGED, i], published[VALUE, i], end, dt / published[TAU, i])
         published[CURRENT, i], published[VALUE, i], published[LAGGED, i] = sensed, end, sensed
-        published[LINEAR, i] = state[places[i] + (RATE - T) * LANES]
-        published[QUADRATIC, i] = state[places[i] + (CURVE - T) * LANES]
+        published[LINEAR, i] = state[offsets[i] + (RATE - T) * LANES]
+        published[QUADRATIC, i] = state[offsets[i] + (CURVE - T) * LANES]
     return largest
 
 
 @njit
 def _heat_to(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """Advance from the frame that the model is at to another, in thermal steps of at most LONGEST_STEP."""
@@ -397,7 +397,7 @@ def _heat_to(
     advance_behind_walls(
         e.state, e.ints, e.table, e.dispatcher, e.advance, e.groups, points, lanes, vectors, vectors.copy(), dt, steps
     )
-    error = _update_parabolas(all_lanes.state, places, published, dt)
+    error = _update_parabolas(all_lanes.state, offsets, published, dt)
     # A parabola carried on errs with the cube of the time: hence the cube root. Steps at every n-th frame were tried
     # and rejected: they meet a ripple of the elevon at the rate of commands always in the same phase, and a cold wall
     # in full heating is far from any parabola.
@@ -417,19 +417,19 @@ def parts_of_frame(dt: float) -> int:
 
 
 @njit
-def write_frame_between(first: FloatArray, frame: FloatArray, share: float, between: FloatArray) -> None:
+def write_frame_between(first: FloatArray, frame: FloatArray, fraction: float, between: FloatArray) -> None:
     """Write the frame a share [-] of the way from one to another: linear in time, ln(rho) for the density.
 
     first, frame, between : (len(FRAME),) values in the order of conditions.FRAME
     """
     for i in range(len(FRAME)):
-        between[i] = first[i] + share * (frame[i] - first[i])
-    between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], share)
+        between[i] = first[i] + fraction * (frame[i] - first[i])
+    between[F_RHO] = first[F_RHO] * math.pow(frame[F_RHO] / first[F_RHO], fraction)
 
 
 @njit
 def _heat_through(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
     """Advance to a frame, a long one in parts.
@@ -442,25 +442,25 @@ def _heat_through(
     elapsed = frame[F_TIME] - first[F_TIME]
     parts = parts_of_frame(elapsed)
     if parts > 1 and first[F_TIME] > host[THERMAL_FRAME + F_TIME]:
-        _heat_to(all_lanes, points, lanes, vectors, places, host, published, first)
+        _heat_to(all_lanes, points, lanes, vectors, offsets, host, published, first)
     between = frame.copy()
     for k in range(1, parts):
         write_frame_between(first, frame, k / parts, between)
-        _heat_to(all_lanes, points, lanes, vectors, places, host, published, between)
-    _heat_to(all_lanes, points, lanes, vectors, places, host, published, frame)
+        _heat_to(all_lanes, points, lanes, vectors, offsets, host, published, between)
+    _heat_to(all_lanes, points, lanes, vectors, offsets, host, published, frame)
 
 
 @njit
 def heat_points(
-    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, places: IntArray,
+    all_lanes: LaneGroups, points: PointConstants, lanes: IntArray, vectors: FloatArray, offsets: IntArray,
     host: FloatArray, published: FloatArray, frame: FloatArray, outcome: int,
 ) -> int:  # fmt: skip
     """Advance all points to a frame, or start with it where it is the first.
 
     all_lanes : lane groups of the ensemble
-    outcome : of `watch_frame`; BEND steps to the frame before first, NOT_STARTED starts
-    places  : (temperature,) places in the state of the published temperatures
-    returns : GOOD, or NOT_CONVERGED where a step did not converge
+    outcome   : of `watch_frame`; BEND steps to the frame before first, NOT_STARTED starts
+    offsets   : (temperature,) places in the state of the published temperatures
+    returns   : GOOD, or NOT_CONVERGED where a step did not converge
     """
     if outcome == NOT_STARTED:
         derive_conditions(frame, host, points, lanes, vectors)
@@ -473,16 +473,16 @@ def heat_points(
             host[THERMAL_FRAME + i] = frame[i]
             host[LAST_FRAME + i] = frame[i]
             host[AREA + i] = 0.0
-        for i in range(len(places)):
-            published[CURRENT, i] = published[VALUE, i] = published[LAGGED, i] = all_lanes.state[places[i]]
+        for i in range(len(offsets)):
+            published[CURRENT, i] = published[VALUE, i] = published[LAGGED, i] = all_lanes.state[offsets[i]]
             published[LINEAR, i] = published[QUADRATIC, i] = 0.0
         return GOOD
     if outcome == BEND and host[LAST_FRAME + F_TIME] > host[THERMAL_FRAME + F_TIME]:
         # First to the frame before the bend, so that a jump of the conditions stays within its own frame. A copy, since
         # `_heat_to` writes the last frame.
         before = host[LAST_FRAME : LAST_FRAME + len(frame)].copy()
-        _heat_to(all_lanes, points, lanes, vectors, places, host, published, before)
-    _heat_through(all_lanes, points, lanes, vectors, places, host, published, frame)
+        _heat_to(all_lanes, points, lanes, vectors, offsets, host, published, before)
+    _heat_through(all_lanes, points, lanes, vectors, offsets, host, published, frame)
     failed = 0.0
     for g in range(len(all_lanes.groups)):
         for lane in range(LANES):

@@ -88,8 +88,8 @@ class Prediction:
         return {name: pooled_rmse_K(residual, mask) for name, mask in masks.items()}
 
     def __repr__(self) -> str:
-        found = pooled_rmse_K(self.residual_K)
-        rmse = "no sample within the conditions" if found is None else f"RMSE {found['rmse_K']:.2f} K"
+        errors = pooled_rmse_K(self.residual_K)
+        rmse = "no sample within the conditions" if errors is None else f"RMSE {errors['rmse_K']:.2f} K"
         return f"<Prediction of {self.record.name}: {len(self.record.sensors)} sensors, {rmse}>"
 
     def to_xarray(self) -> xr.Dataset:
@@ -148,10 +148,10 @@ def predict(
     model = model.with_lags(lags_s(record.sensors, faults))
     conditions = conditions_of_record(record, flow or flow_of_record(record, model.effects))
     t, span = record.time_s - skew_s, conditions.time_s[[0, -1]]
-    within = t[(t >= span[0]) & (t <= span[1])]
-    if len(within) == 0:
+    inside_s = t[(t >= span[0]) & (t <= span[1])]
+    if len(inside_s) == 0:
         raise InputError(f"{record.name}: no measurement lies within the conditions ({span[0]:g} to {span[1]:g} s)")
-    marched = march_points([model], [conditions], extra_times_s=within)[0]
+    marched = march_points([model], [conditions], extra_times_s=inside_s)[0]
     history = replace(_resampled(marched, t), time_s=record.time_s)
     pairs, since_s = zip(record.sensors, history.sensors_K, strict=True), record.time_s - record.time_s[0]
     indicated = np.array([indicated_temperature(s, values, faults.get(s.name), since_s) for s, values in pairs])
@@ -217,10 +217,12 @@ def write_prediction(prediction: Prediction, out: str | os.PathLike[str]) -> lis
     with output_directory(out, "predict", inputs=[record.directory]) as folder:
         write_temperatures_csv(folder / TABLE, history.time_s, history, record.sensors)
         write_heating_csv(folder / HEATING, history, {})
-        found = summary(prediction)
-        write_json(folder / SUMMARY, found)
+        contents = summary(prediction)
+        write_json(folder / SUMMARY, contents)
         prediction.draw(folder / PICTURE)
-        write_page(folder / PAGE, lambda: prediction_page(found, record, history, _curve(prediction), folder / PICTURE))
+        write_page(
+            folder / PAGE, lambda: prediction_page(contents, record, history, _curve(prediction), folder / PICTURE)
+        )
         return sorted(p.name for p in folder.iterdir() if p.is_file())
 
 

@@ -97,11 +97,11 @@ def write_heating_csv(path: Path, history: PointHistory, limits: Mapping[str, fl
 
 def _margins(history: PointHistory, limits: Mapping[str, float | None]) -> dict[str, FloatArray]:
     """Margins of surface and bondline [K], (time,) each; NaN without a limit."""
-    found = {}
+    margins = {}
     for name, values in (("surface", history.surface_K), ("bondline", history.bondline_K)):
         limit = limits.get(f"{name}_K")
-        found[f"{name}_margin_K"] = (np.nan if limit is None else limit) - values
-    return found
+        margins[f"{name}_margin_K"] = (np.nan if limit is None else limit) - values
+    return margins
 
 
 def run_table(title: str, summary: Mapping[str, Any], rmse_K: Mapping[str, float]) -> Table:
@@ -142,16 +142,18 @@ def limits_in_words(summary: Mapping[str, Any]) -> str:
     '1 of 2 points with limits passes them: NOSE (surface by 12 K)'
     """
     margins = {
-        name: {what: point.get(f"{what}_margin_K") for what in ("surface", "bondline")}
+        name: {part_of_wall: point.get(f"{part_of_wall}_margin_K") for part_of_wall in ("surface", "bondline")}
         for name, point in summary["control_points"].items()
     }
-    limited = {name: {k: m for k, m in found.items() if m is not None} for name, found in margins.items()}
-    limited = {name: found for name, found in limited.items() if found}
-    passed = {name: {k: -m for k, m in found.items() if m < 0.0} for name, found in limited.items()}
+    limited = {
+        name: {k: m for k, m in point_margins.items() if m is not None} for name, point_margins in margins.items()
+    }
+    limited = {name: point_margins for name, point_margins in limited.items() if point_margins}
+    passed = {name: {k: -m for k, m in point_margins.items() if m < 0.0} for name, point_margins in limited.items()}
     lines = [
-        f"{name} ({', '.join(f'{what} by {excess:.0f} K' for what, excess in found.items())})"
-        for name, found in passed.items()
-        if found
+        f"{name} ({', '.join(f'{part_of_wall} by {excess:.0f} K' for part_of_wall, excess in point_margins.items())})"
+        for name, point_margins in passed.items()
+        if point_margins
     ]
     if not limited:
         return "No point has a temperature limit"
@@ -215,8 +217,8 @@ def histories_dataset(
     heat = [p.heat.columns() | _margins(p, limits[p.name]) for p in points]
     data |= {key: (per_point, np.array([h[key] for h in heat]), _attributes(key)) for key in heat[0]}
     for name in ("surface", "bondline"):
-        known = [limits[p.name].get(f"{name}_K") for p in points]
-        values = np.array([np.nan if limit is None else limit for limit in known])
+        limits_K = [limits[p.name].get(f"{name}_K") for p in points]
+        values = np.array([np.nan if limit is None else limit for limit in limits_K])
         data[f"{name}_limit_K"] = ("control_point", values, _attributes(f"{name}_limit_K"))
     data["sensor_K"] = (
         ("sensor", "time"),

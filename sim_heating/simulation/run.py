@@ -145,8 +145,11 @@ class RunResult:
     @property
     def limits(self) -> dict[str, dict[str, float | None]]:
         """Limits `surface_K` and `bondline_K` [K] by control point; None where the vehicle declares none."""
-        found = {name: self.scenario.vehicle.control_point(name).limits for name in self.points}
-        return {name: {"surface_K": own.surface_K, "bondline_K": own.bondline_K} for name, own in found.items()}
+        by_point = {name: self.scenario.vehicle.control_point(name).limits for name in self.points}
+        return {
+            name: {"surface_K": declared.surface_K, "bondline_K": declared.bondline_K}
+            for name, declared in by_point.items()
+        }
 
     def histories(self, points: Sequence[str] | None = None) -> list[PointHistory]:
         """Histories of control points, by default of all.
@@ -154,9 +157,9 @@ class RunResult:
         points : names
         raises : InputError with the nearest name for a point that was not flown
         """
-        wanted = list(self.points) if points is None else list(points)
-        require_points(wanted, self.points)
-        return [self.points[name].history for name in wanted]
+        names = list(self.points) if points is None else list(points)
+        require_points(names, self.points)
+        return [self.points[name].history for name in names]
 
     def plot(self, points: Sequence[str] | None = None) -> Figure:
         """Surface and bondline temperatures of control points against time.
@@ -178,14 +181,14 @@ class RunResult:
         return draw_heating(None, self.scenario.title, self.histories(points), self.flight.windows)
 
 
-def require_points(wanted: Sequence[str], flown: Collection[str], option: str = "points") -> None:
+def require_points(names: Sequence[str], flown: Collection[str], option: str = "points") -> None:
     """Check names of control points.
 
     raises : InputError with the nearest name for one that is not among those flown, and for no name
     """
-    if not wanted:
+    if not names:
         raise InputError(f"{option}: no control point is named; name one of {', '.join(flown)}")
-    for name in wanted:
+    for name in names:
         if name not in flown:
             raise InputError(f"{option}: `{name}` is not a control point of this flight{suggestion(name, flown)}")
 
@@ -224,8 +227,8 @@ class Comparison:
     @property
     def statistics(self) -> dict[str, float | int]:
         """rmse_K, max_abs_K and n over the samples within the flight."""
-        found = pooled_rmse_K(self.residual_K)
-        return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if found is None else found
+        errors = pooled_rmse_K(self.residual_K)
+        return {"rmse_K": float("nan"), "max_abs_K": float("nan"), "n": 0} if errors is None else errors
 
 
 def fly_scenario(scenario: Scenario, *, progress: Progress = no_progress, on_frame: OnFrame | None = None) -> Flight:
@@ -369,9 +372,12 @@ def compare(result: RunResult) -> list[Comparison]:
     for measured in result.scenario.compare:
         history = result.points[measured.control_point].history
         t = measured.time_s
-        within = (t >= history.time_s[0]) & (t <= history.time_s[-1])
+        in_flight = (t >= history.time_s[0]) & (t <= history.time_s[-1])
         compared = replace(
-            measured, time_s=t[within], temperature_K=measured.temperature_K[within], sigma_K=measured.sigma_K[within]
+            measured,
+            time_s=t[in_flight],
+            temperature_K=measured.temperature_K[in_flight],
+            sigma_K=measured.sigma_K[in_flight],
         )
         predicted = np.interp(compared.time_s, history.time_s, history.surface_K)
         sigma = _table_sigma(result.points[measured.control_point], compared.time_s)
@@ -555,7 +561,7 @@ def _page(result: RunResult, folder: Path, points: Sequence[str] | None) -> Page
     """The page of a run, whose pictures are in the folder."""
     from sim_heating.simulation.report.pages import MeasuredCurve, RunPictures, run_page
 
-    found, windows = summary(result), result.flight.windows
+    contents, windows = summary(result), result.flight.windows
     compared = [
         MeasuredCurve(
             c.measured.label, c.history, c.measured.time_s, c.measured.temperature_K, c.residual_K,
@@ -567,9 +573,9 @@ def _page(result: RunResult, folder: Path, points: Sequence[str] | None) -> Page
     pictures = RunPictures(
         folder / TRAJECTORY, folder / TEMPERATURES, folder / HEAT, folder / COMPARED, manoeuvres
     )  # fmt: skip
-    peaks = run_table("", found, rmse_by_point(result))
+    peaks = run_table("", contents, rmse_by_point(result))
     return run_page(
-        found, peaks, result.flight.conditions, result.histories(points), windows, result.limits, compared, pictures
+        contents, peaks, result.flight.conditions, result.histories(points), windows, result.limits, compared, pictures
     )
 
 

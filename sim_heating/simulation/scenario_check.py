@@ -64,16 +64,16 @@ def check_vehicle(vehicle: Vehicle) -> None:
     raises : InputError where a table or a key of them is wrong, or a user-defined effect cannot be compiled
     """
     problems: list[str] = []
-    found: dict[str, Any] = {}
+    loaded: dict[str, Any] = {}
     for file, read in (("aero/aero.toml", load_aero), ("guidance.toml", load_guidance)):
         try:
             if (vehicle.directory / file).is_file():
-                found[file] = read(vehicle.directory)
+                loaded[file] = read(vehicle.directory)
         except InputError as error:
             problems += error.problems
     raise_problems(problems)
-    if len(found) == 2:
-        check_alpha_schedule(found["aero/aero.toml"], found["guidance.toml"], display_path(vehicle.directory))
+    if len(loaded) == 2:
+        check_alpha_schedule(loaded["aero/aero.toml"], loaded["guidance.toml"], display_path(vehicle.directory))
     check_effects([use.effect for point in vehicle.control_points.values() for use in point.effects])
 
 

@@ -109,7 +109,7 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     Source: docs/reference/scenario_format.md, `[truth]`; docs/theory/equations_reference_heating.md, equation 17a.
     """
     vehicle, truth = scenario.vehicle, scenario.declared.truth.effect
-    share = [
+    intermittencies = [
         intermittency_along(e.use(), conditions)
         for name, conditions in zip(scenario.names, flights, strict=True)
         for e in truth
@@ -118,10 +118,10 @@ def _with_axial_force(scenario: Scenario, flights: Sequence[Conditions]) -> list
     ]
     spec = scenario.declared.trajectory
     # Only of a flight with the vehicle's own aerodynamics is the mass known.
-    if not share or AXIAL not in flights[0] or spec.source not in ("jsbsim", "entry-3dof"):
+    if not intermittencies or AXIAL not in flights[0] or spec.source not in ("jsbsim", "entry-3dof"):
         return list(flights)
     rise, mass = friction_rise(flights[0], vehicle.reference_length_m), flown_aero(spec, vehicle.directory).mass_kg
-    added = np.mean(share, axis=0) * rise * vehicle.reference_area_m2 / (mass * G0_M_S2)
+    added = np.mean(intermittencies, axis=0) * rise * vehicle.reference_area_m2 / (mass * G0_M_S2)
     return [conditions.with_columns(**{AXIAL: conditions[AXIAL] + added}) for conditions in flights]
 
 
@@ -177,8 +177,8 @@ def _record(
     for sensor, temperature in zip(point.sensors, true, strict=True):
         lost = lost_samples(clock, rng, measurements.lost_fraction, measurements.gaps_s) | np.isnan(temperature)
         # Placeholders where nothing was marched: quantising NaN has no meaning, and the samples are lost anyway.
-        known = np.where(np.isnan(temperature), 0.0, temperature)
-        columns[sensor.column] = measure(sensor, known, rng, faults.get(sensor.name), lost, clock - clock[:1])
+        finite = np.where(np.isnan(temperature), 0.0, temperature)
+        columns[sensor.column] = measure(sensor, finite, rng, faults.get(sensor.name), lost, clock - clock[:1])
         if np.all(np.isnan(columns[sensor.column])):
             span = f"{conditions.time_s[0]:g} to {conditions.time_s[-1]:g} s"
             raise InputError(
@@ -230,14 +230,14 @@ def _pedigree(vehicle: Vehicle, point: ControlPoint) -> dict[str, str]:
 
 def _recovery_keys(point: ControlPoint) -> dict[str, Any]:
     """Keys of [heating] that state the recovery enthalpy of a control point; none for the total enthalpy."""
-    own = point.recovery
-    if own.kind == "total":
+    recovery = point.recovery
+    if recovery.kind == "total":
         return {}
-    if own.kind == "attachment-line":
-        return {"recovery": own.kind, "sweep_deg": own.sweep_deg}
-    turns = {"elevon_factor": own.elevon_factor, "bodyflap_factor": own.bodyflap_factor}
+    if recovery.kind == "attachment-line":
+        return {"recovery": recovery.kind, "sweep_deg": recovery.sweep_deg}
+    turns = {"elevon_factor": recovery.elevon_factor, "bodyflap_factor": recovery.bodyflap_factor}
     turned = {key: factor for key, factor in turns.items() if factor != 0.0}
-    return {"recovery": own.kind, "local_angle_deg": own.local_angle_deg, **turned}
+    return {"recovery": recovery.kind, "local_angle_deg": recovery.local_angle_deg, **turned}
 
 
 def _declared_effects(point: ControlPoint) -> dict[str, Any]:
@@ -326,8 +326,8 @@ def files_of(scenario: Scenario) -> list[str]:
     for name in measured:
         folder = "" if len(measured) == 1 else f"{name}/"
         turbulent = turbulent_table_of(scenario.vehicle.control_point(name)) is not None
-        own = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
-        files += [f"{folder}{n}" for n in own]
+        names_of_record = (DECLARATION, CONDITIONS, THERMOCOUPLES, TABLE, *((TURBULENT,) if turbulent else ()))
+        files += [f"{folder}{n}" for n in names_of_record]
     return [TRUTH, PAGE, *files]
 
 
@@ -355,8 +355,8 @@ def write_records(
     ):
         texts = []
         for name, record in records.items():
-            own = parts.enter_context(record_directory(folder if len(records) == 1 else folder / name))
-            texts.append(partial(_write_texts, own, record, comment))
+            record_folder = parts.enter_context(record_directory(folder if len(records) == 1 else folder / name))
+            texts.append(partial(_write_texts, record_folder, record, comment))
         first = next(iter(records.values()))
         flown = first.conditions
         write_text_atomic(folder / TRUTH, _truth_text(scenario, flown))

@@ -71,19 +71,19 @@ def find_material(name: str) -> tuple[str, Material]:
         path = Path(name)
         return re.sub(r"[^A-Za-z0-9_-]", "-", path.stem), read_toml(path, Material)
     library = material_library()
-    wanted = _plain(name)
-    exact = [own for own in library if _plain(own) == wanted]
-    found = exact or [own for own in library if wanted and _plain(own).startswith(wanted)]
-    if not found and re.fullmatch(r"\d{3,}", wanted):  # a number of an alloy: AISI 304
-        found = [own for own in library if _plain(own).endswith(wanted)]
-    if len(found) == 1:
-        return found[0], library[found[0]]
-    if found:
-        raise InputError(f"material `{name}`: may be {', '.join(sorted(found))}; name one of them")
-    near = nearest_name(wanted, library)
-    meant = f"did you mean `{near}`? " if near else ""
-    known = ", ".join(sorted(library))
-    raise InputError(f"material `{name}`: is not in the library; {meant}known: {known}; or give a TOML file of it")
+    plain_name = _plain(name)
+    exact = [candidate for candidate in library if _plain(candidate) == plain_name]
+    names = exact or [candidate for candidate in library if plain_name and _plain(candidate).startswith(plain_name)]
+    if not names and re.fullmatch(r"\d{3,}", plain_name):  # a number of an alloy: AISI 304
+        names = [candidate for candidate in library if _plain(candidate).endswith(plain_name)]
+    if len(names) == 1:
+        return names[0], library[names[0]]
+    if names:
+        raise InputError(f"material `{name}`: may be {', '.join(sorted(names))}; name one of them")
+    near = nearest_name(plain_name, library)
+    hint = f"did you mean `{near}`? " if near else ""
+    listed = ", ".join(sorted(library))
+    raise InputError(f"material `{name}`: is not in the library; {hint}known: {listed}; or give a TOML file of it")
 
 
 def layer_input(text: str, option: str = "--layer") -> LayerInput:
@@ -93,14 +93,14 @@ def layer_input(text: str, option: str = "--layer") -> LayerInput:
 
     raises : InputError, one line, with what is wrong
     """
-    found = LAYER.fullmatch(text)
-    if found is None:
+    match = LAYER.fullmatch(text)
+    if match is None:
         raise InputError(f"{option} `{text}`: write a material and a thickness with its unit, such as {EXAMPLE}")
-    if not found[3]:
+    if not match[3]:
         raise InputError(f"{option} `{text}`: the thickness has no unit; write such as {EXAMPLE} (mm, m, in, mil, um)")
-    name, material = find_material(found[1])
-    applied = f"{found[2]} {found[3]}"
-    if converted(found[3], "kg/m2") is not None:
+    name, material = find_material(match[1])
+    applied = f"{match[2]} {match[3]}"
+    if converted(match[3], "kg/m2") is not None:
         applied = f"{quantity(applied, 'kg/m2', f'{option} `{text}`', EXAMPLE) / material.density_kg_m3:.12g} m"
     return LayerInput(name, material, quantity(applied, "m", f"{option} `{text}`", EXAMPLE, "thickness_m"))
 

@@ -19,6 +19,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import COLDEST_K, display_path, plain_number, suggestion
+from sim_heating.base.files.text import and_more_rows
 from sim_heating.base.files.units import converted, name_and_unit
 from sim_heating.base.limits import HOTTEST_K, LIMITS
 from sim_heating.base.report.table import Column, Table
@@ -220,11 +221,11 @@ def read_measured_csv(
         }
     )  # fmt: skip
     if chosen.time_unit is not None and chosen.time_unit not in CLOCKS and converted(chosen.time_unit, "s") is None:
-        known = ", ".join((*DURATIONS, *CLOCKS))
-        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {known}")
+        units = ", ".join((*DURATIONS, *CLOCKS))
+        raise InputError(f"--time-unit {chosen.time_unit}: is not a unit of time; give one of {units}")
     block = _long_as_wide(_with_unit_column(_block(path, chosen)))
     heads, signs = _heads(block, chosen)
-    heads = _joined_dates(block, heads, chosen)
+    heads = _joined_dates(heads)
     columns = [_column(h) for h in heads]
     columns = _as_declared(path, columns, base)
     columns = _as_chosen(path, columns, chosen.time, temperatures, flux)
@@ -236,18 +237,18 @@ def read_measured_csv(
     columns = [_with_unit(block, c, by_name[c.name], chosen, base) if c.kind in kinds else c for c in columns]
     columns = _guessed(block, columns, kinds)
     columns = [_without_lost(block, c, chosen.lost) if c.kind in kinds else c for c in columns]
-    columns, rows, more = _rows_kept(block, columns, kept, kinds)
+    columns, rows, row_notes = _rows_kept(block, columns, kept, kinds)
     named = f"names in line {block.names_line}" if block.has_names else "no names"
-    found = MeasuredCsv(
+    measured = MeasuredCsv(
         path, tuple(columns), rows, f"{block.about}, {signs.words}, {named}, {len(rows)} rows", zero_s,
         "" if "counted from" not in clock.reason else "midnight" if clock.reason.startswith("clock") else "1970",
-        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *more),
+        _stated(chosen, block, signs, columns, heads), (*block.notes, *notes, *row_notes),
     )  # fmt: skip
-    found = _with_distinct_times(found, chosen.repeated)
-    _warn_of_guesses(found, kinds)
+    measured = _with_distinct_times(measured, chosen.repeated)
+    _warn_of_guesses(measured, kinds)
     if TEMPERATURE in kinds:
-        _name_far_off(found)
-    return found
+        _name_far_off(measured)
+    return measured
 
 
 def _block(path: Path, chosen: LoggerLayout) -> Block:
@@ -297,50 +298,65 @@ def _long_as_wide(block: Block) -> Block:
 
     raises : InputError where a sensor has two readings at one time
     """
-    width = len(block.names)
-    texts = [
-        k
-        for k in range(width)
-        if not any(is_number(c) or is_clock(c) for c in block.column(k)[:200]) and any(block.column(k)[:200])
-    ]
-    labels = [
-        k for k in texts
-        if re.search(r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag", block.names[k])
-        and 2 <= len(set(block.column(k))) <= max(2, len(block.lines) // 3)
-    ]  # fmt: skip
-    numbers = [
-        k for k in range(width)
-        if k not in texts and not re.search(HEADS[0][1], block.names[k]) and not re.fullmatch(COUNTER, block.names[k])
-        and any(is_number(c) for c in block.column(k)[:200]) and not any(is_clock(c) for c in block.column(k)[:200])
-    ]  # fmt: skip
-    times = [k for k in range(width) if k not in texts and k not in numbers and re.search(HEADS[0][1], block.names[k])]
-    if len(labels) != 1 or len(numbers) != 1 or not times:
+    columns = _columns_of_a_long_table(block)
+    if columns is None:
         return block
+    times, label, value = columns
     stamps = list(zip(*(block.column(k) for k in times), strict=True))
     if len(set(stamps)) == len(stamps):
         return block
-    label, value = block.column(labels[0]), block.column(numbers[0])
-    sensors = list(dict.fromkeys(label))
-    rows: dict[tuple[str, ...], dict[str, str]] = {}
-    first: dict[tuple[str, ...], int] = {}
-    for i, (stamp, name) in enumerate(zip(stamps, label, strict=True)):
-        row = rows.setdefault(stamp, {})
-        first.setdefault(stamp, i)
-        if name in row:
-            raise InputError(
-                f"{block.at(i, block.names[labels[0]])}: `{name}` has a second reading at one time; remove one"
-            )
-        row[name] = value[i]
-    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in rows.items())
-    cells = tuple(list(c) for c in zip(*by_row, strict=True))
-    bare, unit = name_and_unit(block.names[numbers[0]], list(SI_UNITS.values()))
+    readings = _readings_by_stamp(block, stamps, label, value)
+    sensors = list(dict.fromkeys(block.column(label)))
+    by_row = ([*stamp, *(row.get(s, "") for s in sensors)] for stamp, row in readings.items())
+    bare, unit = name_and_unit(block.names[value], list(SI_UNITS.values()))
     kind = bare if re.search(HEADS[3][1], bare) else ""
     names = [f"{s} [{unit}]" if unit else s for s in sensors] if kind or unit else sensors
+    first = {stamp: i for i, stamp in reversed(list(enumerate(stamps)))}
     return replace(
         block, names=(*(block.names[k] for k in times), *names),
-        units=(*(block.units[k] for k in times), *(block.units[numbers[0]] for _ in sensors)), cells=cells,
-        lines=tuple(block.lines[i] for i in first.values()), about=f"{block.about}, one row a sensor",
+        units=(*(block.units[k] for k in times), *(block.units[value] for _ in sensors)),
+        cells=tuple(list(c) for c in zip(*by_row, strict=True)),
+        lines=tuple(block.lines[first[stamp]] for stamp in readings), about=f"{block.about}, one row a sensor",
     )  # fmt: skip
+
+
+def _columns_of_a_long_table(block: Block) -> tuple[list[int], int, int] | None:
+    """Columns of the time, of the names of sensors, and of their readings; None where these are not one each."""
+    probes = [block.column(k)[:200] for k in range(len(block.names))]
+    has_number = [any(is_number(c) for c in cells) for cells in probes]
+    has_clock = [any(is_clock(c) for c in cells) for cells in probes]
+    texts = [k for k, cells in enumerate(probes) if not has_number[k] and not has_clock[k] and any(cells)]
+    is_time = [re.search(HEADS[0][1], name) is not None for name in block.names]
+    labels = [k for k in texts if _may_name_sensors(block, k)]
+    numbers = [
+        k for k, name in enumerate(block.names)
+        if has_number[k] and not has_clock[k] and not is_time[k] and not re.fullmatch(COUNTER, name)
+    ]  # fmt: skip
+    times = [k for k, named in enumerate(is_time) if named and k not in texts]
+    return (times, labels[0], numbers[0]) if len(labels) == len(numbers) == 1 and times else None
+
+
+def _may_name_sensors(block: Block, k: int) -> bool:
+    words = r"(?i)sensor|channel|name|id|probe|tc|thermo|point|location|signal|variable|tag"
+    names = set(block.column(k))
+    return re.search(words, block.names[k]) is not None and 2 <= len(names) <= max(2, len(block.lines) // 3)
+
+
+def _readings_by_stamp(
+    block: Block, stamps: Sequence[tuple[str, ...]], label: int, value: int
+) -> dict[tuple[str, ...], dict[str, str]]:
+    """Readings by time and name of the sensor.
+
+    raises : InputError where a sensor has two readings at one time
+    """
+    readings: dict[tuple[str, ...], dict[str, str]] = {}
+    for i, (stamp, name) in enumerate(zip(stamps, block.column(label), strict=True)):
+        row = readings.setdefault(stamp, {})
+        if name in row:
+            rule = f"`{name}` has a second reading at one time; remove one"
+            raise InputError(f"{block.at(i, block.names[label])}: {rule}")
+        row[name] = block.column(value)[i]
+    return readings
 
 
 # Heads and cells -----------------------------------------------------------------------------------------------------
@@ -348,16 +364,7 @@ def _long_as_wide(block: Block) -> Block:
 
 def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     """Names, units and cells of the columns, by one layout of numbers for the file."""
-    names: list[str] = []
-    stated: list[str] = []
-    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
-        name, own = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
-        if own and not re.search(r"[\[(<,/]", head) and converted(own, "s") and not re.search(HEADS[0][1], name):
-            name, own = head, ""  # T_s is a surface, and no time
-        if not own and (raw := re.fullmatch(RAW, name)):
-            name, own = raw[1], raw[2]
-        names.append(name if name not in names else f"{name} {k + 1}")
-        stated.append(unit.strip("-") or own)
+    names, stated = _names_and_units(block)
     if chosen.time_unit == "hhmmss":
         as_clock = [with_colons(c) if re.search(HEADS[0][1], n) else c for n, c in zip(names, block.cells, strict=True)]
         block = replace(block, cells=tuple(as_clock))
@@ -366,20 +373,44 @@ def _heads(block: Block, chosen: LoggerLayout) -> tuple[list[_Head], Signs]:
     heads = []
     for k, (name, unit) in enumerate(zip(names, stated, strict=True)):
         cells = block.column(k)
-        clock = None
-        if (k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))) and (
-            chosen.time is None or name == chosen.time or block.names[k] == chosen.time or _is_partner(name)
-        ):
-            place = f"{display_path(block.path)}, column {name}"
-            layout = _clock_word(unit) or chosen.time_unit
-            try:
-                clock = clock_of(cells, place, chosen.dates, layout)
-            except InputError:
-                is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
-                if chosen.time in (name, block.names[k]) or (chosen.time is None and is_called):
-                    raise  # another column is the time otherwise
+        may_be_clock = k in clocks or (re.search(HEADS[0][1], name) and _mostly(cells, _is_all_digits))
+        clock = _clock_of_column(block, k, names, unit, chosen) if may_be_clock else None
         heads.append(_Head(name, unit, numbers_of(cells, signs), clock, cells))
     return heads, signs
+
+
+def _names_and_units(block: Block) -> tuple[list[str], list[str]]:
+    """Name of each column, no two alike, and the unit that the row of units or the name states."""
+    names: list[str] = []
+    stated: list[str] = []
+    for k, (head, unit) in enumerate(zip(block.names, block.units, strict=True)):
+        name, unit_in_name = name_and_unit(head or f"column{k + 1}", list(SI_UNITS.values()))
+        in_brackets, is_time = re.search(r"[\[(<,/]", head), re.search(HEADS[0][1], name)
+        if unit_in_name and not in_brackets and not is_time and converted(unit_in_name, "s"):
+            name, unit_in_name = head, ""  # T_s is a surface, and no time
+        if not unit_in_name and (raw := re.fullmatch(RAW, name)):
+            name, unit_in_name = raw[1], raw[2]
+        names.append(name if name not in names else f"{name} {k + 1}")
+        stated.append(unit.strip("-") or unit_in_name)
+    return names, stated
+
+
+def _clock_of_column(block: Block, k: int, names: Sequence[str], unit: str, chosen: LoggerLayout) -> Clock | None:
+    """Times of a column of clocks; None where another one is the time.
+
+    raises : InputError where its layout is not clear, and it is the time
+    """
+    name, its_names = names[k], (names[k], block.names[k])
+    if chosen.time is not None and chosen.time not in its_names and not _is_partner(name):
+        return None
+    try:
+        location = f"{display_path(block.path)}, column {name}"
+        return clock_of(block.column(k), location, chosen.dates, _clock_word(unit) or chosen.time_unit)
+    except InputError:
+        is_called = re.search(HEADS[0][1], name) or not any(re.search(HEADS[0][1], n) for n in names)
+        if chosen.time in its_names or (chosen.time is None and is_called):
+            raise
+        return None  # another column is the time
 
 
 def _is_partner(name: str) -> bool:
@@ -404,29 +435,33 @@ def _mostly(cells: Sequence[str], holds: object) -> bool:
     return sum(bool(holds(c)) for c in probe) > 0.5 * len(probe)
 
 
-def _joined_dates(block: Block, heads: list[_Head], chosen: LoggerLayout) -> list[_Head]:
-    """Columns in which a date and a time of day of the same rows are one clock."""
-    day = next((h for h in heads if h.clock is not None and h.clock.day_s is not None and not h.clock.has_time), None)
-    hours = next((h for h in heads if h.clock is not None and h.clock.day_s is None), None)
-    joined = list(heads)
-    if day is not None and hours is not None and day.clock is not None and hours.clock is not None:
-        seconds = day.clock.seconds + hours.clock.seconds
-        clock = Clock(seconds, day.clock.day_s, True, f"{day.clock.layout} in `{day.name}`, {hours.clock.layout}")
-        joined = [replace(h, clock=clock) if h is hours else replace(h, clock=None) if h is day else h for h in heads]
-        hours = next(h for h in joined if h.clock is clock)
-    ms = next((h for h in joined if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
-    clock_head = next((h for h in joined if h.clock is not None and h.clock.has_time), None)
-    if ms is not None and clock_head is not None and clock_head.clock is not None:
-        part = ms.numbers.values
-        whole = np.all(np.mod(clock_head.clock.seconds, 1.0) == 0.0)
-        if whole and np.all((part >= 0.0) & (part < 1000.0)) and np.any(np.diff(clock_head.clock.seconds) == 0.0):
-            clock = replace(
-                clock_head.clock,
-                seconds=clock_head.clock.seconds + part / 1e3,
-                layout=f"{clock_head.clock.layout}, ms in `{ms.name}`",
-            )
-            joined = [replace(h, clock=clock) if h is clock_head else h for h in joined]
-    return joined
+def _joined_dates(heads: list[_Head]) -> list[_Head]:
+    """Columns in which a date and a time of day of the same rows are one clock, with its milliseconds."""
+    return _with_milliseconds(_with_date(heads))
+
+
+def _with_date(heads: list[_Head]) -> list[_Head]:
+    clocks = [(h, h.clock) for h in heads if h.clock is not None]
+    day = next(((h, c) for h, c in clocks if c.day_s is not None and not c.has_time), None)
+    hours = next(((h, c) for h, c in clocks if c.day_s is None), None)
+    if day is None or hours is None:
+        return heads
+    layout = f"{day[1].layout} in `{day[0].name}`, {hours[1].layout}"
+    clock = Clock(day[1].seconds + hours[1].seconds, day[1].day_s, True, layout)
+    return [replace(h, clock=clock) if h is hours[0] else replace(h, clock=None) if h is day[0] else h for h in heads]
+
+
+def _with_milliseconds(heads: list[_Head]) -> list[_Head]:
+    ms = next((h for h in heads if h.name.lower() in ("ms", "msec", "millisecond", "milliseconds")), None)
+    timed, clock = next(((h, h.clock) for h in heads if h.clock is not None and h.clock.has_time), (None, None))
+    if ms is None or clock is None:
+        return heads
+    part_s = ms.numbers.values / 1e3
+    in_whole_seconds = np.all(np.mod(clock.seconds, 1.0) == 0.0) and np.any(np.diff(clock.seconds) == 0.0)
+    if not in_whole_seconds or not np.all((part_s >= 0.0) & (part_s < 1.0)):
+        return heads
+    finer = replace(clock, seconds=clock.seconds + part_s, layout=f"{clock.layout}, ms in `{ms.name}`")
+    return [replace(h, clock=finer) if h is timed else h for h in heads]
 
 
 def _column(head: _Head) -> CsvColumn:
@@ -435,28 +470,37 @@ def _column(head: _Head) -> CsvColumn:
     unit = head.stated or head.numbers.unit
     if head.clock is not None:
         return CsvColumn(name, TIME, "s", head.clock.seconds, head.clock.layout)
-    count = int(np.count_nonzero(np.isfinite(values)))
-    full = sum(bool(c) for c in head.cells)
-    is_time = re.search(HEADS[0][1], name) is not None or re.search(HEADS[1][1], name) is not None
-    is_named = any(re.search(pattern, name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
-    if not is_time and (count == 0 or 2 * count < full) and not (is_named and head.numbers.torn >= 0):
-        return CsvColumn(name, UNUSED, "", values, "most cells hold no number" if full else "all cells are empty")
-    lost = len(values) - count
-    words = sorted(head.numbers.words)[:2]
-    note = f"; {lost} lost samples{' (' + ', '.join(words) + ')' if words else ''}" if lost else ""
+    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
+    by_name = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
+    empty = _reason_of_few_numbers(head)
+    if empty:
+        return CsvColumn(name, UNUSED, "", values, empty)
+    lost = len(values) - int(np.count_nonzero(np.isfinite(values)))
+    texts = sorted(head.numbers.texts)[:2]
+    note = f"; {lost} lost samples{' (' + ', '.join(texts) + ')' if texts else ''}" if lost else ""
     if re.search(UNCERTAIN, name):
         return CsvColumn(name, UNUSED, "", values, "an uncertainty, by its name" + note)
-    by_unit = next((kind for kind, si in SI_UNITS.items() if unit and converted(unit, si)), None)
     if re.fullmatch(COUNTER, name) and by_unit not in (TEMPERATURE, FLUX):
         return CsvColumn(name, UNUSED, "", values, "a counter, by its name" + note)
-    kind = next((kind for kind, pattern in HEADS if re.search(pattern, name)), UNUSED)
-    if by_unit is not None and not (by_unit == TIME and kind == TEMPERATURE):
+    if by_unit is not None and not (by_unit == TIME and by_name == TEMPERATURE):
         return CsvColumn(name, by_unit, unit, values, f"unit {unit}" + note)
-    if kind == UNUSED:
+    if by_name == UNUSED:
         return CsvColumn(name, UNUSED, "", values, "name and unit say nothing" + note)
-    if kind != TIME and re.search(NO_READING, name):
-        return CsvColumn(name, UNUSED, "", values, "accompanies readings, by its name" + note)
-    return CsvColumn(name, kind, "", values, f"name `{name}`" + note)
+    is_reading = by_name == TIME or not re.search(NO_READING, name)
+    reason = f"name `{name}`" if is_reading else "accompanies readings, by its name"
+    return CsvColumn(name, by_name if is_reading else UNUSED, "", values, reason + note)
+
+
+def _reason_of_few_numbers(head: _Head) -> str:
+    """Why a column is not read, where most of its cells hold no number; empty for others, and for a time."""
+    count = int(np.count_nonzero(np.isfinite(head.numbers.values)))
+    full = sum(bool(c) for c in head.cells)
+    if (count and 2 * count >= full) or any(re.search(pattern, head.name) for _, pattern in HEADS[:2]):
+        return ""
+    is_named = any(re.search(pattern, head.name) for kind, pattern in HEADS if kind in (TEMPERATURE, FLUX))
+    if is_named and head.numbers.torn >= 0:
+        return ""
+    return "most cells hold no number" if full else "all cells are empty"
 
 
 # Choices -------------------------------------------------------------------------------------------------------------
@@ -465,9 +509,9 @@ def _column(head: _Head) -> CsvColumn:
 def _named(path: Path, columns: list[CsvColumn], name: str, option: str) -> int:
     """Index of a column by its name, with or without its unit."""
     bare, _ = name_and_unit(name, list(SI_UNITS.values()))
-    for wanted in (name, bare):
+    for spelling in (name, bare):
         for k, column in enumerate(columns):
-            if column.name == wanted:
+            if column.name == spelling:
                 return k
     hint = suggestion(name, [c.name for c in columns])
     raise InputError(f"{option} {name}: there is no such column in {display_path(path)}{hint}")
@@ -477,14 +521,14 @@ def _as_declared(path: Path, columns: list[CsvColumn], layout: LoggerLayout) -> 
     """Columns of the kinds that a stated layout declares; others are not used."""
     if not layout.column:
         return columns
-    found = [
+    columns_of_layout = [
         replace(c, kind=UNUSED, reason="not in the layout") if c.kind in (TEMPERATURE, FLUX) else c for c in columns
     ]
     for declared in layout.column:
         k = _named(path, columns, declared.name, "--layout: column")
         unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[declared.kind]) else ""
-        found[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
-    return found
+        columns_of_layout[k] = replace(columns[k], kind=declared.kind, unit=unit, reason="--layout")
+    return columns_of_layout
 
 
 def _as_chosen(
@@ -492,7 +536,7 @@ def _as_chosen(
 ) -> list[CsvColumn]:
     """Columns of the kinds that options state; where temperatures are named, others are not used."""
     chosen = list(columns)
-    wanted = [
+    choices = [
         (TIME, "--time", time),
         (FLUX, "--lamp", flux),
         *((TEMPERATURE, "--temperature", t) for t in temperatures),
@@ -501,7 +545,7 @@ def _as_chosen(
         chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TEMPERATURE else c for c in chosen]
     if time is not None:
         chosen = [replace(c, kind=UNUSED, reason="not named") if c.kind == TIME else c for c in chosen]
-    for kind, option, name in wanted:
+    for kind, option, name in choices:
         if name is not None:
             k = _named(path, columns, name, option)
             unit = columns[k].unit if columns[k].unit and converted(columns[k].unit, SI_UNITS[kind]) else ""
@@ -546,8 +590,8 @@ def _time(
         )
     first = next((c for c in columns if c.kind == UNUSED and c.reason.startswith("name and unit")), None)
     if not block.has_names and first is not None and first is columns[0] and np.all(np.diff(first.values) > 0.0):
-        found = replace(first, kind=TIME, reason="no column is called time; this one increases")
-        return _number_time(block, by_name[first.name], found, chosen)
+        assumed = replace(first, kind=TIME, reason="no column is called time; this one increases")
+        return _number_time(block, by_name[first.name], assumed, chosen)
     raise InputError(f"{file}: no column is a time; give {EXAMPLE}, or --period 0.1s between rows")
 
 
@@ -579,8 +623,8 @@ def _clock_time(
     zero = first if clock.day_s is None else None if ANY_ORDER in clock.layout else clock.day_s + first
     t = np.round(seconds - first, 6)
     _warn_of_an_hour(block, head.name, t)
-    found = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
-    return found, zero, notes
+    elapsed = replace(column, values=t, unit="s", reason=f"{clock.layout}, counted from the first")
+    return elapsed, zero, notes
 
 
 def _warn_of_an_hour(block: Block, name: str, t: FloatArray) -> None:
@@ -611,7 +655,7 @@ def _number_time(
             "cell, or give --period"
         )
     _require_times(block, head, values)
-    place = f"{file}, column {head.name}"
+    location = f"{file}, column {head.name}"
     stated = head.stated or head.numbers.unit
     if not stated and converted(head.name, "s") is not None and len(head.name) > 1:
         stated = head.name
@@ -619,36 +663,36 @@ def _number_time(
     if unit is not None:
         if unit in CLOCKS:
             cell = next(c for c in head.cells if c)
-            raise InputError(f"--time-unit {unit}: `{cell}` in {place} is no such clock; give s, ms, min or h")
+            raise InputError(f"--time-unit {unit}: `{cell}` in {location} is no such clock; give s, ms, min or h")
         _warn_of_other_unit(
             block.path, replace(column, kind=TIME, unit=stated if converted(stated, "s") else ""), unit, "--time-unit"
         )
-        found, guess, reason = unit, "", f"{column.reason}; --time-unit"
+        time_unit, guess, reason = unit, "", f"{column.reason}; --time-unit"
     elif stated and converted(stated, "s") is not None:
-        found, guess, reason = stated, "", column.reason
+        time_unit, guess, reason = stated, "", column.reason
     elif stated and not re.fullmatch(REMARK, stated.strip()):
-        raise InputError(f"{place}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
+        raise InputError(f"{location}: `{stated}` is not a unit of time that is known; state it, --time-unit s")
     else:
-        found, guess, reason = _unit_of_stamps(block, head, column)
-    scale = converted(found, "s")
+        time_unit, guess, reason = _unit_of_stamps(block, head, column)
+    scale = converted(time_unit, "s")
     assert scale is not None
-    known = np.flatnonzero(np.isfinite(values))
-    first = float(values[known[0]])
-    unix = found != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
-    if (found == "day" and not stated and chosen.time_unit is None) or unix:
+    finite = np.flatnonzero(np.isfinite(values))
+    first = float(values[finite[0]])
+    unix = time_unit != "day" and UNIX_S[0] <= scale(first) <= UNIX_S[1]
+    if (time_unit == "day" and not stated and chosen.time_unit is None) or unix:
         # whole digits first: seconds since 1970 leave few behind the point
         t = np.round((values - first) * scale.factor, 6)
         zero = scale(first) if unix else (first - 25569.0) * 86400.0
         column = replace(column, values=t, unit="s", reason=f"{reason}, counted from the first", guess=guess)
         return column, zero, []
     low, high, rule = LIMITS["time_s"]
-    bad = known[(scale.factor * values[known] < low) | (scale.factor * values[known] > high)]
+    bad = finite[(scale.factor * values[finite] < low) | (scale.factor * values[finite] > high)]
     if len(bad):
         i = int(bad[0])
         raise InputError(
-            f"{block.at(i, head.name)}: `{head.cells[i]}` in {found} {rule}; state its unit, --time-unit ms"
+            f"{block.at(i, head.name)}: `{head.cells[i]}` in {time_unit} {rule}; state its unit, --time-unit ms"
         )
-    return replace(column, kind=TIME, values=values, unit=found, reason=reason, guess=guess), None, []
+    return replace(column, kind=TIME, values=values, unit=time_unit, reason=reason, guess=guess), None, []
 
 
 def _unit_of_stamps(block: Block, head: _Head, column: CsvColumn) -> tuple[str, str, str]:
@@ -684,24 +728,23 @@ def _require_times(block: Block, head: _Head, values: FloatArray) -> None:
     if len(bad):
         i = int(bad[0])
         cell = head.cells[i]
-        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-        what = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
-        raise InputError(f"{block.at(i, head.name)}: {what}; remove the row, or give --period{more}")
+        problem = f"`{shown_cell(cell)}` is no time in the layout of the others" if cell else "holds no time"
+        rule = f"{problem}; remove the row, or give --period{and_more_rows(bad.size)}"
+        raise InputError(f"{block.at(i, head.name)}: {rule}")
 
 
-def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
+def _with_distinct_times(measured: MeasuredCsv, repeated: str | None) -> MeasuredCsv:
     """A file whose times increase; rows of one time as the option states.
 
     raises : InputError with the first row of the file that does not come later, and the options that help
     """
-    clock = found.of_kind(TIME)[0]
+    clock = measured.of_kind(TIME)[0]
     t = clock.si
     steps = np.diff(t)
     if len(t) < 2:
-        raise InputError(f"{display_path(found.path)}: has {len(t)} row of readings; it needs two or more")
+        raise InputError(f"{display_path(measured.path)}: has {len(t)} row of readings; it needs two or more")
     back = np.flatnonzero(steps < 0.0) + 1
     if len(back):
-        more = f" (and {back.size - 1} more rows)" if back.size > 1 else ""
         help_ = "sort the rows"
         if clock.reason.startswith(("clock", "dates")):
             if abs(steps[back[0] - 1] + 3600.0) < 1800.0:
@@ -709,29 +752,30 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
             elif abs(steps[back[0] - 1] + 43200.0) < 1800.0:
                 help_ = "as on a clock of 12 hours: write AM and PM"
         raise InputError(
-            f"{found.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
+            f"{measured.line(int(back[0]))}, column {clock.name}: does not come after the row above, "
             f"{-steps[back[0] - 1]:g} s "
-            f"earlier; {help_}, or give --period{more}"
+            f"earlier; {help_}, or give --period{and_more_rows(back.size)}"
         )
-    held = np.flatnonzero(steps == 0.0) + 1
-    if not len(held):
-        return found
+    repeats = np.flatnonzero(steps == 0.0) + 1
+    if not len(repeats):
+        return measured
     if repeated is None:
-        more = f" (and {held.size - 1} more rows)" if held.size > 1 else ""
         raise InputError(
-            f"{found.line(int(held[0]))}, column {clock.name}: does not come after the row above, but has "
-            "its time; state "
-            f"--repeated spread (even until the next time) or --repeated first (keep the first), or give --period{more}"
+            f"{measured.line(int(repeats[0]))}, column {clock.name}: does not come after the row above, but has "
+            "its time; state --repeated spread (even until the next time) or --repeated first (keep the first), or "
+            f"give --period{and_more_rows(repeats.size)}"
         )
     begins = np.flatnonzero(np.concatenate(([True], steps > 0.0)))
-    note = f"{len(held)} rows have the time of the row above (--repeated {repeated})"
+    note = f"{len(repeats)} rows have the time of the row above (--repeated {repeated})"
     if repeated == "first":
-        columns = tuple(replace(c, values=c.values[begins]) for c in found.columns)
-        return replace(found, columns=columns, rows=tuple(found.rows[i] for i in begins), notes=(*found.notes, note))
+        columns = tuple(replace(c, values=c.values[begins]) for c in measured.columns)
+        return replace(
+            measured, columns=columns, rows=tuple(measured.rows[i] for i in begins), notes=(*measured.notes, note)
+        )
     ends = np.append(begins[1:], len(t))
     last = t[begins[-1]] - t[begins[-2]] if len(begins) > 1 else 0.0
     if last <= 0.0:
-        raise InputError(f"{display_path(found.path)}, column {clock.name}: all times are one; give --period")
+        raise InputError(f"{display_path(measured.path)}, column {clock.name}: all times are one; give --period")
     # rows of the last time keep the spacing of those before them
     count_before = ends[-2] - begins[-2] if len(begins) > 1 else 1
     spread = t.copy()
@@ -739,7 +783,9 @@ def _with_distinct_times(found: MeasuredCsv, repeated: str | None) -> MeasuredCs
         after = t[b] if b < len(t) else t[a] + last * (b - a) / count_before
         spread[a:b] = t[a] + (after - t[a]) * np.arange(b - a) / (b - a)
     new = replace(clock, values=np.round(spread, 9), unit="s", reason=f"{clock.reason}; --repeated spread")
-    return replace(found, columns=tuple(new if c is clock else c for c in found.columns), notes=(*found.notes, note))
+    return replace(
+        measured, columns=tuple(new if c is clock else c for c in measured.columns), notes=(*measured.notes, note)
+    )
 
 
 # Units and readings --------------------------------------------------------------------------------------------------
@@ -804,11 +850,11 @@ def _guessed(block: Block, columns: list[CsvColumn], kinds: Sequence[str]) -> li
     starts = {c.name: _start(c) for c in open_ if c.kind == TEMPERATURE}
     unit = ""
     if starts:
-        known = [x for x in starts.values() if np.isfinite(x)]
-        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in known)
-        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in known) and min(known) >= ROOM_K[0]:
+        finite = [x for x in starts.values() if np.isfinite(x)]
+        cold = sum(ROOM_C[0] <= x <= ROOM_C[1] for x in finite)
+        if any(ROOM_K[0] <= x <= ROOM_K[1] for x in finite) and min(finite) >= ROOM_K[0]:
             unit = "K"
-        elif cold and max(known) < ROOM_K[0]:
+        elif cold and max(finite) < ROOM_K[0]:
             unit = "degC"
         else:
             odd = next((n for n, x in starts.items() if not ROOM_C[0] <= x <= ROOM_C[1]), next(iter(starts)))
@@ -825,15 +871,15 @@ def _start(column: CsvColumn) -> float:
     return float(np.median(read[:5])) if read.size else float("nan")
 
 
-def _warn_of_guesses(found: MeasuredCsv, kinds: Sequence[str]) -> None:
+def _warn_of_guesses(measured: MeasuredCsv, kinds: Sequence[str]) -> None:
     """Warn of what is assumed without a word of the file: of fluxes where they are used."""
     guesses: dict[str, list[str]] = {}
-    for column in found.columns:
+    for column in measured.columns:
         if column.guess and (column.kind == TIME or (column.kind == TEMPERATURE and TEMPERATURE in kinds)):
             guesses.setdefault(column.guess, []).append(column.name)
     for guess, names in guesses.items():
-        what = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
-        warnings.warn(f"{display_path(found.path)}, {what}: {guess}", stacklevel=3)
+        named = f"column{'s' if len(names) > 1 else ''} {', '.join(names)}"
+        warnings.warn(f"{display_path(measured.path)}, {named}: {guess}", stacklevel=3)
 
 
 def _with_guess(column: CsvColumn, unit: str, start: float | None) -> CsvColumn:
@@ -906,23 +952,23 @@ def _without_lost(block: Block, column: CsvColumn, codes: Sequence[float]) -> Cs
 
 def _warn_of_rows(block: Block, name: str, rows: Sequence[int], values: FloatArray, rule: str) -> None:
     where = ", ".join(str(block.lines[i]) for i in rows[:NAMED_ROWS])
-    more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+    rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
     shown = ", ".join(dict.fromkeys(f"{values[i]:g}" for i in rows))
     plural = "rows" if len(rows) > 1 else "row"
-    warnings.warn(f"{display_path(block.path)}, {plural} {where}{more}, column {name}: {shown} {rule}", stacklevel=2)
+    warnings.warn(f"{display_path(block.path)}, {plural} {where}{rest}, column {name}: {shown} {rule}", stacklevel=2)
 
 
-def _name_far_off(found: MeasuredCsv) -> None:
+def _name_far_off(measured: MeasuredCsv) -> None:
     """Warn of single readings far off their neighbours, which stay in the record."""
-    for column in found.of_kind(TEMPERATURE):
+    for column in measured.of_kind(TEMPERATURE):
         rows = np.flatnonzero(far_off(column.values))
         if len(rows):
-            where = ", ".join(str(found.rows[i]) for i in rows[:NAMED_ROWS])
-            more = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
+            where = ", ".join(str(measured.rows[i]) for i in rows[:NAMED_ROWS])
+            rest = f" (and {len(rows) - NAMED_ROWS} more)" if len(rows) > NAMED_ROWS else ""
             shown = ", ".join(f"{column.values[i]:g}" for i in rows[:NAMED_ROWS])
             plural = "rows" if len(rows) > 1 else "row"
             warnings.warn(
-                f"{display_path(found.path)}, {plural} {where}{more}, column {column.name}: {shown} "
+                f"{display_path(measured.path)}, {plural} {where}{rest}, column {column.name}: {shown} "
                 f"{column.unit} lies far off its "
                 f"neighbours and stays; leave it out by --lost={column.values[rows[0]]:g} where it is no reading",
                 stacklevel=2,
@@ -939,8 +985,8 @@ def _rows_kept(
     read = np.any([np.isfinite(c.values) for c in used], axis=0)
     rows = np.flatnonzero(read)
     blank = np.flatnonzero(~read)
-    words = any(np.any(np.isnan(c.values)) for c in used)
-    if not len(blank) or not words or len(rows) == 0:
+    has_lost = any(np.any(np.isnan(c.values)) for c in used)
+    if not len(blank) or not has_lost or len(rows) == 0:
         return columns, block.lines, []
     # a lost sample of all sensors between others is kept as such
     ends = blank[(blank < rows[0]) | (blank > rows[-1])]
@@ -965,8 +1011,8 @@ def _stated(
 ) -> LoggerLayout:
     """The layout as it was read: units where the file states none itself, which each file may state anew."""
     clock = next(c for c in columns if c.kind == TIME)
-    own = {h.name: h.stated or h.numbers.unit for h in heads}
-    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(own.get(c.name, ""), SI_UNITS[c.kind])}
+    unit_of = {h.name: h.stated or h.numbers.unit for h in heads}
+    has_own = {c.name for c in columns if c.kind in SI_UNITS and converted(unit_of.get(c.name, ""), SI_UNITS[c.kind])}
     used = [
         LayoutColumn(
             name=c.name,
@@ -977,7 +1023,7 @@ def _stated(
         if c.kind in (TEMPERATURE, FLUX) and c.unit
     ]
     is_clock_time = "counted from" in clock.reason
-    order = next((o for o, words in ORDERS.items() if f"dates {words}" in clock.reason), None)
+    order = next((o for o, order_text in ORDERS.items() if f"dates {order_text}" in clock.reason), None)
     return chosen.model_copy(
         update={
             "separator": block.separator or None,
@@ -998,6 +1044,6 @@ def lost_values(text: str) -> tuple[float, ...]:
     raises : InputError, one line, where one is no number
     """
     try:
-        return tuple(plain_number(part.strip()) for part in text.split(",") if part.strip())
+        return tuple(plain_number(number.strip()) for number in text.split(",") if number.strip())
     except ValueError:
         raise InputError(f"--lost {text}: write numbers, such as --lost=-9999,9.9E37") from None

@@ -28,20 +28,20 @@ def quantity(text: str, unit: str, option: str, example: str, key: str = "") -> 
     raises  : InputError, one line, where it is no number, its unit is absent, unknown or of another quantity, or it is
               out of the range of its key
     """
-    found = re.fullmatch(rf"\s*({NUMBER})\s*(.*?)\s*", text)
-    if found is None:
+    match = re.fullmatch(rf"\s*({NUMBER})\s*(.*?)\s*", text)
+    if match is None:
         raise InputError(f"{option}: `{text}` is not a number with a unit; write {example}")
-    value = plain_number(found[1].replace(",", "."))
+    value = plain_number(match[1].replace(",", "."))
     is_difference = key.endswith("sigma_K")
-    if not found[2] and (value != 0.0 or (unit == "K" and not is_difference)):
+    if not match[2] and (value != 0.0 or (unit == "K" and not is_difference)):
         raise InputError(f"{option}: `{text.strip()}` has no unit; write {example}")
-    scale = converted(found[2] or unit, unit)
+    scale = converted(match[2] or unit, unit)
     if scale is None:
-        raise InputError(f"{option}: `{found[2]}` is not a unit that converts to {unit}; write {example}")
+        raise InputError(f"{option}: `{match[2]}` is not a unit that converts to {unit}; write {example}")
     # rounded to what a person types: 21 degC is 294.15 K, not 294.15000000000003 K
     si = float(f"{scale.factor * value + (0.0 if is_difference else scale.offset):.12g}")
-    known = range_of(key) if key else None
-    if known is not None and (problem := known.problem(si)) is not None:
+    limits = range_of(key) if key else None
+    if limits is not None and (problem := limits.problem(si)) is not None:
         raise InputError(f"{option}: `{text.strip()}`: {problem}")
     return si
 
@@ -67,12 +67,12 @@ def stated_field(column: str, text: str, names: Collection[str] = ()) -> Conditi
     return ConditionField(constant=quantity(text, plain, f"--field {column}", f"--field {column}=0{plain}", column))
 
 
-def require_known(names: dict[str, str], known: list[str], option: str, path: Path) -> None:
+def require_known(names: dict[str, str], columns: list[str], option: str, path: Path) -> None:
     """Refuse names of an option that no column of a file has.
 
     raises : InputError with the file and the nearest known name
     """
     for name in names:
-        if name not in known:
+        if name not in columns:
             where = f"in {display_path(path)}"
-            raise InputError(f"{option} {name}: there is no such column {where}{suggestion(name, known)}")
+            raise InputError(f"{option} {name}: there is no such column {where}{suggestion(name, columns)}")

@@ -82,13 +82,13 @@ class Source:
     rows: Sequence[int]
     names: Mapping[str, str]
 
-    def shown(self, line: str, made: str) -> str:
+    def shown(self, line: str, table: str) -> str:
         """A line about the table that is made, with the file, the row and the column that the person has."""
-        found = re.fullmatch(r"(?:, row (\d+))?, column (\S+?): (.*)", line.removeprefix(made), re.DOTALL)
-        if not line.startswith(made) or found is None or int(found[1] or 2) - 2 >= len(self.rows):
+        match = re.fullmatch(r"(?:, row (\d+))?, column (\S+?): (.*)", line.removeprefix(table), re.DOTALL)
+        if not line.startswith(table) or match is None or int(match[1] or 2) - 2 >= len(self.rows):
             return line
-        row = "" if found[1] is None else f", row {self.rows[int(found[1]) - 2]}"
-        return f"{display_path(self.path)}{row}, column {self.names.get(found[2], found[2])}: {found[3]}"
+        row = "" if match[1] is None else f", row {self.rows[int(match[1]) - 2]}"
+        return f"{display_path(self.path)}{row}, column {self.names.get(match[2], match[2])}: {match[3]}"
 
 
 @dataclass(frozen=True)
@@ -157,23 +157,23 @@ def sensor_columns(measured: MeasuredCsv) -> list[CsvColumn]:
 
     raises : InputError where there is none
     """
-    found = measured.of_kind(TEMPERATURE)
-    if not found:
+    temperatures = measured.of_kind(TEMPERATURE)
+    if not temperatures:
         names = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
             f"{display_path(measured.path)}: no column is a temperature; name one, --temperature COLUMN, of {names}"
         )
-    return found
+    return temperatures
 
 
-def depths_of(measured: MeasuredCsv, given: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
+def depths_of(measured: MeasuredCsv, stated: Mapping[str, str], layers: Sequence[LayerInput]) -> dict[str, float]:
     """Depths of the sensors of a file that a person stated [m], by column.
 
-    given  : column -> depth from the outer surface with a unit, `surface`, or `back`
+    stated : column -> depth from the outer surface with a unit, `surface`, or `back`
     raises : InputError, one line, for an unknown column or a depth outside the stack
     """
-    require_known(dict(given), [s.name for s in sensor_columns(measured)], "--depth", measured.path)
-    return {name: depth_m(name, text, layers) for name, text in given.items()}
+    require_known(dict(stated), [s.name for s in sensor_columns(measured)], "--depth", measured.path)
+    return {name: depth_m(name, text, layers) for name, text in stated.items()}
 
 
 def depth_m(name: str, text: str, layers: Sequence[LayerInput]) -> float:
@@ -186,10 +186,10 @@ def depth_m(name: str, text: str, layers: Sequence[LayerInput]) -> float:
         return 0.0 if text.strip().lower() == SURFACE else thickness
     if re.fullmatch(r"[\d.,]+", text.strip()) and float(text.replace(",", ".")) != 0.0:
         raise InputError(f"--depth {name}={text}: has no unit; write --depth {name}=0.4mm")
-    found = quantity(text, "m", f"--depth {name}", f"--depth {name}=0.4mm, {name}={SURFACE} or {name}={BACK}")
-    if not 0.0 <= found <= thickness * (1.0 + 1e-9):
+    depth = quantity(text, "m", f"--depth {name}", f"--depth {name}=0.4mm, {name}={SURFACE} or {name}={BACK}")
+    if not 0.0 <= depth <= thickness * (1.0 + 1e-9):
         raise InputError(f"--depth {name}={text}: lies outside the stack, which is {thickness * 1e3:g} mm thick")
-    return min(found, thickness)
+    return min(depth, thickness)
 
 
 def _thickness_m(layers: Sequence[LayerInput]) -> float:
@@ -207,22 +207,22 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
     """
     times = measured.of_kind(TIME)[0].si
     factor = 1.0 if absorptance is None else absorptance
-    part = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
+    absorbed = "absorbed" if absorptance is None else f"incident, {absorptance:g} of it absorbed"
     columns = {c.name: c for c in measured.columns}
     if lamp == UNKNOWN:
         return _unknown_flux(times, lit_s)
     if lamp in columns or Path(lamp).is_file():
         if lit_s is not None:
             raise InputError("--lit: is for a constant --lamp; a column or a file states when the lamp was lit")
-        found = columns.get(lamp)
+        flux_column = columns.get(lamp)
         where = f"column {lamp}"
-        if found is None:
+        if flux_column is None:
             file = read_measured_csv(Path(lamp), kinds=(FLUX,))
             fluxes = file.of_kind(FLUX)
             if len(fluxes) != 1:
                 names = ", ".join(c.name for c in file.columns)
                 raise InputError(f"--lamp {lamp}: has {len(fluxes)} columns of a heat flux (of {names}); it needs one")
-            found, clock = fluxes[0], file.of_kind(TIME)[0].si + _later_s(file, measured)
+            flux_column, clock = fluxes[0], file.of_kind(TIME)[0].si + _later_s(file, measured)
             where = f"file {lamp}"
             if clock[0] > times[0] or clock[-1] < times[-1]:
                 raise InputError(
@@ -231,33 +231,33 @@ def lamp_heat(measured: MeasuredCsv, lamp: str, lit_s: tuple[float, float] | Non
                 )
         else:
             file, clock = measured, times
-        flux = found.si
-        if found.guess:
-            warnings.warn(f"--lamp {lamp}, column {found.name}: {found.guess}", stacklevel=2)
+        flux = flux_column.si
+        if flux_column.guess:
+            warnings.warn(f"--lamp {lamp}, column {flux_column.name}: {flux_column.guess}", stacklevel=2)
         if np.any(np.isnan(flux)):
             raise InputError(f"--lamp {lamp}: {np.count_nonzero(np.isnan(flux))} cells hold no number; fill them")
-        note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {part}"
-        of_file = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": found.name}
+        note = f"{where}, {flux.min():g} to {flux.max():g} W/m2 {absorbed}"
+        of_file = {"time_s": file.of_kind(TIME)[0].name, "q_add_W_m2": flux_column.name}
         source = Source(file.path, file.rows, of_file)
         return Heat({"time_s": clock, "q_add_W_m2": factor * flux}, (), "none", note, source=source)
     hint = suggestion(lamp, columns, otherwise="") if re.match(r"[A-Za-z]", lamp) else ""
     if hint or re.match(r"[A-Za-z./]", lamp):
-        known = ", ".join(c.name for c in measured.columns if c.kind != TIME)
+        listed = ", ".join(c.name for c in measured.columns if c.kind != TIME)
         raise InputError(
-            f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({known}), nor a file{hint}"
+            f"--lamp {lamp}: is neither a flux such as {FLUX_EXAMPLE}, nor a column ({listed}), nor a file{hint}"
         )
     if re.fullmatch(rf"\s*{NUMBER}\s*", lamp):
         raise InputError(f"--lamp {lamp}: has no unit; write {FLUX_EXAMPLE}")
     lamp_W_m2 = quantity(lamp, "W/m2", "--lamp", f"--lamp {FLUX_EXAMPLE}")
     flux_W_m2 = float(f"{factor * lamp_W_m2:.12g}")
-    part = f"{flux_W_m2:g} W/m2 absorbed{'' if absorptance is None else f', {absorptance:g} of {lamp_W_m2:g} W/m2'}"
+    absorbed = f"{flux_W_m2:g} W/m2 absorbed{'' if absorptance is None else f', {absorptance:g} of {lamp_W_m2:g} W/m2'}"
     if lit_s is None:
         meaning = "flux that the surface absorbs, from the first row to the last"
         ends = {"time_s": times[[0, -1]]}
-        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{part}, throughout")
+        return Heat(ends, (("q_add_W_m2", flux_W_m2, meaning),), "none", f"{absorbed}, throughout")
     clock, lit = _lit(times, lit_s)
     after = "" if lit_s[1] <= times[-1] else f", which is after the last reading, {times[-1]:g} s (--lit)"
-    note = f"{part}, from {lit_s[0]:g} to {lit_s[1]:g} s{after}"
+    note = f"{absorbed}, from {lit_s[0]:g} to {lit_s[1]:g} s{after}"
     return Heat({"time_s": clock, "q_add_W_m2": flux_W_m2 * lit}, (), "none", note)
 
 
@@ -336,7 +336,7 @@ def flown_heat(
     required = ["time_s", "altitude_m", "velocity_m_s", "alpha_deg", "mach", "log10_re", "rho_kg_m3", "T_inf_K"]
     required += ["p_inf_Pa", *(() if has_pressure else ("p_surface_Pa",))]
     required += REFERENCE_COLUMNS if reference is None else ()
-    known = local_angle_deg is not None or reference in STAGNATION
+    has_angle = local_angle_deg is not None or reference in STAGNATION
     flown = read_flight(
         path,
         required,
@@ -344,7 +344,7 @@ def flown_heat(
         fields={column: stated_field(column, text) for column, text in (fields or {}).items()},
         length_m=reference_length_m,
         sounding=None if atmosphere is None else read_sounding(atmosphere),
-        pressure=local_pressure(local_angle_deg) if known else None,
+        pressure=local_pressure(local_angle_deg) if has_angle else None,
     )
     for line in flown.assumed:
         warnings.warn(f"{display_path(path)}: {line}", stacklevel=2)
@@ -358,11 +358,11 @@ def flown_heat(
     uncertainty = None
     if flown.has_model_density:
         confidence = lowered_confidence("B")
-        share = BY_CONFIDENCE[confidence].density_relative
-        uncertainty = BY_CONFIDENCE["B"].model_copy(update={"density_relative": share})
+        density_sigma = BY_CONFIDENCE[confidence].density_relative
+        uncertainty = BY_CONFIDENCE["B"].model_copy(update={"density_relative": density_sigma})
         notes.append(
-            f"confidence of the conditions {confidence}: the density is of the standard atmosphere, +-{share:.0%} "
-            "(--atmosphere FILE for a sounding of the day)"
+            f"confidence of the conditions {confidence}: the density is of the standard atmosphere, "
+            f"+-{density_sigma:.0%} (--atmosphere FILE for a sounding of the day)"
         )
     note = f"flight of {display_path(path)}"
     source = Source(path, [int(i) for i in flown.table.lines], flown.fields)
@@ -373,7 +373,7 @@ def flown_heat(
 
 
 def write_new_record(
-    out: str | os.PathLike[str], measured: MeasuredCsv, given: RecordInput
+    out: str | os.PathLike[str], measured: MeasuredCsv, article: RecordInput
 ) -> tuple[Record, list[str]]:
     """Write a record of a test article, checked as a whole.
 
@@ -382,87 +382,89 @@ def write_new_record(
     """
     sensors = sensor_columns(measured)
     times = measured.of_kind(TIME)[0].si
-    initial_K, notes = _initial(given, times, sensors)
-    notes += _ratio_notes(given)
-    surroundings_K = given.surroundings_K
-    lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]
+    initial_K, notes = _initial(article, times, sensors)
+    notes += _ratio_notes(article)
+    surroundings_K = article.surroundings_K
+    lamp = LAMP_ENTHALPY_J_KG in [value for _, value, _ in article.heat.constants]
     if surroundings_K is not None:
         notes.append(f"surroundings at {surroundings_K:g} K (--surroundings)")
-    elif given.heat.reference != "none" and not lamp:
+    elif article.heat.reference != "none" and not lamp:
         surroundings_K = 0.0
         notes.append("surroundings at 0 K, the sky of a flight (--surroundings)")
     elif surroundings_K is None:
         surroundings_K = initial_K
         notes.append(f"surroundings at {surroundings_K:g} K, as the wall at the start (--surroundings)")
-    if given.back is None:
+    if article.back is None:
         notes.append("back face adiabatic (--back-film, --back-emissivity)")
-    materials, of_materials = _materials(given)
+    materials, of_materials = _materials(article)
     notes += of_materials
-    constants = list(given.heat.constants)
-    porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in given.layers)
-    if given.pressure_Pa is not None:
+    constants = list(article.heat.constants)
+    porous = any(isinstance(layer.material.conductivity_W_mK, PressureTable) for layer in article.layers)
+    if article.pressure_Pa is not None:
         constants = [c for c in constants if c[0] != "p_surface_Pa"]
-    stated = {*given.heat.columns, *(name for name, _, _ in constants)}
-    if given.pressure_Pa is not None or (porous and "p_surface_Pa" not in stated):
-        pressure = given.pressure_Pa if given.pressure_Pa is not None else float(us76(0.0)[1])
+    stated = {*article.heat.columns, *(name for name, _, _ in constants)}
+    if article.pressure_Pa is not None or (porous and "p_surface_Pa" not in stated):
+        pressure = article.pressure_Pa if article.pressure_Pa is not None else float(us76(0.0)[1])
         constants.append(("p_surface_Pa", pressure, "air pressure in the room, on which porous insulation depends"))
-        if given.pressure_Pa is None:
+        if article.pressure_Pa is None:
             notes.append(f"air pressure {pressure:g} Pa, sea level (--pressure)")
     hold = times[0] + np.array([0.6, 0.7]) * (times[-1] - times[0])
     text = render_toml(
         "record.toml.j2",
         "record",
-        title=given.title or f"{given.point}: {measured.path.name}",
+        title=article.title or f"{article.point}: {measured.path.name}",
         source=measured.path.name,
-        point=given.point,
-        measured=given.measured,
+        point=article.point,
+        measured=article.measured,
         constants=constants,
-        sensors=[_sensor(s, given) for s in sensors],
+        sensors=[_sensor(s, article) for s in sensors],
         initial_K=initial_K,
         surroundings_K=surroundings_K,
-        back=None if given.back is None else dict(given.back),
-        layers=given.layers,
+        back=None if article.back is None else dict(article.back),
+        layers=article.layers,
         materials=materials,
-        reference=given.heat.reference,
+        reference=article.heat.reference,
         lamp=lamp,
         unit_flux=f"{UNIT_FLUX_W_M2 / 1e3:g}",
-        lengths=_of_reference(given),
-        uncertainty=None if given.heat.uncertainty is None else given.heat.uncertainty.model_dump(exclude_unset=True),
-        ratio=given.ratio,
-        ratio_table=None if given.ratio_table is None else RATIO_FILE,
+        lengths=_of_reference(article),
+        uncertainty=None
+        if article.heat.uncertainty is None
+        else article.heat.uncertainty.model_dump(exclude_unset=True),
+        ratio=article.ratio,
+        ratio_table=None if article.ratio_table is None else RATIO_FILE,
         first_s=float(times[0]),
         last_s=float(times[-1]),
         hold_s=[float(f"{x:.4g}") for x in hold],
     )
-    readings = {"time_s": times} | {_sensor(s, given).column: s.si for s in sensors}
-    inputs = [measured.path, *([] if given.ratio_table is None else [given.ratio_table])]
-    sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": given.heat.source}
+    readings = {"time_s": times} | {_sensor(s, article).column: s.si for s in sensors}
+    inputs = [measured.path, *([] if article.ratio_table is None else [article.ratio_table])]
+    sources = {"thermocouples.csv": source_of_readings(measured), "conditions.csv": article.heat.source}
     with (
         output_directory(out, COMMAND, expected=(DECLARATION,), inputs=inputs) as folder,
         said_of_options(out), said_of_sources(sources, out), shown_at(folder, out),
     ):  # fmt: skip
         write_text_atomic(folder / DECLARATION, text)
-        write_csv(folder / "conditions.csv", given.heat.columns)
+        write_csv(folder / "conditions.csv", article.heat.columns)
         write_csv(folder / "thermocouples.csv", readings)
-        if given.ratio_table is not None:
-            write_ratio_table(folder / RATIO_FILE, read_ratio_table(given.ratio_table))
+        if article.ratio_table is not None:
+            write_ratio_table(folder / RATIO_FILE, read_ratio_table(article.ratio_table))
         record = load_record(folder)
-    return record, [*measured.notes, f"heated by {given.heat.note}", *given.heat.notes, *notes, *given.notes]
+    return record, [*measured.notes, f"heated by {article.heat.note}", *article.heat.notes, *notes, *article.notes]
 
 
-def _ratio_notes(given: RecordInput) -> list[str]:
+def _ratio_notes(article: RecordInput) -> list[str]:
     """What is said of the heating ratio of a flight.
 
     raises : InputError where there are two ratios, or one without a flight
     """
-    if given.ratio is not None and given.ratio_table is not None:
+    if article.ratio is not None and article.ratio_table is not None:
         raise InputError("--ratio: is a constant in place of --ratio-table; give one of the two")
-    if given.heat.reference == "none" or LAMP_ENTHALPY_J_KG in [value for _, value, _ in given.heat.constants]:
-        option = "--ratio" if given.ratio is not None else "--ratio-table"
-        if given.ratio is not None or given.ratio_table is not None:
+    if article.heat.reference == "none" or LAMP_ENTHALPY_J_KG in [value for _, value, _ in article.heat.constants]:
+        option = "--ratio" if article.ratio is not None else "--ratio-table"
+        if article.ratio is not None or article.ratio_table is not None:
             raise InputError(f"{option}: is over the reference heating of a flight; give --conditions, or leave it out")
         return []
-    if given.ratio is None and given.ratio_table is None:
+    if article.ratio is None and article.ratio_table is None:
         return ["no heating ratio: `estimate` finds ratio.d0, `predict` needs one (--ratio, --ratio-table, --like)"]
     return []
 
@@ -499,9 +501,9 @@ def said_of_options(out: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _of_option(line: str, declaration: str) -> str:
-    for place, option in OPTIONS.items():
-        if line.startswith(f"{declaration}{place}"):
-            rule = line.removeprefix(f"{declaration}{place}")
+    for table, option in OPTIONS.items():
+        if line.startswith(f"{declaration}{table}"):
+            rule = line.removeprefix(f"{declaration}{table}")
             for key, named in KEYS.items():
                 rule = rule.replace(f"`{key}`; add it", f"{named}; give it").replace(f"`{key}`", named)
             return f"{option}{rule}"
@@ -533,13 +535,13 @@ def said_of_sources(sources: Mapping[str, Source | None], out: str | os.PathLike
 @contextmanager
 def _told_as(shown: Callable[[str], str]) -> Iterator[None]:
     """Errors and warnings in other words."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             yield
         except InputError as error:
             raise InputError(*map(shown, error.problems)) from None
-    for warning in told:
+    for warning in caught:
         warnings.warn(shown(str(warning.message)), warning.category, stacklevel=4)
 
 
@@ -552,44 +554,44 @@ def _column_name(name: str) -> str:
 @contextmanager
 def shown_at(folder: Path, out: str | os.PathLike[str]) -> Iterator[None]:
     """Errors and warnings about files of a directory in the making, with the paths that they will have."""
-    made, shown = display_path(folder), display_path(Path(out))
-    with _told_as(lambda line: line.replace(made, shown)):
+    temporary, shown = display_path(folder), display_path(Path(out))
+    with _told_as(lambda line: line.replace(temporary, shown)):
         yield
 
 
-def _of_reference(given: RecordInput) -> dict[str, Any]:
+def _of_reference(article: RecordInput) -> dict[str, Any]:
     """Keys of [heating] of a flight's reference heating, as far as stated; an angle without an edge is of the pressure
     alone."""
-    edge = given.recovery in ("edge-laminar", "edge-turbulent")
+    edge = article.recovery in ("edge-laminar", "edge-turbulent")
     keys = {
-        "nose_radius_m": given.nose_radius_m,
-        "running_length_m": given.running_length_m,
-        "sweep_deg": given.sweep_deg,
-        "recovery": given.recovery,
-        "local_angle_deg": given.local_angle_deg if edge else None,
+        "nose_radius_m": article.nose_radius_m,
+        "running_length_m": article.running_length_m,
+        "sweep_deg": article.sweep_deg,
+        "recovery": article.recovery,
+        "local_angle_deg": article.local_angle_deg if edge else None,
     }
     return {key: value for key, value in keys.items() if value is not None}
 
 
-def _sensor(column: CsvColumn, given: RecordInput) -> Sensor:
+def _sensor(column: CsvColumn, article: RecordInput) -> Sensor:
     return Sensor(
         name=column.name,
         column=_column_name(column.name),
-        depth_m=given.depths_m[column.name],
-        noise_sigma_K=given.noise_K,
+        depth_m=article.depths_m[column.name],
+        noise_sigma_K=article.noise_K,
     )
 
 
-def _initial(given: RecordInput, times: FloatArray, sensors: Sequence[CsvColumn]) -> tuple[float, list[str]]:
+def _initial(article: RecordInput, times: FloatArray, sensors: Sequence[CsvColumn]) -> tuple[float, list[str]]:
     """Initial temperature [K], and notes: given, or the mean of the readings before the heating, or of the first.
 
     times : (reading,) [s]
     """
-    if given.initial_K is not None:
-        if given.initial_K < COLDEST_K:
-            raise InputError(f"--initial {given.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
-        return given.initial_K, [f"wall at {given.initial_K:g} K at the start (--initial)"]
-    cold = times <= _heated_from_s(given.heat)
+    if article.initial_K is not None:
+        if article.initial_K < COLDEST_K:
+            raise InputError(f"--initial {article.initial_K:g}K: {celsius_rule()}, such as --initial 21degC")
+        return article.initial_K, [f"wall at {article.initial_K:g} K at the start (--initial)"]
+    cold = times <= _heated_from_s(article.heat)
     first, risen = [], []
     for s in sensors:
         read = np.isfinite(s.si)
@@ -624,17 +626,17 @@ def _heated_from_s(heat: Heat) -> float:
     return float(heat.columns["time_s"][np.argmax(history != 0.0) - 1])
 
 
-def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:
+def _materials(article: RecordInput) -> tuple[dict[str, Any], list[str]]:
     """Tables of the materials, the outermost with its emittance, and notes on sources."""
-    outer = given.layers[0]
-    found: dict[str, Any] = {}
+    outer = article.layers[0]
+    tables: dict[str, Any] = {}
     notes = []
-    for layer in given.layers:
-        if layer.name not in found:
-            found[layer.name] = layer.material.model_dump(exclude_unset=True, exclude_none=True)
+    for layer in article.layers:
+        if layer.name not in tables:
+            tables[layer.name] = layer.material.model_dump(exclude_unset=True, exclude_none=True)
             notes.append(describe_source(layer.name, layer.material))
-    if given.emissivity is not None:
-        found[outer.name]["emissivity"] = [[300.0, given.emissivity]]
+    if article.emissivity is not None:
+        tables[outer.name]["emissivity"] = [[300.0, article.emissivity]]
     elif outer.material.emissivity is None:
         raise InputError(
             f"--layer {outer.name}: the outermost layer needs an emittance, and the library has none for this "
@@ -645,7 +647,7 @@ def _materials(given: RecordInput) -> tuple[dict[str, Any], list[str]]:
         span = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         doubt = ", an estimate" if "Emittance C" in (outer.material.note or "") else ""
         notes.append(f"emittance {span}: that of {outer.name} in the library{doubt} (--emissivity)")
-    return found, notes
+    return tables, notes
 
 
 def like_record(
@@ -664,15 +666,15 @@ def like_record(
     """
     model = load_record(like)
     declared, columns = model.declared, sensor_columns(measured)
-    known = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
+    by_name = {key: s for s in model.sensors for key in (s.column, s.name, s.column.removesuffix("_K"))}
     if len(columns) == 1 and len(model.sensors) == 1:
-        known.setdefault(columns[0].name, model.sensors[0])
+        by_name.setdefault(columns[0].name, model.sensors[0])
     layers = [
         LayerInput(layer.material, declared.materials[layer.material], layer.thickness_m)
         for layer in declared.stack.layer
     ]
-    given = depths_of(measured, depths, layers)
-    absent = [c.name for c in columns if c.name not in given and c.name not in known]
+    stated = depths_of(measured, depths, layers)
+    absent = [c.name for c in columns if c.name not in stated and c.name not in by_name]
     if absent:
         raise InputError(
             f"--depth: is missing for {', '.join(absent)}; {model.name} has sensors "
@@ -680,10 +682,12 @@ def like_record(
         )
     sensors, notes = [], []
     for column in columns:
-        depth = given.get(column.name, known[column.name].depth_m if column.name in known else math.nan)
+        depth = stated.get(column.name, by_name[column.name].depth_m if column.name in by_name else math.nan)
         sensors.append(Sensor(name=column.name, column=_column_name(column.name), depth_m=depth, noise_sigma_K=noise_K))
-        other = known[column.name].noise_sigma_K if column.name in known else None
-        notes.append(f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in given else f", as in {model.name}"))
+        other = by_name[column.name].noise_sigma_K if column.name in by_name else None
+        notes.append(
+            f"{column.name} at {depth * 1e3:g} mm" + ("" if column.name in stated else f", as in {model.name}")
+        )
         if noise_K is None:
             of_other = "" if other is None else f"; the {other:g} K of {model.name} are of its recorder"
             notes.append(f"noise of {column.name} estimated (--noise 0.5K states it){of_other}")

@@ -258,8 +258,12 @@ def write_new_study(
     names = list(points) or list(base.names)
     for name in names:
         base.vehicle.control_point(name)
-    own = base.declared.vehicle
-    vehicle = own if not (scenario.parent / own / "vehicle.toml").is_file() else str(scenario.parent / own)
+    declared_vehicle = base.declared.vehicle
+    vehicle = (
+        declared_vehicle
+        if not (scenario.parent / declared_vehicle / "vehicle.toml").is_file()
+        else str(scenario.parent / declared_vehicle)
+    )
     values: dict[str, Any] = {
         "vehicle": shown_place(vehicle, Path(out)),
         "scenario": Path(os.path.relpath(scenario, out)).as_posix(),

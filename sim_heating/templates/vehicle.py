@@ -87,28 +87,28 @@ class VehicleInput:
     reference: str = "sutton-graves"
 
 
-def point_inputs(points: Sequence[str], places: Mapping[str, str], ratios: Mapping[str, str]) -> list[PointInput]:
+def point_inputs(points: Sequence[str], x_over_L: Mapping[str, str], ratios: Mapping[str, str]) -> list[PointInput]:
     """Control points of options: `NAME=LAYER / LAYER`, `NAME=0.3` of x over L, `NAME=0.5` of the ratio.
 
     raises : InputError, one line, for what cannot be read
     """
-    found: list[PointInput] = []
+    inputs: list[PointInput] = []
     for text in points:
-        name, equals, layers = (part.strip() for part in text.partition("="))
+        name, equals, layers = (piece.strip() for piece in text.partition("="))
         if not (equals and layers and re.fullmatch(NAME, name)):
             example = '--point NOSE="LI-900 50 mm / al2024 2 mm"'
             raise InputError(f"--point {text}: write {example}; a name has letters, digits and _")
         stack = tuple(layer_input(layer, f"--point {name}") for layer in layers.split(" / "))
-        place = 0.0 if not found and name not in places else _number(places, name, "--place", 0.0, 1.0)
+        position = 0.0 if not inputs and name not in x_over_L else _number(x_over_L, name, "--place", 0.0, 1.0)
         ratio = None if name not in ratios else _number(ratios, name, "--ratio", 0.0, 300.0)
-        found.append(PointInput(name, stack, place, ratio))
-    names = [p.name for p in found]
+        inputs.append(PointInput(name, stack, position, ratio))
+    names = [p.name for p in inputs]
     if (twice := repeated_name(names)) is not None:
         raise InputError(f"--point {twice}: is given twice; leave one out")
-    for option, values in (("--place", places), ("--ratio", ratios)):
+    for option, values in (("--place", x_over_L), ("--ratio", ratios)):
         if unknown := [name for name in values if name not in names]:
             raise InputError(f"{option} {unknown[0]}: there is no --point {unknown[0]}; known: {', '.join(names)}")
-    return found
+    return inputs
 
 
 def _number(values: Mapping[str, str], name: str, option: str, low: float, high: float) -> float:
@@ -135,7 +135,7 @@ def _limits(point: Mapping[str, Any]) -> str:
     return f"{surface}, {point['bondline_K']:g} K at the outer face of {point['layers'][-1].name} (bondline)"
 
 
-def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple[Vehicle, list[str]]:
+def write_new_vehicle(out: str | os.PathLike[str], design: VehicleInput) -> tuple[Vehicle, list[str]]:
     """Write a vehicle directory, named as the vehicle, and check it as a whole; its ratio tables are built.
 
     returns : the vehicle, and one line for each thing that was assumed
@@ -146,15 +146,15 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
         raise InputError(f"--out {out}: its last part is the vehicle's name: letters, digits, - and _")
     if (problem := portable_problem(name)) is not None:
         raise InputError(f"--out {abbreviated(str(out))}: its last part {problem}")
-    values = _values(name, given)
+    values = _values(name, design)
     files = {
         "vehicle.toml": render_toml("vehicle/vehicle.toml.j2", "vehicle", **values),
         "aero/aero.toml": render_toml("vehicle/aero.toml.j2", "aero", **values),
-        "aero/longitudinal.csv": _coefficients(given, values["alpha_deg"]),
+        "aero/longitudinal.csv": _coefficients(design, values["alpha_deg"]),
         "guidance.toml": render_toml("vehicle/guidance.toml.j2", "guidance", **values),
         "provenance.md": render("vehicle/provenance.md.j2", **values),
     }
-    files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if given.surfaces}
+    files |= {f"aero/{flap}.csv": _flap(values["alpha_deg"]) for flap in ("elevon", "bodyflap") if design.surfaces}
     for p in values["points"]:
         files[f"control_points/{p['name']}.toml"] = render_toml("vehicle/control_point.toml.j2", "control_point", p=p)
         files[f"ratio_sources/{p['name'].lower()}.toml"] = render_toml(
@@ -167,20 +167,20 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
         )
     with output_directory(out, "new vehicle", expected=("vehicle.toml",)) as folder:
         # a vehicle has the name of its directory, and that of results in the making is another
-        made = folder / name
-        for place, text in files.items():
-            write_text_atomic(made / place, text)
-        with shown_at(made, out):
-            write_tables(made, root=made)
-            check_vehicle(load_vehicle(made, root=made))
-        for path in sorted(made.rglob("*")):
+        unfinished = folder / name
+        for file, text in files.items():
+            write_text_atomic(unfinished / file, text)
+        with shown_at(unfinished, out):
+            write_tables(unfinished, root=unfinished)
+            check_vehicle(load_vehicle(unfinished, root=unfinished))
+        for path in sorted(unfinished.rglob("*")):
             if path.is_file():
-                target = folder / path.relative_to(made)
+                target = folder / path.relative_to(unfinished)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 path.rename(target)
-        for path in sorted((p for p in made.rglob("*") if p.is_dir()), reverse=True):
+        for path in sorted((p for p in unfinished.rglob("*") if p.is_dir()), reverse=True):
             path.rmdir()
-        made.rmdir()
+        unfinished.rmdir()
     notes = [
         f"{p['name']}: {p['ratio_source']}; {_limits(p)}; thermocouple {p['sensor_place']}" for p in values["points"]
     ]
@@ -189,44 +189,46 @@ def write_new_vehicle(out: str | os.PathLike[str], given: VehicleInput) -> tuple
     return load_vehicle(out), notes
 
 
-def _values(name: str, given: VehicleInput) -> dict[str, Any]:
+def _values(name: str, design: VehicleInput) -> dict[str, Any]:
     """Variables of the templates."""
-    for what, value in (("length", given.length_m), ("mass", given.mass_kg), ("area", given.area_m2)):
+    for option, value in (("length", design.length_m), ("mass", design.mass_kg), ("area", design.area_m2)):
         if not value > 0.0:
-            raise InputError(f"--{what}: must be above 0")
-    guidance_of = GLIDER if given.lift_to_drag >= GLIDES_FROM else CAPSULE
-    own = ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach")
+            raise InputError(f"--{option}: must be above 0")
+    guidance_of = GLIDER if design.lift_to_drag >= GLIDES_FROM else CAPSULE
+    keys_set_here = ("format", "source", "confidence", "alpha_deg", "alpha_limits_deg", "alpha_against", "approach")
     guidance = {
-        k: v for k, v in read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml").items() if k not in own
+        k: v
+        for k, v in read_toml_dict(vehicle_directory(guidance_of) / "guidance.toml").items()
+        if k not in keys_set_here
     }
-    span_m = float(f"{min(given.length_m, 2.0 * math.sqrt(given.area_m2 / math.pi)):.4g}")
-    deflections = list(DEFLECTIONS_DEG) if given.surfaces else [0.0]
-    alphas = _alphas_deg(given.alpha_deg)
+    span_m = float(f"{min(design.length_m, 2.0 * math.sqrt(design.area_m2 / math.pi)):.4g}")
+    deflections = list(DEFLECTIONS_DEG) if design.surfaces else [0.0]
+    alphas = _alphas_deg(design.alpha_deg)
     return {
         "name": name,
         "vehicle": name,
-        "title": given.title or name,
-        "length_m": given.length_m,
-        "area_m2": given.area_m2,
-        "mass_kg": given.mass_kg,
-        "nose_radius_m": given.nose_radius_m,
-        "reference": given.reference,
+        "title": design.title or name,
+        "length_m": design.length_m,
+        "area_m2": design.area_m2,
+        "mass_kg": design.mass_kg,
+        "nose_radius_m": design.nose_radius_m,
+        "reference": design.reference,
         "span_m": span_m,
         "inertia": [
-            float(f"{given.mass_kg * (k * L) ** 2:.3g}")
-            for k, L in zip(GYRATION, (span_m, given.length_m, given.length_m), strict=True)
+            float(f"{design.mass_kg * (k * L) ** 2:.3g}")
+            for k, L in zip(GYRATION, (span_m, design.length_m, design.length_m), strict=True)
         ],
-        "surfaces": given.surfaces,
-        "alpha_trim": given.alpha_deg,
+        "surfaces": design.surfaces,
+        "alpha_trim": design.alpha_deg,
         "alpha_deg": alphas,
         "elevon_deg": deflections,
         "bodyflap_deg": deflections,
-        "aero_source": f"CD {given.drag_coefficient:g} at all angles of attack, lift proportional to it, L/D "
-        f"{given.lift_to_drag:g} at {given.alpha_deg:g} deg: estimates",
+        "aero_source": f"CD {design.drag_coefficient:g} at all angles of attack, lift proportional to it, L/D "
+        f"{design.lift_to_drag:g} at {design.alpha_deg:g} deg: estimates",
         "guidance_of": guidance_of,
         "guidance": guidance,
-        "points": [_point(p, given, alphas) for p in given.points],
-        "materials": {layer.name: layer.material for p in given.points for layer in p.layers},
+        "points": [_point(p, design, alphas) for p in design.points],
+        "materials": {layer.name: layer.material for p in design.points for layer in p.layers},
     }
 
 
@@ -236,7 +238,7 @@ def _alphas_deg(alpha_deg: float) -> list[float]:
     return sorted([0.0, 0.5 * end, end])
 
 
-def _point(p: PointInput, given: VehicleInput, alpha_deg: Sequence[float]) -> dict[str, Any]:
+def _point(p: PointInput, design: VehicleInput, alpha_deg: Sequence[float]) -> dict[str, Any]:
     """Variables of the files of a control point."""
     outer, inner = p.layers[0], p.layers[-1]
     if outer.material.emissivity is None:
@@ -252,7 +254,7 @@ def _point(p: PointInput, given: VehicleInput, alpha_deg: Sequence[float]) -> di
         "layers": p.layers,
         "heat_shield": outer.name,
         "x_over_L": p.x_over_L,
-        "position_m": [float(f"{p.x_over_L * given.length_m:.6g}"), 0.0, 0.0],
+        "position_m": [float(f"{p.x_over_L * design.length_m:.6g}"), 0.0, 0.0],
         "ratio": min(ratio, 1.0),
         "ratio_points": [[a, ratio] for a in alpha_deg],
         "ratio_source": f"ratio {ratio:g}" + (", given" if p.ratio is not None else ", an estimate (--ratio)"),
@@ -264,18 +266,18 @@ def _point(p: PointInput, given: VehicleInput, alpha_deg: Sequence[float]) -> di
     }
 
 
-def _coefficients(given: VehicleInput, alpha_deg: Sequence[float]) -> str:
+def _coefficients(design: VehicleInput, alpha_deg: Sequence[float]) -> str:
     """Table of normal and axial force along and across the body: lift proportional to angle of attack, constant drag.
 
     CN = CL cos(alpha) + CD sin(alpha),    CA = CD cos(alpha) - CL sin(alpha)
     """
-    lift = given.drag_coefficient * given.lift_to_drag
+    lift = design.drag_coefficient * design.lift_to_drag
     rows = []
     for mach in MACH:
         for alpha in np.linspace(alpha_deg[0], alpha_deg[-1], 9):
-            CL = 0.0 if given.alpha_deg == 0.0 else lift * alpha / given.alpha_deg
+            CL = 0.0 if design.alpha_deg == 0.0 else lift * alpha / design.alpha_deg
             s, c = math.sin(math.radians(alpha)), math.cos(math.radians(alpha))
-            CN, CA = CL * c + given.drag_coefficient * s, given.drag_coefficient * c - CL * s
+            CN, CA = CL * c + design.drag_coefficient * s, design.drag_coefficient * c - CL * s
             rows.append((mach, float(alpha), round(CN, 5), round(CA, 5), 0.0))
     header = {
         "source": "sim-heating new vehicle: constant drag, lift proportional to angle of attack",

@@ -239,9 +239,9 @@ def heat_content(B: FloatArray, at: int, left_row: int, right_row: int) -> float
 
     Source: docs/theory/equations_thermal_step.md, equation 4.
     """
-    left, right = B[at + left_row * LANES], B[at + right_row * LANES]
+    content_left, content_right = B[at + left_row * LANES], B[at + right_row * LANES]
     next_left, last_right = at + (NODE_ROWS + left_row) * LANES, at + (right_row - NODE_ROWS) * LANES
-    return left + right + SHARE * (B[next_left] - right - left + B[last_right])
+    return content_left + content_right + SHARE * (B[next_left] - content_right - content_left + B[last_right])
 
 
 class Properties(NamedTuple):
@@ -289,14 +289,14 @@ def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties,
     What crosses an element, heat conducted in d dt and heat content shared, is one term
     (docs/theory/equations_thermal_step.md, equations 26 to 28).
     """
-    left = a - NODE_ROWS * LANES
+    previous = a - NODE_ROWS * LANES
     h_left, c_left, theta_left, k_left = before
     h, c, theta, k = behind
     m_left, m_right = B[a + M_LEFT * LANES + lane], B[a + M_RIGHT * LANES + lane]
     e_left, cap_left, e_right, cap_right = m_left * h_left, m_left * c_left, m_right * h, m_right * c
-    g_left = ddt * B[left + G * LANES + lane]
-    across = g_left * (B[left + THETA_RIGHT * LANES + lane] - theta_left)
-    across += SHARE * (e_left - B[left + E_RIGHT * LANES + lane])
+    g_left = ddt * B[previous + G * LANES + lane]
+    across = g_left * (B[previous + THETA_RIGHT * LANES + lane] - theta_left)
+    across += SHARE * (e_left - B[previous + E_RIGHT * LANES + lane])
     entry = SHARE * cap_left - g_left * k_left
     lower = SHARE * cap_right - ddt * B[a + G * LANES + lane] * k
     B[a + E_LEFT * LANES + lane] = e_left
@@ -304,8 +304,8 @@ def _write_row(B: FloatArray, a: int, lane: int, ddt: float, before: Properties,
     B[a + E_RIGHT * LANES + lane] = e_right
     B[a + C_RIGHT * LANES + lane] = cap_right
     B[a + THETA_RIGHT * LANES + lane] = theta
-    B[left + RESIDUAL * LANES + lane] += across
-    B[left + ENTRY * LANES + lane] = entry
+    B[previous + RESIDUAL * LANES + lane] += across
+    B[previous + ENTRY * LANES + lane] = entry
     B[a + LOWER * LANES + lane] = lower
     B[a + DIAGONAL * LANES + lane] = cap_left + cap_right - entry - lower
     B[a + RESIDUAL * LANES + lane] = e_left + e_right - B[a + E_STAR * LANES + lane] - across
@@ -318,7 +318,7 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     Separate from the row itself, as most walls have none of them; dry lanes of the group go through the same arithmetic
     (docs/theory/equations_thermal_step.md, equations 11 to 13 and 11a).
     """
-    left = a - NODE_ROWS * LANES
+    previous = a - NODE_ROWS * LANES
     t, rate = B[a + T * LANES + lane], B[a + PHASE_RATE * LANES + lane]
     up = logistic((t - B[a + BOIL * LANES + lane]) * rate)
     down = logistic((t - B[a + CONDENSE * LANES + lane]) * rate)
@@ -326,12 +326,15 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     L, D = B[a + LATENT * LANES + lane], B[a + DEPOSIT * LANES + lane]
     h, c = L * up - D * down, L * rising - D * falling
     theta_rad, k_rad = _radiation_in_depth(t, B[a + RADIATES_FROM * LANES + lane])
-    k_1_left, k_1_right = B[left + K_RAD * LANES + lane], B[a + K_RAD * LANES + lane]
-    vapour_left, vapour_right = B[left + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
+    k_1_left, k_1_right = B[previous + K_RAD * LANES + lane], B[a + K_RAD * LANES + lane]
+    vapour_left, vapour_right = B[previous + VAPOUR * LANES + lane], B[a + VAPOUR * LANES + lane]
     wet_left, wet_right = B[a + WET_LEFT * LANES + lane], B[a + WET_RIGHT * LANES + lane]
-    g_left = ddt * B[left + G * LANES + lane]
-    t_left, cube = B[left + T * LANES + lane], t * t * t
-    faces_left, faces_right = ddt * B[left + BETWEEN_FACES * LANES + lane], ddt * B[a + BETWEEN_FACES * LANES + lane]
+    g_left = ddt * B[previous + G * LANES + lane]
+    t_left, cube = B[previous + T * LANES + lane], t * t * t
+    faces_left, faces_right = (
+        ddt * B[previous + BETWEEN_FACES * LANES + lane],
+        ddt * B[a + BETWEEN_FACES * LANES + lane],
+    )
     across = SHARE * wet_left * h - g_left * (k_1_left * theta_rad + vapour_left * up)
     across += faces_left * (t_left * t_left * t_left * t_left - cube * t)
     entry = SHARE * wet_left * c - g_left * (k_1_left * k_rad + vapour_left * rising) - 4.0 * faces_left * cube
@@ -342,8 +345,8 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
     B[a + E_RIGHT * LANES + lane] += wet_right * h
     B[a + C_RIGHT * LANES + lane] += wet_right * c
     B[a + THETA_RIGHT * LANES + lane] += k_1_right * theta_rad + vapour_right * up
-    B[left + RESIDUAL * LANES + lane] += across
-    B[left + ENTRY * LANES + lane] += entry
+    B[previous + RESIDUAL * LANES + lane] += across
+    B[previous + ENTRY * LANES + lane] += entry
     B[a + LOWER * LANES + lane] += lower
     B[a + DIAGONAL * LANES + lane] += (wet_left + wet_right) * c - entry - lower
     B[a + RESIDUAL * LANES + lane] += (wet_left + wet_right) * h - across
@@ -353,19 +356,19 @@ def _add_in_depth(B: FloatArray, a: int, lane: int, ddt: float) -> None:
 def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: float) -> None:
     """Row of node i at its present temperature, heat from outside included."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    left = a - NODE_ROWS * LANES
+    previous = a - NODE_ROWS * LANES
     _refresh_polynomials(B, J, table, i)
     if J[NODE_INTS + i * INTS_PER_NODE + IS_INTERFACE] == 1:
         for lane in range(LANES):
-            f = B[left + FRACTION * LANES + lane]
+            f = B[previous + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
             _write_row(B, a, lane, ddt, _properties(B, a, lane, FOOT_LEFT, f), _properties(B, a, lane, FOOT, f))
     else:
         for lane in range(LANES):
-            f = B[left + FRACTION * LANES + lane]
+            f = B[previous + FRACTION * LANES + lane]
             B[a + FRACTION * LANES + lane] = f
-            own = _properties(B, a, lane, FOOT, f)
-            _write_row(B, a, lane, ddt, own, own)
+            properties = _properties(B, a, lane, FOOT, f)
+            _write_row(B, a, lane, ddt, properties, properties)
     if J[IN_DEPTH] == 1:
         for lane in range(LANES):
             _add_in_depth(B, a, lane, ddt)
@@ -379,12 +382,12 @@ def _assemble_row(B: FloatArray, J: IntArray, table: FloatArray, i: int, ddt: fl
 def _eliminate_row(B: FloatArray, i: int) -> None:
     """Eliminate row i, whose right neighbour is assembled (docs/theory/equations_thermal_step.md, equation 29)."""
     a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-    left = a - NODE_ROWS * LANES
+    previous = a - NODE_ROWS * LANES
     for lane in range(LANES):
         # No pivoting: the diagonal dominates its column by the heat capacity of the node and the slope of its source.
-        lower = B[left + LOWER * LANES + lane]
-        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[left + UPPER * LANES + lane])
-        residual = B[a + RESIDUAL * LANES + lane] + lower * B[left + DELTA * LANES + lane]
+        lower = B[previous + LOWER * LANES + lane]
+        pivot = 1.0 / (B[a + DIAGONAL * LANES + lane] - lower * B[previous + UPPER * LANES + lane])
+        residual = B[a + RESIDUAL * LANES + lane] + lower * B[previous + DELTA * LANES + lane]
         B[a + UPPER * LANES + lane] = B[a + ENTRY * LANES + lane] * pivot
         B[a + DELTA * LANES + lane] = -residual * pivot
 

@@ -108,10 +108,10 @@ def set_elements(B: FloatArray, J: IntArray, lane: int, elements: Elements, p: F
         elif layer[e] < 0:
             thickness = p[CONTACT]
         if elements.slot[e] >= 0:
-            own = OWN + OWN_WIDTH * elements.slot[e]
-            thickness *= p[own + OWN_THICKNESS]
-            conductivity *= p[own + OWN_CONDUCTIVITY]
-            capacity *= p[own + OWN_CAPACITY]
+            factors = OWN + OWN_WIDTH * elements.slot[e]
+            thickness *= p[factors + OWN_THICKNESS]
+            conductivity *= p[factors + OWN_CONDUCTIVITY]
+            capacity *= p[factors + OWN_CAPACITY]
         length = (1.0 + elements.stretch[e] * (thickness - 1.0)) * length_m[e]
         half = 0.5 * elements.density_kg_m3[e] * length * capacity
         # Moisture is declared per mass of insulation, and so takes the heat-capacity factor with it.
@@ -144,10 +144,10 @@ def _set_bends(B: FloatArray, lane: int, nodes: int, p: FloatArray) -> None:
 @inline_always
 def _set_in_depth(B: FloatArray, J: IntArray, lane: int, layer: IntArray, insulation: int, p: FloatArray) -> None:
     """Write moisture and radiation of a lane into every node, where loops over lanes read them; not twice the same."""
-    within = 0
-    while within < len(layer) - 1 and layer[within] != insulation:
-        within += 1
-    first, moist = HEAD_ROWS * LANES + lane, (HEAD_ROWS + within * NODE_ROWS) * LANES + lane
+    insulated = 0
+    while insulated < len(layer) - 1 and layer[insulated] != insulation:
+        insulated += 1
+    first, moist = HEAD_ROWS * LANES + lane, (HEAD_ROWS + insulated * NODE_ROWS) * LANES + lane
     is_there = (
         B[first + RADIATES_FROM * LANES] == p[RADIATION_FROM]
         and B[first + LATENT * LANES] == p[LATENT_HEAT]
@@ -196,13 +196,13 @@ def _set_gap(
     # A stack of one layer has its bondline at node 0: its gaps reach the back face.
     for e in range(bondline if bondline > 0 else n - 1):
         bottom += length_m[e] if layer[e] >= 0 else 0.0
-    whole = 1.0 - exp(-bottom / depth)
+    full_decay = 1.0 - exp(-bottom / depth)
     x, above = 0.0, 1.0
     for i in range(n):
         length = length_m[i] if i < n - 1 and layer[i] >= 0 else 0.0
         edge = x + 0.5 * length
         below = exp(-min(edge, bottom) / depth)
-        B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / whole)
+        B[(HEAD_ROWS + i * NODE_ROWS + GAP) * LANES + lane] = fraction * ((above - below) / full_decay)
         x, above = x + length, below
         if fraction != 0.0:
             J[GAPS] = 1
@@ -233,20 +233,20 @@ def set_point(
 
 @njit
 def set_lanes(
-    state: FloatArray, ints: IntArray, places: IntArray, elements: Elements, stack: FloatArray, heating: FloatArray
+    state: FloatArray, ints: IntArray, positions: IntArray, elements: Elements, stack: FloatArray, heating: FloatArray
 ) -> None:
     """Write parameters of one point into several lanes, each with its own values.
 
     state, ints    : blocks of lane groups, one after the other, and their integers, changed
-    places         : (lane, 5) where the block of its group begins and ends, where the integers of that do, its number
+    positions      : (lane, 5) where the block of its group begins and ends, where the integers of that do, its number
     elements       : elements of the point, lengths [m] and densities [kg/m3] among them
     stack, heating : (lane, STACK_WIDTH), (lane, N_PARAMETERS), as for `set_point`
 
     Source: docs/theory/equations_thermal_step.md, equation 8; docs/theory/equations.md, section 2.
     """
-    for k in range(len(places)):
-        B, J = state[places[k, 0] : places[k, 1]], ints[places[k, 2] : places[k, 3]]
-        set_point(B, J, places[k, 4], places[k, 4] + 1, elements, stack[k], heating[k])
+    for k in range(len(positions)):
+        B, J = state[positions[k, 0] : positions[k, 1]], ints[positions[k, 2] : positions[k, 3]]
+        set_point(B, J, positions[k, 4], positions[k, 4] + 1, elements, stack[k], heating[k])
 
 
 @njit

@@ -123,9 +123,9 @@ def _wall_enthalpy(
     B: FloatArray, J: IntArray, table: FloatArray, lane: int, stage: int, T_K: float
 ) -> tuple[float, float]:
     """Enthalpy of air [J/kg] at a temperature and the pressure of a stage, and its specific heat [J/(kg K)]."""
-    j, place = property_bin(T_K), B[(AIR_PLACE + stage) * LANES + lane]
-    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, int(place))
-    f = place - int(place)
+    j, column = property_bin(T_K), B[(AIR_PLACE + stage) * LANES + lane]
+    row = _air_row(table, J[ENTHALPY_TABLE + lane], j, int(column))
+    f = column - int(column)
     return _air_enthalpy(table[row], table[row + 1], table[row + 2], table[row + 3], f, T_K - BIN_K * j)
 
 
@@ -217,11 +217,11 @@ def _evaluate_gaps(B: FloatArray, J: IntArray, table: FloatArray, stage: int) ->
     for i in range(J[N_NODES]):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
         for lane in range(LANES):
-            part = B[a + GAP * LANES + lane]
+            gap_fraction = B[a + GAP * LANES + lane]
             source, slope = 0.0, 0.0
-            if part != 0.0:
+            if gap_fraction != 0.0:
                 H_w, cp_w = _wall_enthalpy(B, J, table, lane, stage, B[a + T * LANES + lane])
-                film = part * B[(FILM + stage) * LANES + lane]
+                film = gap_fraction * B[(FILM + stage) * LANES + lane]
                 source, slope = film * (B[(RECOVERY + stage) * LANES + lane] - H_w), -film * cp_w
             # The faces were evaluated in this call and keep their heat; other nodes still hold that of an earlier call.
             face = i == 0 or i == J[BACK_NODE + lane]
@@ -255,14 +255,14 @@ def _write_surface_balance(
     docs/theory/equations_thermal_step.md, equations 14 and 17.
     """
     a = HEAD_ROWS * LANES + lane
-    wall, share, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
+    wall, surface_fraction, factor = B[a + T * LANES], B[SURFACE_SHARE * LANES + lane], B[FACTOR_EPS * LANES + lane]
     f = B[(AIR_PLACE + stage) * LANES + lane] - B[WALL_COLUMN * LANES + lane]
     t = wall - B[AIR_FOOT * LANES + lane]
     h_a, cp_a, h_b, cp_b = (
         B[AIR * LANES + lane], B[(AIR + 1) * LANES + lane], B[(AIR + 2) * LANES + lane], B[(AIR + 3) * LANES + lane],
     )  # fmt: skip
     H_w, cp_w = _air_enthalpy(h_a, cp_a, h_b, cp_b, f, t)
-    film, film_slope = film * share, film_slope * share
+    film, film_slope = film * surface_fraction, film_slope * surface_fraction
     driving = B[(RECOVERY + stage) * LANES + lane] - H_w
     cube = wall * wall * wall
     excess = cube * wall - B[(STAGE_SURROUNDINGS4 + stage) * LANES + lane]

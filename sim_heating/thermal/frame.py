@@ -129,11 +129,11 @@ def _bound_errors(B: FloatArray, n: int, dt: float) -> None:
         B[(SCALAR_ROWS + EXCESS) * LANES + lane] = 0.0
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
+        previous = a - NODE_ROWS * LANES
         for lane in range(LANES):
             content = B[a + STAGE_LEFT * LANES + lane] + B[a + STAGE_RIGHT * LANES + lane]
             error = abs(_content_error(B, a, lane, dt)) * B[a + T * LANES + lane]
-            excess, largest = error - tolerance * content, B[left + EXCESS * LANES + lane]
+            excess, largest = error - tolerance * content, B[previous + EXCESS * LANES + lane]
             B[a + EXCESS * LANES + lane] = excess if excess > largest else largest
 
 
@@ -348,7 +348,8 @@ def advance(B: FloatArray, J: IntArray, table: FloatArray, dispatcher, dt: float
 
 @njit
 def shift_conditions(B: FloatArray) -> None:
-    """Shift the conditions at the end of the last frame to the start of the next: stage 2 becomes stage 0."""
+    """Shift the conditions ([deg], [Pa], [J/kg] ...) at the end of the last frame to the start of the next: stage 2
+    becomes stage 0."""
     span = LANES * N_CONDITIONS
     first = C_STAGES * LANES
     for k in range(span):

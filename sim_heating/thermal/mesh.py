@@ -103,24 +103,24 @@ def _segments(construction: Construction, depths_m: FloatArray) -> list[_Segment
     segments = []
     for i, a in enumerate(layer_diffusivities(construction)):
         top, bottom = interfaces[i], interfaces[i + 1]
-        within = np.unique(depths_m[(depths_m > top + closest) & (depths_m < bottom - closest)])
-        cuts = np.concatenate(([top], within[np.diff(within, prepend=-1.0) > closest], [bottom]))
+        inner = np.unique(depths_m[(depths_m > top + closest) & (depths_m < bottom - closest)])
+        cuts = np.concatenate(([top], inner[np.diff(inner, prepend=-1.0) > closest], [bottom]))
         segments += [_Segment(i, float(d), float(np.sqrt(a))) for d in np.diff(cuts)]
     return segments
 
 
-def _node_measure(s: FloatArray, whole: float, step_s: float) -> FloatArray:
+def _node_measure(s: FloatArray, depth: float, step_s: float) -> FloatArray:
     """Integral of the node density from the surface to s, not normalised (equation 39)."""
     s_0 = SURFACE * np.sqrt(max(step_s, 1.0))
-    graded, all_graded = np.log1p(GROWTH * s / s_0), np.log1p(GROWTH * whole / s_0)
-    return graded + UNIFORM * all_graded * s / whole
+    graded, all_graded = np.log1p(GROWTH * s / s_0), np.log1p(GROWTH * depth / s_0)
+    return graded + UNIFORM * all_graded * s / depth
 
 
-def _element_counts(share: FloatArray, elements: int) -> NDArray[np.int64]:
+def _element_counts(weights: FloatArray, elements: int) -> NDArray[np.int64]:
     """Elements of each segment: one or more, in proportion to the shares, exactly `elements` in all."""
-    counts = np.ones(len(share), dtype=np.int64)
-    for _ in range(elements - len(share)):
-        counts[np.argmax(share / counts)] += 1
+    counts = np.ones(len(weights), dtype=np.int64)
+    for _ in range(elements - len(weights)):
+        counts[np.argmax(weights / counts)] += 1
     return counts
 
 
@@ -154,8 +154,8 @@ def build_mesh(construction: Construction, depths_m: FloatArray, nodes: int, ste
     s = np.concatenate(([0.0], np.cumsum([seg.length_m / seg.root_a for seg in segments])))
     measure = _node_measure(s, s[-1], step_s)
     # A gas layer stays one element: its faces are the two nodes between which it radiates.
-    share = np.where([seg.layer in construction.gas_layers for seg in segments], 0.0, np.diff(measure))
-    counts = _element_counts(share, nodes - 1 - sum(r > 0.0 for r in contacts))
+    weights = np.where([seg.layer in construction.gas_layers for seg in segments], 0.0, np.diff(measure))
+    counts = _element_counts(weights, nodes - 1 - sum(r > 0.0 for r in contacts))
     # A coating of one element would have no node between its faces.
     if counts[0] < 2:
         counts[np.argmax(counts)] -= 1
@@ -207,5 +207,5 @@ def interpolate_profile(profile: FloatArray, mesh: Mesh, other: Mesh) -> FloatAr
 
     The interpolation is that of the linear elements of docs/theory/equations.md, section 3.
     """
-    at, wanted = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
-    return np.interp(wanted, at, profile)
+    node_positions, positions = (np.concatenate(([0.0], np.cumsum(m.length_m))) for m in (mesh, other))
+    return np.interp(positions, node_positions, profile)

@@ -83,14 +83,14 @@ class PerturbedGroups(NamedTuple):
     """Groups of perturbed lanes, and the functions that assemble them.
 
     ints        : their integers;  groups : offsets of their blocks and integers, as in march/frames.py
-    whole       : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces
+    assembled   : number of groups, the first ones, whose rows are assembled; of the others only the heat at the faces
     source      : (group * LANES,) nominal lane of each perturbed lane
     rows, faces : addresses of the compiled `rows_at` and `faces_at`, or the functions where interpreted
     """
 
     ints: IntArray
     groups: IntArray
-    whole: int
+    assembled: int
     source: IntArray
     rows: Any
     faces: Any
@@ -185,7 +185,7 @@ def assemble_perturbed(
     for g in range(len(groups)):
         start, ints = groups[g, 0], groups[g, 2]
         # Where only the faces are evaluated, two nodes are enough, unless gaps take heat in at others.
-        if g < perturbed.whole or J[ints + GAPS] == 1:
+        if g < perturbed.assembled or J[ints + GAPS] == 1:
             for i in range(J[ints + N_NODES]):
                 _copy_temperatures(B, X, start, source, g, i, row)
         else:
@@ -201,14 +201,14 @@ def assemble_perturbed(
                     X[start + memory * LANES + s] = X[start + (memory + 2) * LANES + s]
             time_at = C_STAGES * LANES + lane * N_CONDITIONS + TIME
             X[start + C_STAGES * LANES + s * N_CONDITIONS + TIME] = B[time_at]
-            to = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
-            given = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
+            to_condition = start + C_STAGES * LANES + (2 * LANES + s) * N_CONDITIONS
+            from_condition = C_STAGES * LANES + (stage * LANES + lane) * N_CONDITIONS
             for c in range(N_CONDITIONS):
-                X[to + c] = B[given + c]
+                X[to_condition + c] = B[from_condition + c]
             for pressure in (PCOL, PFRAC, AIR_PLACE):
                 X[start + (pressure + END) * LANES + s] = B[(pressure + stage) * LANES + lane]
         x, j = pointer(X[start : groups[g, 1]]), pointer(J[ints : groups[g, 3]])
-        assembly = perturbed.rows if g < perturbed.whole else perturbed.faces
+        assembly = perturbed.rows if g < perturbed.assembled else perturbed.faces
         call_step(assembly, x, j, pointer(group.table), group.dispatcher, ddt)
 
 
@@ -312,10 +312,10 @@ def content_columns(  # type: ignore[no-untyped-def]
     n = p.nodes[lane]
     for i in range(n):
         a, here = p.at[lane] + i * NODE, at + i * width
-        own = (1.0 - SHARE) * (x[a + C_LEFT * LANES] + x[a + C_RIGHT * LANES])
-        left, right = SHARE * x[a - NODE + C_RIGHT * LANES], SHARE * x[a + NODE + C_LEFT * LANES]
+        inner = (1.0 - SHARE) * (x[a + C_LEFT * LANES] + x[a + C_RIGHT * LANES])
+        from_left, from_right = SHARE * x[a - NODE + C_RIGHT * LANES], SHARE * x[a + NODE + C_LEFT * LANES]
         above, below = here - width if i > 0 else here, here + width if i < n - 1 else here
-        _weighted_sum(e, here, own, S, here, left, S, above, right, S, below, width)
+        _weighted_sum(e, here, inner, S, here, from_left, S, above, from_right, S, below, width)
     for k in range(forced):
         if p.reach[lane, k] == ACTS_IN_ROWS:
             plus, minus, inverse = p.plus[lane, k], p.minus[lane, k], p.inverse[lane, k]
@@ -386,13 +386,13 @@ def solve_columns(  # type: ignore[no-untyped-def]
 
 
 @njit
-def copy_columns(given, to, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
+def copy_columns(source, target, at: int, count: int) -> None:  # type: ignore[no-untyped-def]
     """Copy `count` numbers that begin at `at`, from one pointer to another."""
     for k in range(at, at + count - 3, VECTOR):
-        a, b, c, d = given[k], given[k + 1], given[k + 2], given[k + 3]
-        to[k], to[k + 1], to[k + 2], to[k + 3] = a, b, c, d
+        a, b, c, d = source[k], source[k + 1], source[k + 2], source[k + 3]
+        target[k], target[k + 1], target[k + 2], target[k + 3] = a, b, c, d
     for k in range(at + count - count % VECTOR, at + count):
-        to[k] = given[k]
+        target[k] = source[k]
 
 
 @njit

@@ -3,6 +3,8 @@
 One schema for flight records and vehicle directories. Lengths in m from the outer surface, temperatures in K,
 pressures in Pa.
 Property tables are linear between their points and constant beyond the ends; in pressure linear in log10(p).
+
+Source: docs/theory/equations.md, equations 1 and 18.
 """
 
 from __future__ import annotations
@@ -61,12 +63,12 @@ def _is_table(value: Any) -> str:
     return "at pressures" if isinstance(value, (dict, PressureTable)) else "in temperature"
 
 
-def _pair_problems(table: Table, what: str) -> list[tuple[Location, str]]:
+def _pair_problems(table: Table, columns: str) -> list[tuple[Location, str]]:
     """Problems of [[x, value], ...] that hold for any table: shape and increasing first entry."""
     if not table:
-        return [((), f"the table is empty; give [[{what}], ...], one row for a constant")]
+        return [((), f"the table is empty; give [[{columns}], ...], one row for a constant")]
     odd: list[tuple[Location, str]] = [
-        ((i,), f"{row} is not a pair [{what}]") for i, row in enumerate(table) if len(row) != 2
+        ((i,), f"{row} is not a pair [{columns}]") for i, row in enumerate(table) if len(row) != 2
     ]
     if odd:
         return odd
@@ -204,25 +206,26 @@ class Material(Declared):
         return table
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """Properties that no material has, and those that only a gas has."""
-        own = [*self._density_problems(), *self._heat_problems()]
-        return super().implausible() or own or self._conductivity_problems()
+        """Properties ([kg/m3], [J/(kg K)], [W/(m K)], [-]) that no material has, and those that only a gas has."""
+        problems = [*self._density_problems(), *self._heat_problems()]
+        return super().implausible() or problems or self._conductivity_problems()
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """Properties that few materials have, and nodes of a table that stand out of their neighbours."""
-        found = super().unusual()
+        """Properties ([kg/m3], [J/(kg K)], [W/(m K)], [-]) that few materials have, and nodes of a table that stand
+        out of their neighbours."""
+        remarks = super().unusual()
         if self.kind == "gas":
-            return [(place, text) for place, text in found if place[0] == "emissivity"]
+            return [(location, text) for location, text in remarks if location[0] == "emissivity"]
         if not self.apparent:
             heats = [(i, value) for i, (T_K, value) in enumerate(self.specific_heat_J_kgK) if T_K >= COLDEST_K]
             far = [(("specific_heat_J_kgK", i, 1), usual_remark("specific_heat_from_100_K", v)) for i, v in heats]
-            found += [(place, text) for place, text in far if text is not None][:1] or [
+            remarks += [(location, text) for location, text in far if text is not None][:1] or [
                 (("specific_heat_J_kgK", heats[k][0], 1), f"{text}; a peak of latent heat declares apparent = true")
                 for k, text in nodes_that_stand_out([value for _, value in heats])
             ]
         _, T_K, k = self.conductivity_grid()
         warm = np.flatnonzero(T_K >= COLDEST_K)
-        found += [
+        remarks += [
             (("conductivity_W_mK",), f"at {T_K[warm[i]]:g} K {text}; check it")
             for column in k[warm].T
             for i, text in nodes_that_stand_out(column.tolist())
@@ -230,40 +233,40 @@ class Material(Declared):
         largest = float(np.max(k))
         if self.density_kg_m3 < FOAM_KG_M3 and largest > FOAM_CONDUCTS_W_MK:
             text = f"{largest:g} W/(m K) is unusual at {self.density_kg_m3:g} kg/m3"
-            found.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
-        found += self._density_remarks(T_K, k) + self._axis_remarks()
+            remarks.append((("conductivity_W_mK",), f"{text} (foams and felts have below {FOAM_CONDUCTS_W_MK:g})"))
+        remarks += self._density_remarks(T_K, k) + self._axis_remarks()
         if self.emissivity is not None:
-            found += [
+            remarks += [
                 (("emissivity", i, 1), f"{value:g} is unusual where k is {np.max(k):.3g} W/(m K), of no bright metal")
                 for i, (_, value) in enumerate(self.emissivity)
                 if value < NOT_METAL_EMITS and np.max(k) < METAL_W_MK
             ][:1]
-            found += [
+            remarks += [
                 (("emissivity", i, 1), f"{text}; check it")
                 for i, text in nodes_that_stand_out([value for _, value in self.emissivity])
             ]
-        return found
+        return remarks
 
     def _density_remarks(self, T_K: FloatArray, k: FloatArray) -> list[tuple[Location, str]]:
         """Heat capacity and conductivity that few solids of this density have."""
         rho = self.density_kg_m3
-        found: list[tuple[Location, str]] = []
+        remarks: list[tuple[Location, str]] = []
         heats = [(i, c) for i, (T, c) in enumerate(self.specific_heat_J_kgK) if T >= ROOM_K]
         for i, c in [] if self.apparent else heats:
             low, high = (v / rho for v in DENSE_J_M3K) if rho >= DENSE_KG_M3 else LIGHT_J_KGK
             if not low <= c <= high:
                 text = f"{c:.4g} J/(kg K) is unusual at {rho:g} kg/m3 ({low:.3g} to {high:.3g}); check both"
-                found.append((("specific_heat_J_kgK", i, 1), text))
+                remarks.append((("specific_heat_J_kgK", i, 1), text))
                 break
         cool = k[(T_K <= COOL_K) & (T_K >= COLDEST_K)]
         if cool.size and rho >= DENSE_KG_M3 and np.min(cool) < DENSE_LEAST_W_MK:
             text = f"{np.min(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 ({DENSE_LEAST_W_MK:g} and more); check both"
-            found.append((("conductivity_W_mK",), text))
+            remarks.append((("conductivity_W_mK",), text))
         highest = LIGHT_MOST_W_MK[0] + LIGHT_MOST_W_MK[1] * rho
         if cool.size and rho < FOAM_KG_M3 and np.max(cool) > highest:
             text = f"{np.max(cool):.3g} W/(m K) is unusual at {rho:g} kg/m3 (up to {highest:.3g}); check both"
-            found.append((("conductivity_W_mK",), text))
-        return found
+            remarks.append((("conductivity_W_mK",), text))
+        return remarks
 
     def _axis_remarks(self) -> list[tuple[Location, str]]:
         """Tables over temperatures or pressures that walls do not have."""
@@ -272,7 +275,7 @@ class Material(Declared):
             "specific_heat_J_kgK": pairs(self.specific_heat_J_kgK)[0],
             "conductivity_W_mK": self.conductivity_grid()[1],
         }
-        found: list[tuple[Location, str]] = [
+        remarks: list[tuple[Location, str]] = [
             ((name,), f"is over {T[0]:g} to {T[-1]:g} K, and walls have some 200 to 2000 K; check its temperatures")
             for name, T in axes.items()
             if len(T) > 1 and not (FIRST_K[0] <= T[0] <= FIRST_K[1] and LAST_K[0] <= T[-1] <= LAST_K[1])
@@ -281,8 +284,8 @@ class Material(Declared):
             text = (
                 f"is over {k.p_Pa[0]:g} to {k.p_Pa[-1]:g} Pa, and air has 101325 Pa at sea level; check its pressures"
             )
-            found.append((("conductivity_W_mK",), text))
-        return found
+            remarks.append((("conductivity_W_mK",), text))
+        return remarks
 
     def _density_problems(self) -> list[tuple[Location, str]]:
         """A density that neither a solid nor, with the conductivity of this one, a light solid has."""
@@ -297,11 +300,11 @@ class Material(Declared):
 
     def _heat_problems(self) -> list[tuple[Location, str]]:
         """A specific heat that none has except near absolute zero."""
-        known = QUANTITIES["specific_heat_from_100_K"]
+        heat_range = QUANTITIES["specific_heat_from_100_K"]
         return [
             (("specific_heat_J_kgK", i, 1), text)
             for i, (T_K, value) in enumerate(self.specific_heat_J_kgK)
-            if T_K >= COLDEST_K and (text := known.problem(value)) is not None
+            if T_K >= COLDEST_K and (text := heat_range.problem(value)) is not None
         ]
 
     def _conductivity_problems(self) -> list[tuple[Location, str]]:
@@ -335,7 +338,7 @@ class Material(Declared):
 def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
     """The node of a table of a positive property that is most off its neighbours, with what is unusual about it.
 
-    values : at increasing temperatures
+    values : at increasing temperatures [K]
     returns : [] or one (index, text); an inner node is over or under both neighbours by STANDS_OUT, an end one by its
               square
     """
@@ -348,12 +351,13 @@ def nodes_that_stand_out(values: Sequence[float]) -> list[tuple[int, str]]:
     worst = int(np.argmax(off))
     if off[worst] <= np.log(STANDS_OUT):
         return []
-    beside = values[worst - 1 if worst else 1]
-    return [(worst, f"{values[worst]:g} stands out beside {beside:g} of the node next to it")]
+    neighbour = values[worst - 1 if worst else 1]
+    return [(worst, f"{values[worst]:g} stands out beside {neighbour:g} of the node next to it")]
 
 
 def pairs(table: Table) -> tuple[FloatArray, FloatArray]:
-    """The two columns of [[x, value], ...] as contiguous float64 arrays, each in the unit of its table."""
+    """The two columns of [[x, value], ...] as contiguous float64 arrays, each in the unit of its table ([K], [J/(kg
+    K)] ...)."""
     both = np.array(table, dtype=np.float64)
     return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1])
 
@@ -540,7 +544,8 @@ class Sensor(Declared):
     sample_offset_s: float = Field(default=0.0, description="time of the first sample in s")
 
     def implausible(self) -> list[tuple[Location, str]]:
-        """A depth or a noise above 0 that is smaller than any sensor's, and a span of a recorder in another unit."""
+        """A depth [m] or a noise [K] above 0 that is smaller than any sensor's, and a span of a recorder in another
+        unit."""
         problems = super().implausible()
         if 0.0 < self.depth_m < LEAST_DEPTH_M:
             rule = f"is above 0 and less than {LEAST_DEPTH_M:g} m, thinner than any junction; give m, 0 at the surface"
@@ -630,14 +635,14 @@ class Construction(Declared):
         return self
 
     def unusual(self) -> list[tuple[Location, str]]:
-        """Layers of a thickness that few of their material have, and a wall that few vehicles have."""
-        found = super().unusual()
+        """Layers of a thickness [m] that few of their material have, and a wall that few vehicles have."""
+        remarks = super().unusual()
         for i, (layer, material) in enumerate(zip(self.stack.layer, self.layer_materials(), strict=True)):
             kind, low, high = _usual_thickness(material)
             if material.kind == "solid" and not low <= layer.thickness_m <= high:
                 text = f"{layer.thickness_m:g} m is unusual for {kind} ({low:g} to {high:g}); check its unit"
-                found.append((("stack", "layer", i, "thickness_m"), text))
-        return found
+                remarks.append((("stack", "layer", i, "thickness_m"), text))
+        return remarks
 
     def layer_materials(self) -> list[Material]:
         """The material of each layer, outermost first."""
@@ -698,8 +703,8 @@ def _gas_problems(stack: Stack, materials: Mapping[str, Material]) -> list[tuple
             stated = [face for face in FACES if getattr(layer, face) is not None]
             problems += [((*where, f), "is of a layer of gas, and this one is solid; remove it") for f in stated]
             continue
-        beside = kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2]
-        if beside != ["solid", "solid"]:
+        neighbours = kinds[max(i - 1, 0) : i] + kinds[i + 1 : i + 2]
+        if neighbours != ["solid", "solid"]:
             problems.append(((*where, "material"), "a layer of gas lies between two solid ones; add the one it lacks"))
             continue
         if layer.contact_m2K_W > 0.0 or stack.layer[i - 1].contact_m2K_W > 0.0:
@@ -740,7 +745,7 @@ THIN_M, FACE = 1e-3, 0.1
 
 
 def sensor_remarks(stack: Stack, sensors: Sequence[Sensor]) -> list[tuple[Location, str]]:
-    """Sensors between the faces of a layer that is too thin for them.
+    """Sensors between the faces of a layer that is too thin [m] for them.
 
     returns : ((index of the sensor, key), text) of each
     """
@@ -789,8 +794,8 @@ def construct(stack: Stack, materials: Mapping[str, Material], where: str = "con
     """
     used = {layer.material for layer in stack.layer}
     # all of them where one is unknown, which may be misspelt
-    given = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
-    parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in given.items()}}
-    made = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
-    tell(remarks_of(made, parts, where, below=False))
-    return made
+    materials_used = {n: m for n, m in materials.items() if n in used} if used <= materials.keys() else materials
+    parts = {"stack": stack.model_dump(), "materials": {name: m.model_dump() for name, m in materials_used.items()}}
+    construction = check(parts, Construction, where, tells=False)  # the files of its parts have told of each
+    tell(remarks_of(construction, parts, where, below=False))
+    return construction

@@ -202,13 +202,13 @@ def _begin_first_stage(B: FloatArray, n: int, dt: float) -> None:
     _write_extrapolation_times(B, dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
+        previous = a - NODE_ROWS * LANES
         for lane in range(LANES):
             content, net = B[a + E_START * LANES + lane], B[a + NET * LANES + lane]
             B[a + E_STAR * LANES + lane] = content + STAGE_WEIGHT * dt * net
             temperature = B[a + T * LANES + lane]
             B[a + T_START * LANES + lane] = temperature
-            bend = B[left + BEND2 * LANES + lane]
+            bend = B[previous + BEND2 * LANES + lane]
             B[a + BEND2 * LANES + lane] = bend
             change = ahead * B[a + RATE * LANES + lane] + (GAMMA * GAMMA * bend) * B[a + CURVE * LANES + lane]
             B[a + T * LANES + lane] = temperature + change
@@ -347,14 +347,14 @@ def _begin_second_stage(B: FloatArray, n: int, dt: float) -> None:
     _write_extrapolation_times(B, dt)
     for i in range(n):
         a = (HEAD_ROWS + i * NODE_ROWS) * LANES
-        left = a - NODE_ROWS * LANES
+        previous = a - NODE_ROWS * LANES
         for lane in range(LANES):
             start = B[a + E_START * LANES + lane]
             content = heat_content(B, a + lane, STAGE_LEFT, STAGE_RIGHT)
             B[a + E_STAR * LANES + lane] = start + BDF_WEIGHT * (content - start)
             cold, warm = B[a + T_START * LANES + lane], B[a + T * LANES + lane]
             B[a + T_STAGE * LANES + lane] = warm
-            bend = B[left + BEND2 * LANES + lane]
+            bend = B[previous + BEND2 * LANES + lane]
             B[a + BEND2 * LANES + lane] = bend
             curved = (1.0 - GAMMA) * bend * B[a + CURVE * LANES + lane]
             B[a + T * LANES + lane] = cold + (warm - cold) * (1.0 / GAMMA) + curved

@@ -76,7 +76,8 @@ class TableStore:
 
     @property
     def values(self) -> FloatArray:
-        """The flat array that the kernel reads: all tables joined in the order in which they were placed."""
+        """The flat array that the kernel reads ([K], [J/kg], [W/m] ...): all tables joined in the order in which they
+        were placed."""
         return np.concatenate(self._parts)
 
     def place(self, key: Hashable, make: Callable[[], FloatArray]) -> int:

@@ -8,6 +8,8 @@ Forces and moment are those of the body axes of the tables, normal force up and 
 
 linear between the points of the tables and constant beyond their ends. The 3-DOF entry and the JSBSim model
 are both made from these tables.
+
+Source: docs/theory/equations.md, equation 36.
 """
 
 from __future__ import annotations
@@ -188,14 +190,16 @@ class Grid(NamedTuple):
     values: FloatArray
 
     def packed(self) -> FloatArray:
-        """The whole table as one block for the kernels: three sizes, three axes, values."""
+        """The table as one block for the kernels: three sizes, axes of Mach [-] and of angles [deg], coefficients
+        [-]."""
         sizes = np.array(self.values.shape[:3], dtype=float)
         return np.concatenate((sizes, self.mach, self.alpha_deg, self.deflection_deg, self.values.ravel()))
 
 
 @njit
 def bracket(axis: FloatArray, x: float) -> tuple[int, float]:
-    """Interval of x on a rising axis and its place 0..1 within; held at the ends, also for an axis of one point."""
+    """Interval of x on a rising axis and its position within, 0 to 1 [-]; held at the ends, also for an axis of one
+    point."""
     last = axis.shape[0] - 1
     if last == 0 or x <= axis[0]:
         return 0, 0.0
@@ -207,7 +211,7 @@ def bracket(axis: FloatArray, x: float) -> tuple[int, float]:
 
 @njit
 def grid_kernel(mach: float, alpha_deg: float, deflection_deg: float, table: FloatArray) -> tuple[float, float, float]:
-    """CN, CA, Cm of one packed table, trilinear, constant beyond the ends."""
+    """CN, CA, Cm [-] of one packed table, trilinear in Mach and angles [deg], constant beyond the ends."""
     n, m, p = int(table[0]), int(table[1]), int(table[2])
     i, u = bracket(table[3 : 3 + n], mach)
     j, v = bracket(table[3 + n : 3 + n + m], alpha_deg)
@@ -236,7 +240,7 @@ def body_kernel(
     elevon: FloatArray,
     bodyflap: FloatArray,
 ) -> tuple[float, float, float]:
-    """CN, CA, Cm about the moment reference from packed tables, controls included, flight shift not."""
+    """CN, CA, Cm [-] about the moment reference from packed tables, controls [deg] included, flight shift not."""
     cn, ca, cm = grid_kernel(mach, alpha_deg, 0.0, basic)
     dn, da, dm = grid_kernel(mach, alpha_deg, elevon_deg, elevon)
     fn, fa, fm = grid_kernel(mach, alpha_deg, bodyflap_deg, bodyflap)
@@ -262,50 +266,53 @@ class Aero:
 
     @cached_property
     def packed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The three tables as `body_kernel` takes them."""
+        """The three tables of coefficients [-] as `body_kernel` takes them."""
         return self.basic.packed(), self.elevon.packed(), self.bodyflap.packed()
 
     @property
     def arm(self) -> float:
-        """(x_cg - x_ref) / c: what CN adds to the moment about the centre of gravity."""
+        """(x_cg - x_ref) / c [-]: what CN adds to the moment about the centre of gravity."""
         ref = self.file.reference
         return (self.cg_fraction - ref.moment_reference_fraction) * ref.length_m / ref.chord_m
 
     def shift(self, mach: float) -> float:
-        """Flight-found pitching moment at a Mach number."""
+        """Flight-found pitching moment [-] at a Mach number."""
         low, high = self.file.cm_shift.mach
         return self.cm_shift * min(max((mach - low) / (high - low), 0.0), 1.0)
 
     def body_coefficients(
         self, mach: float, alpha_deg: float, elevon_deg: float = 0.0, bodyflap_deg: float = 0.0
     ) -> tuple[float, float, float]:
-        """CN (up), CA (aft) and Cm about the moment reference, the flight shift included."""
+        """CN (up), CA (aft) and Cm [-] about the moment reference at angles [deg], the flight shift included."""
         cn, ca, cm = body_kernel(mach, alpha_deg, elevon_deg, bodyflap_deg, *self.packed)
         return cn, ca, cm + self.shift(mach)
 
     def coefficients(
         self, mach: float, alpha_deg: float, elevon_deg: float = 0.0, bodyflap_deg: float = 0.0
     ) -> tuple[float, float, float]:
-        """CL, CD and Cm about the centre of gravity."""
+        """CL, CD and Cm [-] about the centre of gravity at angles [deg].
+
+        Source: docs/theory/equations.md, equation 36.
+        """
         cn, ca, cm = self.body_coefficients(mach, alpha_deg, elevon_deg, bodyflap_deg)
         s, c = math.sin(math.radians(alpha_deg)), math.cos(math.radians(alpha_deg))
         return cn * c - ca * s, cn * s + ca * c, cm + cn * self.arm
 
     def trim_elevon_deg(self, mach: float, alpha_deg: float, bodyflap_deg: float = 0.0) -> float:
-        """Elevon deflection of zero moment about the centre of gravity; the end of its travel without one."""
+        """Elevon deflection [deg] of zero moment about the centre of gravity; the end of its travel without one."""
         # The moment is linear between the nodes of the table, so that its signs at the nodes bracket the zero exactly.
         nodes = _travel_nodes(self.elevon.deflection_deg, self.file.elevon.range_deg)
         return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, float(d), bodyflap_deg)[2] for d in nodes])
 
     def trim_bodyflap_deg(self, mach: float, alpha_deg: float, elevon_deg: float = 0.0) -> float:
-        """Body-flap deflection of zero moment about the centre of gravity; the end of its travel without one."""
+        """Body-flap deflection [deg] of zero moment about the centre of gravity; the end of its travel without one."""
         nodes = _travel_nodes(self.bodyflap.deflection_deg, self.file.bodyflap.range_deg)
         return _zero_crossing(nodes, [self.coefficients(mach, alpha_deg, elevon_deg, float(d))[2] for d in nodes])
 
     def bodyflap_schedule(
         self, alpha_deg: Sequence[tuple[float, float]], against: str = "mach"
     ) -> tuple[tuple[float, float], ...]:
-        """Body flap [(mach, deg), ...] that keeps the elevon at its scheduled deflection in trim.
+        """Body flap [deg] over Mach that keeps the elevon at its scheduled deflection in trim.
 
         alpha_deg : angle-of-attack schedule [(x, deg), ...]
         against   : meaning of x, "mach" or "velocity_m_s"; a velocity is converted to Mach with 300 m/s, and the
@@ -387,7 +394,8 @@ def _mass_problems(aero: Aero, folder: Path) -> list[str]:
 
 
 def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
-    """A vehicle's aerodynamics with the mass, centre of gravity and pitching-moment shift that a scenario flies."""
+    """A vehicle's aerodynamics with the mass [kg], centre of gravity [m] and pitching-moment shift [-] that a
+    scenario flies."""
     state = spec.vehicle
     return load_aero(vehicle_dir).with_changes(
         mass_kg=state.mass_kg, cg_fraction=state.cg_fraction, cm_shift=state.cm_shift
@@ -395,7 +403,7 @@ def flown_aero(spec: TrajectorySpec, vehicle_dir: Path) -> Aero:
 
 
 def check_alpha_schedule(aero: Aero, guidance: Guidance, where: str) -> None:
-    """Check the angles of attack that guidance commands against the aerodynamics that it commands them of.
+    """Check the angles of attack [deg] that guidance commands against the aerodynamics that it commands them of.
 
     where  : vehicle or scenario, for messages
     raises : InputError where an angle lies outside those of the longitudinal table, which is constant beyond its ends
@@ -449,9 +457,9 @@ def _read_grid(path: Path, *, deflected: bool) -> Grid:
     mach, alpha, deflection = (np.unique(p) for p in points)
     values = np.full((mach.size, alpha.size, deflection.size, 3), np.nan)
     where = tuple(np.searchsorted(axis, p) for axis, p in zip((mach, alpha, deflection), points, strict=True))
-    known = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
-    known |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
-    raise_problems([line for name, limits in known.items() for line in range_problems(table, name, limits)])
+    ranges = {"mach": QUANTITIES["mach_of_table"]} | {a: QUANTITIES[a] for a in axes[1:]}
+    ranges |= dict.fromkeys(COEFFICIENTS, QUANTITIES["coefficient"])
+    raise_problems([line for name, limits in ranges.items() for line in range_problems(table, name, limits)])
     # Of a repeated point the last row would silently be taken.
     _check_repeated_points(table, where, values.shape[:3])
     values[where] = np.stack([table[c] for c in COEFFICIENTS], axis=-1)
@@ -475,17 +483,17 @@ def _extend_in_alpha(path: Path, mach: FloatArray, alpha: FloatArray, values: Fl
     full = values.copy()
     # From the highest Mach number down, as the gap above the tested alphas takes the increments of the next higher one.
     for m in range(mach.size - 1, -1, -1):
-        known = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
-        if known.size == 0 or (m == mach.size - 1 and known[-1] != alpha.size - 1) or known[0] != 0:
+        tested = np.flatnonzero(np.all(np.isfinite(values[m]), axis=(1, 2)))
+        if tested.size == 0 or (m == mach.size - 1 and tested[-1] != alpha.size - 1) or tested[0] != 0:
             raise InputError(
                 f"{display_path(path)}: Mach {mach[m]:g} lacks alphas or deflections; fill the hole in the table"
             )
         for index in np.ndindex(values.shape[2:]):
-            line = values[(m, known, *index)]
-            full[(m, slice(None), *index)] = np.interp(alpha, alpha[known], line)
+            line = values[(m, tested, *index)]
+            full[(m, slice(None), *index)] = np.interp(alpha, alpha[tested], line)
         if m < mach.size - 1:
-            beyond = slice(known[-1] + 1, None)
-            full[m, beyond] = full[m, known[-1]] + full[m + 1, beyond] - full[m + 1, known[-1]]
+            beyond = slice(tested[-1] + 1, None)
+            full[m, beyond] = full[m, tested[-1]] + full[m + 1, beyond] - full[m + 1, tested[-1]]
     return full
 
 

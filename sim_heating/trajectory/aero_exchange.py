@@ -54,8 +54,10 @@ def aero_model(aero: Aero) -> DaveModel:
             variables[key] = Variable(key, {"name": key, "units": "nd"})
             axes = (grid.mach, grid.alpha_deg, grid.deflection_deg)[: len(inputs)]
             values = grid.values[..., c].reshape([len(a) for a in axes])
-            held = (("neither",) * len(inputs), tuple((float(a[0]), float(a[-1])) for a in axes))
-            functions.append(Function(key, inputs, key, GriddedTable(key, (), axes, values), held[1], held[0]))
+            extrapolation = (("neither",) * len(inputs), tuple((float(a[0]), float(a[-1])) for a in axes))
+            functions.append(
+                Function(key, inputs, key, GriddedTable(key, (), axes, values), extrapolation[1], extrapolation[0])
+            )
         sum_ = ("plus", *terms)
         variables[coefficient] = Variable(coefficient, {"name": coefficient, "units": "nd"}, ("isOutput",), "", sum_)
     about = f"source: {aero.file.source}\nconfidence: {aero.file.confidence}"
@@ -65,11 +67,11 @@ def aero_model(aero: Aero) -> DaveModel:
 
 def _cases(model: DaveModel, aero: Aero) -> tuple[CheckCase, ...]:
     """Check cases between nodes, whose values are those that this program flies with."""
-    found = []
-    for k, share in enumerate((0.0, 0.37, 0.71, 1.0)):
+    cases = []
+    for k, fraction in enumerate((0.0, 0.37, 0.71, 1.0)):
 
-        def between(axis: FloatArray, share: float = share) -> float:
-            return float(axis[0] + share * (axis[-1] - axis[0]))
+        def between(axis: FloatArray, fraction: float = fraction) -> float:
+            return float(axis[0] + fraction * (axis[-1] - axis[0]))
 
         x = {"mach": between(aero.basic.mach), "alpha_deg": between(aero.basic.alpha_deg)}
         x |= {"elevon_deg": between(aero.elevon.deflection_deg), "bodyflap_deg": between(aero.bodyflap.deflection_deg)}
@@ -77,8 +79,8 @@ def _cases(model: DaveModel, aero: Aero) -> tuple[CheckCase, ...]:
         full = {name: x.get(name, 0.0) for name in INPUTS}
         values = aero.body_coefficients(*(full[n] for n in ("mach", "alpha_deg", "elevon_deg", "bodyflap_deg")))
         results = tuple(Signal(n, float(v), TOLERANCE) for n, v in zip(COEFFICIENTS, values, strict=True))
-        found.append(CheckCase(f"case {k + 1}", tuple(Signal(n, v) for n, v in x.items()), results))
-    return tuple(found)
+        cases.append(CheckCase(f"case {k + 1}", tuple(Signal(n, v) for n, v in x.items()), results))
+    return tuple(cases)
 
 
 def export_aero(aero: Aero, out: str | os.PathLike[str]) -> None:
@@ -102,8 +104,8 @@ def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) ->
     inputs = {v: _named(model, v, (v, INPUTS[v][0]), model.inputs) for v in INPUTS}
     unknown = [i for i in model.inputs if i not in inputs.values()]
     if unknown:
-        known = ", ".join(name for name, _ in INPUTS.values())
-        raise InputError(f"{where}: input `{unknown[0]}` is no variable of the tables of a vehicle ({known})")
+        names = ", ".join(name for name, _ in INPUTS.values())
+        raise InputError(f"{where}: input `{unknown[0]}` is no variable of the tables of a vehicle ({names})")
     for v, i in inputs.items():
         units = "" if i is None else model.variables[i].attributes.get("units", "")
         if i is not None and units != INPUTS[v][1]:
@@ -114,26 +116,26 @@ def import_aero(path: str | os.PathLike[str], folder: str | os.PathLike[str]) ->
         zero = np.zeros(mach.shape)
         x = {"mach": mach, "alpha_deg": alpha, "elevon_deg": zero, "bodyflap_deg": zero}
         x |= {} if surface is None else {surface: at}
-        found = model.evaluate({i: x[v] for v, i in inputs.items() if i is not None})
-        return {c: np.broadcast_to(found[i], mach.shape) for c, i in outputs.items() if i is not None}
+        evaluated = model.evaluate({i: x[v] for v, i in inputs.items() if i is not None})
+        return {c: np.broadcast_to(evaluated[i], mach.shape) for c, i in outputs.items() if i is not None}
 
     header = {"source": f"{Path(path).name}: {model.title}"}
-    made = []
+    files = []
     for name, surface in (("longitudinal", None), *SURFACES.items()):
         if surface is not None and inputs[surface] is None:
             continue
         axes = [nodes["mach"], nodes["alpha_deg"], np.zeros(1) if surface is None else nodes[surface]]
         mach, alpha, at = (g.ravel() for g in np.meshgrid(*axes, indexing="ij"))
-        found = values(mach, alpha, surface, at)
+        coefficients = values(mach, alpha, surface, at)
         columns = {"mach": mach, "alpha_deg": alpha}
         if surface is not None:
             base = values(mach, alpha, None, at)
-            found = {c: v - base[c] for c, v in found.items()}
+            coefficients = {c: v - base[c] for c, v in coefficients.items()}
             columns["deflection_deg"] = at
-        made.append(Path(folder) / f"{name}.csv")
+        files.append(Path(folder) / f"{name}.csv")
         Path(folder).mkdir(parents=True, exist_ok=True)
-        write_text_atomic(made[-1], csv_text(columns | found, None, header))
-    return made
+        write_text_atomic(files[-1], csv_text(columns | coefficients, None, header))
+    return files
 
 
 def _named(model: DaveModel, column: str, names: tuple[str, ...], among: tuple[str, ...]) -> str | None:

@@ -1,4 +1,4 @@
-"""Air of a flight: US76 with a factor on its density, and winds, both over altitude."""
+"""Air of a flight: the US Standard Atmosphere 1976 with a factor on its density, and winds, both over altitude."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def air_kernel(altitude_m: float, dispersions: FloatArray) -> tuple[float, float
 
 
 def dispersion_block(d: Dispersions) -> FloatArray:
-    """Density factor and winds over altitude as `air_kernel` reads them."""
+    """Density factor [-] and winds [m/s] over altitude [m] as `air_kernel` reads them."""
     return pack((), d.schedules)

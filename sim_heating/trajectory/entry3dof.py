@@ -3,6 +3,8 @@
 Attitude has no dynamics: angle of attack, bank and sideslip are as commanded, so that a manoeuvre with `alpha = "free"`
 is refused. Continuum lift and drag throughout; above 95 km (Knudsen number on
 the length above 0.003) drag is low. Against the 6-DOF flight of the same guidance altitude agrees within 100 m.
+
+Source: docs/theory/equations.md, equations 35 and 36.
 """
 
 from __future__ import annotations
@@ -32,7 +34,10 @@ FRAME_LENGTH = len(FRAME)
 
 
 def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatArray:
-    """Planet, vehicle state, stop and dispersions of a flight in one block, see `schedules`."""
+    """Planet, vehicle, stop [s], [m/s], [m] and dispersions of a flight in one block, see `schedules`.
+
+    Source: NIMA TR8350.2, tables 3.1 and 3.3, for the planet.
+    """
     file, stop, state = aero.file, spec.stop, spec.vehicle
     on_speed = state.bodyflap_deg is not None and state.bodyflap_against == "velocity_m_s"
     # A stop condition that is not given takes a value that is never passed: speed and Mach 0, altitude minus infinity.
@@ -48,7 +53,7 @@ def flight_block(spec: TrajectorySpec, aero: Aero, guidance: Guidance) -> FloatA
 
 
 def initial_numbers(initial: Initial) -> FloatArray:
-    """The initial state in the order of `point_mass.INITIAL`."""
+    """The initial state [m], [m/s], [deg] in the order of `point_mass.INITIAL`."""
     return np.array([
         initial.altitude_m, initial.velocity_m_s, initial.gamma_deg, initial.heading_deg, initial.latitude_deg,
         initial.longitude_deg,
@@ -56,7 +61,10 @@ def initial_numbers(initial: Initial) -> FloatArray:
 
 
 def first_state(initial: Initial, flight: FloatArray, block: FloatArray, manoeuvres: int) -> FloatArray:
-    """State at time 0, see `point_mass.first_state_kernel`."""
+    """State at 0 s [s], [m], [m/s], [deg], of `point_mass.first_state_kernel`.
+
+    Source: docs/theory/equations.md, section 6.
+    """
     state = np.empty(pm.STARTED + manoeuvres)
     pm.first_state_kernel(initial_numbers(initial), flight, block, manoeuvres, state)
     return state
@@ -91,12 +99,14 @@ class Entry:
 def fly(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
-    """Fly a scenario's trajectory with the built-in 3-DOF entry.
+    """Fly a scenario's trajectory with the built-in 3-DOF entry, frames of spec.dt_s [s].
 
     on_frame : called after each frame with its values in the order of conditions.FRAME; the array is reused
     progress : called every 20 s of flight with the fraction of the flight done and a line of text
     raises   : InputError for a scenario or vehicle that cannot be flown, RunError where the flight leaves the
                atmosphere model or is not finite
+
+    Source: docs/theory/equations.md, equations 35 and 36.
     """
     entry = Entry(spec, vehicle.directory)
     sampler = Sampler(spec.sample_s, vehicle.reference_length_m)

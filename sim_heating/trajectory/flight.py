@@ -1,4 +1,6 @@
-"""A flown trajectory, and how the frames of every source become flight conditions."""
+"""A flown trajectory, and how the frames of every source become flight conditions.
+
+Source: docs/theory/equations.md, section 6."""
 
 from __future__ import annotations
 
@@ -92,7 +94,8 @@ class Flight:
 
 
 def frames_within(rows: Sequence[FloatArray], windows: Sequence[Window]) -> FloatArray:
-    """(frame, len(FRAME)) those of a flight's frames that lie within its manoeuvres or shortly after one.
+    """(frame, len(FRAME)) frames of a flight, each number in the unit of its column, within a manoeuvre or shortly
+    after one [s].
 
     rows : frames in the order of conditions.FRAME, or of ROW
     """
@@ -120,19 +123,22 @@ def check_samples(flight: Flight, sample_s: float) -> None:
 
 
 def conditions_from_rows(rows: FloatArray, length_m: float) -> Conditions:
-    """Conditions in the contract's columns from (time, len(ROW)) rows.
+    """Conditions in the contract's columns from (time, len(ROW)) rows [s], [m], [m/s], [deg], [kg/m3].
 
     Temperature, pressure, Mach and Reynolds number come from sim_heating.heating.atmosphere; bank, heading and
     longitude are made continuous, so that a value between two samples can be taken linearly (they may pass 180 deg).
+
+    Source: US Standard Atmosphere 1976 for the temperature; docs/theory/equations_reference_heating.md, equations 1
+    to 3.
     """
-    given = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
+    columns = {name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(ROW)}
     # Conditions are interpolated linearly: a heading that passes north would sweep through all others in between.
     for i in ANGLE_COLUMNS:
-        given[ROW[i]] = np.unwrap(given[ROW[i]], period=360.0)
-    given |= free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], length_m)
-    given["qbar_Pa"] = 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2
-    order = STATE + tuple(name for name in given if name not in STATE)
-    return Conditions({name: given[name] for name in order})
+        columns[ROW[i]] = np.unwrap(columns[ROW[i]], period=360.0)
+    columns |= free_stream(columns["altitude_m"], columns["velocity_m_s"], columns["rho_kg_m3"], length_m)
+    columns["qbar_Pa"] = 0.5 * columns["rho_kg_m3"] * columns["velocity_m_s"] ** 2
+    order = STATE + tuple(name for name in columns if name not in STATE)
+    return Conditions({name: columns[name] for name in order})
 
 
 class Sampler:
@@ -153,7 +159,7 @@ class Sampler:
         self._next_s = -np.inf
 
     def add(self, row: FloatArray) -> None:
-        """Add one frame; frames must be in order of time."""
+        """Add one frame, (len(ROW),) in the units of its columns; frames must be in order of time [s]."""
         if row[0] >= self._next_s - _TOLERANCE_S:
             self._store(row)
         # A frame at the time of a sample is that sample.
@@ -197,8 +203,8 @@ def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: Flo
         i, j = open_ends.pop()
         if j - i < 2:
             continue
-        share = ((time[i + 1 : j] - time[i]) / (time[j] - time[i]))[:, None]
-        line = values[i] + share * (values[j] - values[i])
+        fraction = ((time[i + 1 : j] - time[i]) / (time[j] - time[i]))[:, None]
+        line = values[i] + fraction * (values[j] - values[i])
         distance = np.max(np.abs(values[i + 1 : j] - line) / allowed[i + 1 : j], axis=1)
         k = i + 1 + int(np.argmax(distance))
         # Along a straight line alpha may still move far, and what a point derives from it is curved.
@@ -215,10 +221,10 @@ def _frames_off_the_line(first: FloatArray, between: list[FloatArray], last: Flo
 def _interpolate_row(before: FloatArray, after: FloatArray, time_s: float) -> FloatArray:
     """Row at a time between two frames, linear; angles take the short way round."""
     # A sample may be due up to _TOLERANCE_S after the frame; it takes the frame and is not extrapolated.
-    share = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
+    fraction = min((time_s - before[0]) / (after[0] - before[0]), 1.0)
     step = after - before
     for i in ANGLE_COLUMNS:
         step[i] = (step[i] + 180.0) % 360.0 - 180.0
-    row = before + share * step
+    row = before + fraction * step
     row[0] = time_s
     return row

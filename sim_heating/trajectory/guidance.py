@@ -1,7 +1,7 @@
 """Entry guidance, common to all trajectory sources: angle of attack from a schedule, bank from drag and altitude rate.
 
-Drag tracking, after the constant-drag and equilibrium-glide phases of the Shuttle's entry guidance (Harpold and Graves,
-"Shuttle Entry Guidance", J. Astronautical Sciences 27 (1979) 239-268), with the altitude-rate law
+Drag tracking, after the constant-drag and equilibrium-glide phases of the Shuttle's entry guidance (Harpold and
+Graves (1979), "Shuttle Entry Guidance", J. Astronautical Sciences 27, 239-268), with the altitude-rate law
 
     altitude error   e       = Hs ln(D_ref / D)
     rate of D_ref    hdot_r  = -Hs (Ddot_ref / D_ref + 2 D / V - CDdot / CD)     Ddot_ref = -D dD_ref/dV
@@ -96,12 +96,14 @@ def resolve_guidance(changes: GuidanceChanges, vehicle_dir: Path) -> Guidance:
     raises : InputError where the file is damaged, or absent and the scenario does not give all that is needed
     """
     path = Path(vehicle_dir) / GUIDANCE
-    own = load_guidance(vehicle_dir).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
-    given = changes.model_dump(exclude_none=True)
+    of_vehicle = (
+        load_guidance(vehicle_dir).model_dump(exclude={"format", "source", "confidence"}) if path.exists() else {}
+    )
+    of_scenario = changes.model_dump(exclude_none=True)
     # The two ways of reversing the bank exclude each other: that of a scenario replaces the vehicle's.
-    if "target" in given or "reversals_m_s" in given:
-        own = {k: v for k, v in own.items() if k not in ("target", "reversals_m_s")}
-    merged = own | given
+    if "target" in of_scenario or "reversals_m_s" in of_scenario:
+        of_vehicle = {k: v for k, v in of_vehicle.items() if k not in ("target", "reversals_m_s")}
+    merged = of_vehicle | of_scenario
     missing = [k for k in ("alpha_deg", "drag_m_s2") if merged.get(k) is None]
     if missing:
         raise InputError(f"{path}: file not found; give {' and '.join(missing)} in [trajectory.guidance]")
@@ -125,7 +127,11 @@ def load_guidance(vehicle_dir: Path) -> GuidanceFile:
 
 
 def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
-    """The flat block that `guidance_kernel` reads, see `schedules`."""
+    """The flat block that `guidance_kernel` reads, see `schedules`; each number in the unit of its key of
+    guidance.toml.
+
+    first_bank_deg : bank about the velocity before the first command [deg]
+    """
     # Without an approach, one below a Mach number that no flight reaches: the kernel needs no case for it.
     a = g.approach or Approach(below_mach=1e-9, qbar_Pa=((0.0, 1.0),))
     target = (1.0, g.target.latitude_deg, g.target.longitude_deg, g.target.deadband_deg) if g.target else (0.0,) * 4
@@ -141,14 +147,17 @@ def guidance_block(g: Guidance, first_bank_deg: float = 0.0) -> FloatArray:
 
 @njit
 def first_memory_kernel(block: FloatArray, state: FloatArray, memory: int, mach: float, velocity_m_s: float) -> None:
-    """Memory of guidance at the start of a flight: on the schedule's angle of attack and the first bank."""
+    """Memory of guidance at the start of a flight: on the schedule's angle of attack and the first bank.
+
+    block : of `guidance_block`;  mach [-], velocity_m_s [m/s] : at the start;  memory : position of its first number
+    """
     state[memory + ALPHA_COMMAND] = scheduled(block, ALPHA_SCHEDULE, mach if block[ALPHA_AXIS] == 0.0 else velocity_m_s)
     state[memory + BANK_COMMAND], state[memory + SIGN] = block[FIRST_BANK], block[FIRST_SIGN]
     state[memory + PHASE], state[memory + CLIMB_BIAS] = COAST, 0.0
 
 
 def first_memory(block: FloatArray, mach: float, velocity_m_s: float) -> FloatArray:
-    """Memory of guidance at the start of a flight as a new array, (MEMORY,); see `first_memory_kernel`."""
+    """Memory of guidance at the start of a flight as a new array, (MEMORY,), at a Mach number [-] and a speed [m/s]."""
     memory = np.zeros(MEMORY)
     first_memory_kernel(block, memory, 0, mach, velocity_m_s)
     return memory
@@ -162,7 +171,10 @@ def clip(x: float, low: float, high: float) -> float:
 
 @njit
 def heading_error_deg(block: FloatArray, observed: FloatArray) -> float:
-    """Heading minus the great-circle azimuth to the target, -180 to 180 deg; positive for a target to the left."""
+    """Heading minus the great-circle azimuth to the target [deg], -180 to 180; positive for a target to the left.
+
+    Source: docs/theory/equations.md, section 6.
+    """
     lat, there = math.radians(observed[LATITUDE]), math.radians(block[TARGET_LATITUDE])
     east = math.radians(block[TARGET_LONGITUDE] - observed[LONGITUDE])
     x = math.cos(lat) * math.sin(there) - math.sin(lat) * math.cos(there) * math.cos(east)
@@ -172,7 +184,11 @@ def heading_error_deg(block: FloatArray, observed: FloatArray) -> float:
 
 @njit
 def bank_sign(block: FloatArray, observed: FloatArray, sign: float) -> float:
-    """Side to bank to: the first one, changed at each reversal velocity or when the heading leaves the deadband."""
+    """Side to bank to, 1 right or -1 left [-]: the first one, changed at each reversal velocity or when the heading
+    leaves the deadband.
+
+    Source: Harpold and Graves (1979), roll reversals.
+    """
     if block[HAS_TARGET] != 0.0:
         error = heading_error_deg(block, observed)
         # Within the deadband the side is kept, so that the bank does not alternate about a target straight ahead.
@@ -189,7 +205,11 @@ def bank_sign(block: FloatArray, observed: FloatArray, sign: float) -> float:
 def vertical_lift(
     block: FloatArray, observed: FloatArray, climb_ref: float, error: float, w: float, zeta: float
 ) -> float:
-    """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero."""
+    """Vertical component of lift over mass [m/s2] that brings altitude rate and altitude error to zero.
+
+    climb_ref : reference altitude rate [m/s];  error : altitude error [m];  w : frequency [rad/s];  zeta : damping [-]
+    Source: Harpold and Graves (1979), altitude-rate law; the head of this module has it.
+    """
     demand = -2.0 * zeta * w * (observed[CLIMB] - climb_ref) - w * w * error
     # A steep dive would divide by a cosine near 0.
     sine = clip(observed[CLIMB] / max(observed[SPEED], 1.0), -0.9, 0.9)
@@ -198,7 +218,11 @@ def vertical_lift(
 
 @njit
 def glide_lift(block: FloatArray, observed: FloatArray) -> float:
-    """Vertical lift above the drag reference: the altitude rate of an equilibrium glide, no altitude error."""
+    """Vertical lift over mass [m/s2] above the drag reference: the altitude rate of an equilibrium glide, no altitude
+    error.
+
+    Source: Harpold and Graves (1979), equilibrium-glide phase.
+    """
     V, D = max(observed[SPEED], 1.0), observed[DRAG]
     # At orbital speed the centrifugal force carries the vehicle and nothing remains to divide by.
     support = max(observed[NET_GRAVITY], 0.5)
@@ -212,6 +236,8 @@ def drag_coefficient_rate(block: FloatArray, observed: FloatArray) -> float:
     """CDdot / CD [1/s] from the angle-of-attack schedule at the present deceleration.
 
     CD = CN sin(alpha) + CA cos(alpha) with CN going with sin(alpha) and CA constant, CA / CN = tan(atan(D / L) - alpha)
+
+    Source: Harpold and Graves (1979), rate of the reference drag.
     """
     on_mach = block[ALPHA_AXIS] == 0.0
     x = observed[MACH] if on_mach else observed[SPEED]
@@ -225,7 +251,11 @@ def drag_coefficient_rate(block: FloatArray, observed: FloatArray) -> float:
 
 @njit
 def track_lift(block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, dt_s: float) -> float:
-    """Vertical lift that follows the reference drag; advances the integral while the lift suffices to follow."""
+    """Vertical lift over mass [m/s2] that follows the reference drag; advances the integral while the lift suffices.
+
+    dt_s : since the last step [s]
+    Source: Harpold and Graves (1979), drag tracking; the head of this module has the law.
+    """
     V, D = max(observed[SPEED], 1.0), observed[DRAG]
     D_ref = scheduled(block, DRAG_SCHEDULE, V)
     slope = schedule_slope(block, DRAG_SCHEDULE, V)
@@ -243,7 +273,7 @@ def track_lift(block: FloatArray, state: FloatArray, memory: int, observed: Floa
 
 @njit
 def approach_lift(block: FloatArray, observed: FloatArray) -> float:
-    """Vertical lift that follows the reference dynamic pressure, and flares near the ground.
+    """Vertical lift over mass [m/s2] that follows the reference dynamic pressure, and flares near the ground.
 
     At constant qbar the density rises as V falls, -hdot / Hs = -2 Vdot / V with Vdot = -D - g hdot / V, hence
     hdot = -2 Hs D V / (V^2 + 2 Hs g).
@@ -277,7 +307,11 @@ def phase_of(block: FloatArray, observed: FloatArray, phase: int) -> int:
 def entry_target(
     block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, phase: int, sign: float, dt_s: float
 ) -> tuple[float, float]:
-    """Angle of attack [deg] from the schedule and bank [deg] from the vertical lift, before rate limits."""
+    """Angle of attack [deg] from the schedule and bank [deg] from the vertical lift, before rate limits.
+
+    dt_s : since the last step [s];  phase, sign : of `phase_of`, `bank_sign`
+    Source: Harpold and Graves (1979); the head of this module has the law.
+    """
     alpha = scheduled(block, ALPHA_SCHEDULE, observed[MACH] if block[ALPHA_AXIS] == 0.0 else observed[SPEED])
     if phase == COAST:
         return alpha, block[FIRST_BANK]
@@ -299,9 +333,11 @@ def approach_target(block: FloatArray, observed: FloatArray, sign: float) -> tup
 
 @njit
 def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, observed: FloatArray, dt_s: float) -> None:
-    """One step of guidance: the commands, MEMORY numbers of state from place `memory`, move by at most rate * dt_s.
+    """One step of guidance: the commands, MEMORY numbers of state from place `memory`, move by at most rate * dt_s
+    [deg].
 
     observed : (OBSERVED,) in the order of Observed
+    Source: Harpold and Graves (1979); docs/theory/equations.md, section 6.
     """
     phase = phase_of(block, observed, int(state[memory + PHASE]))
     sign = bank_sign(block, observed, state[memory + SIGN])
@@ -320,7 +356,7 @@ def guidance_kernel(block: FloatArray, state: FloatArray, memory: int, observed:
 
 @njit
 def guidance_step(block: FloatArray, memory: FloatArray, observed: FloatArray, dt_s: float) -> None:
-    """One step of guidance on a host's arrays, memory (MEMORY,); see `guidance_kernel`."""
+    """One step of dt_s [s] of guidance on a host's arrays, memory (MEMORY,), by `guidance_kernel`."""
     guidance_kernel(pointer(block), pointer(memory), 0, pointer(observed), dt_s)
 
 
@@ -355,9 +391,9 @@ class EntryGuidance:
 
 def guidance_events(time_s: float, sign: float, phase: float, memory: FloatArray) -> list[tuple[float, str]]:
     """Events of guidance between two steps, (time [s], text): a new phase, a bank reversal."""
-    found = []
+    events = []
     if phase != memory[PHASE]:
-        found.append((time_s, PHASE_NAMES[int(memory[PHASE])]))
+        events.append((time_s, PHASE_NAMES[int(memory[PHASE])]))
     if sign != memory[SIGN]:
-        found.append((time_s, f"bank reversal to the {'right' if memory[SIGN] > 0.0 else 'left'}"))
-    return found
+        events.append((time_s, f"bank reversal to the {'right' if memory[SIGN] > 0.0 else 'left'}"))
+    return events

@@ -56,7 +56,8 @@ class Offsets(NamedTuple):
 
 
 def polygon_through(values: Iterable[tuple[float, float]], rate: float) -> Polygon:
-    """Polygon from 0 through (value, hold_s) at a rate and back to 0; moves below SMALLEST are ignored."""
+    """Polygon [(s, offset)] from 0 through (value, hold_s) at a rate [1/s] and back to 0; moves below SMALLEST are
+    ignored."""
     time, last, points = 0.0, 0.0, [(0.0, 0.0)]
     for value, hold_s in (*values, (0.0, 0.0)):
         # A move of no length would be an edge of no duration, and `offsets_kernel` divides by the duration.
@@ -110,7 +111,7 @@ _SHAPES: dict[str, tuple[int, Callable[[Any], Polygon]]] = {
 
 
 def polygon(manoeuvre: Manoeuvre) -> Polygon:
-    """[(seconds since trigger, offset), ...] of a manoeuvre, 0 at both ends."""
+    """Times since the trigger [s] and offsets ([deg], or [-] of jets) of a manoeuvre, 0 at both ends."""
     return _SHAPES[manoeuvre.kind][1](manoeuvre)
 
 
@@ -133,7 +134,7 @@ TRIGGER, VALUE, CHANNEL, PITCH_MODE, FIRST, LAST = range(6)
 
 
 def compile_script(manoeuvres: Sequence[Manoeuvre]) -> FloatArray:
-    """A list of manoeuvres as one flat block, in its order."""
+    """A list of manoeuvres as one flat block, in its order: times [s], triggers [s], [m/s] or [-], offsets [deg]."""
     plan: list[float] = [len(manoeuvres)]
     points: list[float] = []
     for m in manoeuvres:
@@ -162,9 +163,9 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
         # Speed and Mach are passed from above. They are NaN before the first frame of a host, and NaN passes nothing.
         passed = b >= value if which == 0 else a > value >= b
         if passed and state[started + m] < 0.0:
-            share = 0.0 if which == 0 else (a - value) / (a - b)
+            fraction = 0.0 if which == 0 else (a - value) / (a - b)
             # The instant of the crossing, not that of the frame: the manoeuvre does not depend on the frame rate.
-            start = value if which == 0 else state[before] + (now[at] - state[before]) * share
+            start = value if which == 0 else state[before] + (now[at] - state[before]) * fraction
             state[started + m] = earliest_start(script, state, started, script[entry + CHANNEL], start)
     for i in range(3):
         state[before + i] = now[at + i]
@@ -172,7 +173,7 @@ def trigger_kernel(script: FloatArray, state: FloatArray, started: int, before: 
 
 @njit
 def earliest_start(script: FloatArray, state: FloatArray, started: int, channel: float, start_s: float) -> float:
-    """The given start, or the end of the last manoeuvre on the same channel where that is later."""
+    """The given start [s], or the end of the last manoeuvre on the same channel where that is later."""
     for m in range(int(script[COUNT])):
         entry = PLAN + ENTRY * m
         if state[started + m] >= 0.0 and script[entry + CHANNEL] == channel:
@@ -184,7 +185,8 @@ def earliest_start(script: FloatArray, state: FloatArray, started: int, channel:
 def offsets_kernel(
     script: FloatArray, state: FloatArray, started: int, time_s: float, out: FloatArray, at: int
 ) -> None:
-    """Write the offsets of all running manoeuvres at a time into out, six numbers from position `at`."""
+    """Write the offsets [deg], jets [-], of all running manoeuvres at a time [s] into out, six numbers from position
+    `at`."""
     for i in range(6):
         out[at + i] = 0.0
     for m in range(int(script[COUNT])):
@@ -195,8 +197,8 @@ def offsets_kernel(
             continue
         while since > script[point + 2]:
             point += 2
-        share = (since - script[point]) / (script[point + 2] - script[point])
-        value = script[point + 1] + share * (script[point + 3] - script[point + 1])
+        fraction = (since - script[point]) / (script[point + 2] - script[point])
+        value = script[point + 1] + fraction * (script[point + 3] - script[point + 1])
         out[at + int(script[entry + CHANNEL])] += value
         # Of several manoeuvres at once the most open pitch mode prevails.
         out[at + PITCH] = max(out[at + PITCH], script[entry + PITCH_MODE])
@@ -215,7 +217,8 @@ class ManoeuvreScript:
         self._none = Offsets()
 
     def offsets(self, time_s: float, velocity_m_s: float, mach: float) -> Offsets:
-        """Offsets at this frame; a trigger that lies between the last frame and this one starts at its own instant."""
+        """Offsets [deg], jets [-], at this frame; a trigger that lies between the last frame and this one starts at
+        its own instant."""
         if not self.manoeuvres:
             return self._none
         self._now[:] = time_s, velocity_m_s, mach
@@ -234,7 +237,7 @@ class ManoeuvreScript:
         return self._state[: len(self.manoeuvres)]
 
     def windows(self, until_s: float = np.inf) -> list[Window]:
-        """Windows of the flown manoeuvres in order of time; the end of the flight truncates them."""
+        """Windows [s] of the flown manoeuvres in order of time; the end of the flight truncates them."""
         return manoeuvre_windows(self.manoeuvres, self.started_s, until_s)
 
     def events(self, until_s: float = np.inf) -> list[tuple[float, str]]:
@@ -247,7 +250,7 @@ NOT_FLOWN = "trigger never met; manoeuvre not flown"
 
 
 def manoeuvre_windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf) -> list[Window]:
-    """Windows of the started manoeuvres, by their start."""
+    """Windows [s] of the started manoeuvres, by their start."""
     flown = [
         Window(m.kind, float(s), float(min(s + polygon(m)[-1][0], until_s)))
         for m, s in zip(manoeuvres, started_s, strict=True)
@@ -259,14 +262,14 @@ def manoeuvre_windows(manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, un
 def manoeuvre_events(
     manoeuvres: Sequence[Manoeuvre], started_s: FloatArray, until_s: float = np.inf
 ) -> list[tuple[float, str]]:
-    """(time, text) of manoeuvres begun, and of those whose trigger was never met."""
-    found = []
+    """Times [s] and texts of manoeuvres begun, and of those whose trigger was never met."""
+    events = []
     for m, s in zip(manoeuvres, started_s, strict=True):
         if 0.0 <= s < until_s:
-            found.append((float(s), f"{m.kind} at {trigger_text(m)}"))
+            events.append((float(s), f"{m.kind} at {trigger_text(m)}"))
         elif np.isfinite(until_s):
-            found.append((float(until_s), f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}"))
-    return sorted(found, key=lambda e: e[0])
+            events.append((float(until_s), f"{m.kind} at {trigger_text(m)}: {NOT_FLOWN}"))
+    return sorted(events, key=lambda e: e[0])
 
 
 def trigger_text(m: Manoeuvre) -> str:

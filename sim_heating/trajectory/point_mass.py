@@ -10,6 +10,8 @@ Angle of attack, bank and control offsets are linear within a step, so they are 
 
 Everything is in flat float64 arrays and `step_kernel` allocates nothing: ten thousand flights are ten thousand states
 and blocks, and the step can be exported.
+
+Source: docs/theory/equations.md, equations 35 and 36.
 """
 
 from __future__ import annotations
@@ -76,13 +78,13 @@ INITIAL = 6
 
 @njit
 def dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
-    """Scalar product."""
+    """Scalar product, in the product of the units of both; [m2/s2] of two velocities."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit
 def cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Vector product."""
+    """Vector product, in the product of the units of both; [m2/s2] of two velocities."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -113,7 +115,11 @@ def geodetic(
 
 @njit
 def gravity(x: float, y: float, z: float, flight: FloatArray) -> tuple[float, float, float]:
-    """Gravitation of an oblate Earth [m/s2], without the centrifugal part; central and J2 terms."""
+    """Gravitation of an oblate Earth [m/s2], without the centrifugal part; central and J2 terms.
+
+    x, y, z : Earth-fixed position [m];  flight : block of `entry3dof.flight_block`
+    Source: docs/theory/equations.md, equation 35; NIMA TR8350.2, tables 3.1 and 3.3.
+    """
     r2 = x * x + y * y + z * z
     k = -flight[MU] / (r2 * math.sqrt(r2))
     j = 1.5 * flight[J2] * flight[RADIUS] ** 2 / r2
@@ -123,7 +129,11 @@ def gravity(x: float, y: float, z: float, flight: FloatArray) -> tuple[float, fl
 
 @njit
 def air_at(x: float, y: float, z: float, vx: float, vy: float, vz: float, flight: FloatArray) -> Air:
-    """Altitude, wind, air-relative velocity, density and Mach."""
+    """Altitude [m], wind and air-relative velocity [m/s], density [kg/m3] and Mach number [-].
+
+    x, y, z, vx, vy, vz : Earth-fixed position [m] and velocity [m/s]
+    Source: US Standard Atmosphere 1976, with the dispersions of the flight; Bowring (1976) for the altitude.
+    """
     altitude, up = geodetic(x, y, z, flight[RADIUS], flight[FLATTENING])
     p = max(math.sqrt(x * x + y * y), 1e-9)
     north, east = scheduled(flight, WIND_NORTH, altitude), scheduled(flight, WIND_EAST, altitude)
@@ -138,7 +148,11 @@ def air_at(x: float, y: float, z: float, vx: float, vy: float, vz: float, flight
 
 @njit
 def flap_kernel(flight: FloatArray, mach: float, speed: float, d_flap_deg: float) -> float:
-    """Body flap [deg]: schedule plus offset, within its travel."""
+    """Body flap [deg]: schedule plus offset, within its travel.
+
+    mach [-], speed [m/s] : the schedule is over one of them;  d_flap_deg : offset [deg]
+    Source: docs/theory/equations.md, section 6.
+    """
     base = scheduled(flight, FLAP_SCHEDULE, mach if flight[FLAP_AXIS] == 0.0 else speed)
     return clip(base + d_flap_deg, flight[FLAP_LOW], flight[FLAP_HIGH])
 
@@ -170,7 +184,12 @@ def forces_kernel(
     x: float, y: float, z: float, vx: float, vy: float, vz: float,
     controls: Controls, flight: FloatArray, aero: FloatArray,
 ) -> Forces:  # fmt: skip
-    """Forces on the vehicle at a position and velocity."""
+    """Forces on the vehicle at an Earth-fixed position [m] and velocity [m/s].
+
+    controls : angles [deg];  flight : block of `entry3dof.flight_block`;  aero : of `trimmed_aero.aero_block`
+    returns  : air, coefficients [-], deflections [deg], dv/dt in rotating axes [m/s2]
+    Source: docs/theory/equations.md, equations 35 and 36.
+    """
     air = air_at(x, y, z, vx, vy, vz, flight)
     gx, gy, gz = gravity(x, y, z, flight)
     w = flight[ROTATION]
@@ -198,9 +217,10 @@ def forces_kernel(
 def observe_kernel(
     state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, row: FloatArray, angles: bool
 ) -> None:
-    """Write the observation of guidance and the acceleration, work[:K1 + 3], and the frame's row (flight.ROW).
+    """Write the observation of guidance and the acceleration [m/s2], work[:K1 + 3], and the frame's row (flight.ROW).
 
     angles : whether heading, latitude, longitude and flight-path angle are asked for; otherwise they are left alone
+    Source: docs/theory/equations.md, equations 35 and 36.
     """
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
     controls = Controls(state[ALPHA], state[BANK], state[BETA], state[D_ELEVON], state[D_FLAP])
@@ -231,7 +251,11 @@ def observe_kernel(
 
 @njit
 def position_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, float, float]:
-    """Earth-fixed position [m] of a geodetic latitude, longitude and altitude."""
+    """Earth-fixed position [m] of a geodetic latitude, longitude and altitude.
+
+    initial : (INITIAL,) altitude [m], speed [m/s], four angles [deg];  flight : block with the ellipsoid
+    Source: NIMA TR8350.2 (2000), third edition, the WGS84 ellipsoid.
+    """
     lat, lon = math.radians(initial[LATITUDE_0]), math.radians(initial[LONGITUDE_0])
     e2 = flight[FLATTENING] * (2.0 - flight[FLATTENING])
     n = flight[RADIUS] / math.sqrt(1.0 - e2 * math.sin(lat) ** 2)
@@ -241,7 +265,11 @@ def position_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, flo
 
 @njit
 def velocity_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, float, float]:
-    """Earth-fixed velocity [m/s]: the given air-relative one plus the wind."""
+    """Earth-fixed velocity [m/s]: the given air-relative one plus the wind.
+
+    initial : (INITIAL,) altitude [m], speed [m/s], four angles [deg];  flight : block with the winds [m/s]
+    Source: docs/theory/equations.md, section 6.
+    """
     lat, lon = math.radians(initial[LATITUDE_0]), math.radians(initial[LONGITUDE_0])
     gamma, heading = math.radians(initial[GAMMA_0]), math.radians(initial[HEADING_0])
     north = initial[SPEED_0] * math.cos(gamma) * math.cos(heading)
@@ -261,7 +289,11 @@ def velocity_kernel(initial: FloatArray, flight: FloatArray) -> tuple[float, flo
 def first_state_kernel(
     initial: FloatArray, flight: FloatArray, block: FloatArray, manoeuvres: int, state: FloatArray
 ) -> None:
-    """State at time 0 of a flight: initial (INITIAL,), commands on schedule, no manoeuvre started."""
+    """State at 0 s of a flight [s], [m], [m/s], [deg]: commands on schedule, no manoeuvre started.
+
+    initial : (INITIAL,) altitude [m], speed [m/s], four angles [deg];  state : (STARTED + manoeuvres,) output
+    Source: docs/theory/equations.md, section 6.
+    """
     for i in range(STARTED):
         state[i] = 0.0
     for i in range(manoeuvres):
@@ -280,7 +312,11 @@ def first_state_kernel(
 def net_gravity(
     x: float, y: float, z: float, vx: float, vy: float, vz: float, climb: float, flight: FloatArray
 ) -> float:
-    """g - V_i^2 / r [m/s2], V_i the horizontal inertial speed."""
+    """g - V_i^2 / r [m/s2], V_i the horizontal inertial speed.
+
+    x, y, z, vx, vy, vz : Earth-fixed position [m] and velocity [m/s];  climb : altitude rate [m/s]
+    Source: Harpold and Graves (1979), equilibrium glide.
+    """
     r2 = x * x + y * y + z * z
     ix, iy = vx - flight[ROTATION] * y, vy + flight[ROTATION] * x
     horizontal2 = max(ix * ix + iy * iy + vz * vz - climb * climb, 0.0)
@@ -291,7 +327,7 @@ def net_gravity(
 def command_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, work: FloatArray, dt_s: float
 ) -> Controls:
-    """Controls to be reached at the end of a step; starts manoeuvres.
+    """Controls [deg] to be reached at the end of a step of dt_s [s]; starts manoeuvres.
 
     Speed and Mach at the end of the step are extrapolated, so that a manoeuvre starts inside the step in which its
     trigger is passed and not after it.
@@ -314,9 +350,11 @@ def command_kernel(
 def runge_kutta_step(
     state: FloatArray, flight: FloatArray, aero: FloatArray, work: FloatArray, dt_s: float, controls: Controls
 ) -> None:
-    """Classical fourth-order step of position and velocity, controls linear from the state's to the given ones.
+    """Classical fourth-order step of position [m] and velocity [m/s], controls linear from the state's to the given
+    ones.
 
     work : contains the acceleration at the beginning of the step, as observe_kernel left it
+    Source: docs/theory/equations.md, equation 35.
     """
     alpha, bank, beta, d_elevon, d_flap = controls
     x, y, z, vx, vy, vz = state[X], state[Y], state[Z], state[VX], state[VY], state[VZ]
@@ -324,14 +362,14 @@ def runge_kutta_step(
     kx, ky, kz, lx, ly, lz = vx, vy, vz, work[K1], work[K1 + 1], work[K1 + 2]
     sx, sy, sz, ax, ay, az = kx / 6.0, ky / 6.0, kz / 6.0, lx / 6.0, ly / 6.0, lz / 6.0
     for stage in range(1, 4):
-        share, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
-        h = share * dt_s
+        fraction, weight = (1.0, 1.0 / 6.0) if stage == 3 else (0.5, 1.0 / 3.0)
+        h = fraction * dt_s
         px, py, pz = x + h * kx, y + h * ky, z + h * kz
         kx, ky, kz = vx + h * lx, vy + h * ly, vz + h * lz
         at_stage = Controls(
-            state[ALPHA] + share * (alpha - state[ALPHA]), state[BANK] + share * (bank - state[BANK]),
-            state[BETA] + share * (beta - state[BETA]), state[D_ELEVON] + share * (d_elevon - state[D_ELEVON]),
-            state[D_FLAP] + share * (d_flap - state[D_FLAP]),
+            state[ALPHA] + fraction * (alpha - state[ALPHA]), state[BANK] + fraction * (bank - state[BANK]),
+            state[BETA] + fraction * (beta - state[BETA]), state[D_ELEVON] + fraction * (d_elevon - state[D_ELEVON]),
+            state[D_FLAP] + fraction * (d_flap - state[D_FLAP]),
         )  # fmt: skip
         lx, ly, lz = forces_kernel(px, py, pz, kx, ky, kz, at_stage, flight, aero).acceleration_m_s2
         sx, sy, sz = sx + weight * kx, sy + weight * ky, sz + weight * kz
@@ -347,7 +385,10 @@ def advance_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray,
 ) -> None:  # fmt: skip
-    """One step with the commands of guidance and manoeuvres; work as observe_kernel left it."""
+    """One step of dt_s [s] with the commands of guidance and manoeuvres; work as observe_kernel left it.
+
+    Source: docs/theory/equations.md, equation 35.
+    """
     runge_kutta_step(state, flight, aero, work, dt_s, command_kernel(state, flight, block, script, work, dt_s))
 
 
@@ -358,9 +399,10 @@ def step_kernel(
 ) -> bool:  # fmt: skip
     """One step of one flight; row is the frame at its beginning. False, and no step, where the flight ends there.
 
-    state : (STARTED + manoeuvres,) as made by `first_state_kernel`, advanced by dt_s
+    state : (STARTED + manoeuvres,) as made by `first_state_kernel`, advanced by dt_s [s]
     flight: block of `entry3dof.flight_block`;  block: of `guidance.guidance_block`;  work: (WORK,);  row: (len(ROW),)
     kept  : whether the row is stored; in another one the angles may be those of an earlier frame
+    Source: docs/theory/equations.md, equations 35 and 36.
     """
     # Four inverse functions a frame, of which guidance reads angles for a target alone.
     observe_kernel(state, flight, aero, work, row, kept or block[gd.HAS_TARGET] != 0.0)
@@ -380,7 +422,11 @@ def run_kernel(
     state: FloatArray, flight: FloatArray, block: FloatArray, script: FloatArray, aero: FloatArray, dt_s: float,
     work: FloatArray, rows: FloatArray,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Steps until the flight ends or rows (frames, len(ROW)) are full; the number of rows, and whether it ended."""
+    """Steps of dt_s [s] until the flight ends or rows (frames, len(ROW)) are full; the number of rows, and whether it
+    ended.
+
+    Source: docs/theory/equations.md, equations 35 and 36.
+    """
     for k in range(rows.shape[0]):
         if not step_kernel(
             pointer(state),

@@ -1,9 +1,9 @@
 """A flight as it was recorded: conditions from a file, by the names and units of its columns.
 
 Time, altitude, speed and angles are required. Density is taken as recorded, else from the dynamic pressure `q_Pa`, from
-pressure and temperature, or of the standard atmosphere; temperature, pressure, Mach and Reynolds number are derived
-where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are absent.
-Further columns of numbers are kept where the names are those of the contract.
+pressure and temperature, or of the US Standard Atmosphere 1976; temperature, pressure, Mach and Reynolds number are
+derived where a column is absent. Deflections of control surfaces that the vehicle does not have are 0 where they are
+absent. Further columns of numbers are kept where the names are those of the contract.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ OPTIONAL = (
 def fly(
     spec: TrajectorySpec, vehicle: VehicleData, *, on_frame: OnFrame | None = None, progress: Progress | None = None
 ) -> Flight:
-    """The recorded flight of spec.file, one frame a row; nothing is resampled and there are no events.
+    """The recorded flight of spec.file, one frame a row ([s], [m], [m/s], [deg], [kg/m3]); nothing is resampled and
+    there are no events.
 
     spec.file : path, which the reader of a scenario has made relative to the scenario
     on_frame  : called for each row with its values in the order of conditions.FRAME; the array is reused
@@ -79,18 +80,18 @@ def read_conditions(
 
     A warning states which columns were renamed, converted or taken from the standard atmosphere.
     """
-    found = read_recording(path, length_m, surfaces, fields)
-    table = found.table
+    recording = read_recording(path, length_m, surfaces, fields)
+    table = recording.table
     spared = [name for name in SURFACES if name not in surfaces]
     table = table.with_columns({name: np.zeros(len(table)) for name in spared if name not in table.columns})
     raise_problems(_problems(table))
-    if found.notes:
-        warnings.warn(f"{display_path(path)}: {'; '.join(found.notes)}", stacklevel=2)
+    if recording.notes:
+        warnings.warn(f"{display_path(path)}: {'; '.join(recording.notes)}", stacklevel=2)
     tell(unusual_values(table))
-    given = dict(table.columns)
-    derived = derived_conditions(given, length_m=length_m).columns
+    stated = dict(table.columns)
+    derived = derived_conditions(stated, length_m=length_m).columns
     # A column of the file takes precedence over the derived one.
-    columns = derived | {"qbar_Pa": 0.5 * given["rho_kg_m3"] * given["velocity_m_s"] ** 2} | given
+    columns = derived | {"qbar_Pa": 0.5 * stated["rho_kg_m3"] * stated["velocity_m_s"] ** 2} | stated
     order = STATE + tuple(name for name in columns if name not in STATE)
     return Conditions({name: columns[name] for name in order})
 

@@ -18,7 +18,8 @@ from sim_heating.base.kernels.jit import njit
 
 
 def pack(scalars: Sequence[float], schedules: Sequence[Sequence[tuple[float, float]]]) -> FloatArray:
-    """Block of scalars and schedules [(x, value), ...] with x rising; an empty schedule reads as 0 everywhere."""
+    """Block of scalars and schedules [(x, value), ...] with x rising, [-] or [m/s] or [m]; an empty schedule is 0
+    everywhere."""
     tables = [np.array(s, dtype=float).reshape(-1, 2) for s in schedules]
     start = len(scalars) + 2 * len(tables)
     parts: list[float] = list(scalars)
@@ -37,25 +38,27 @@ def schedule_positions(first: int, schedules: int) -> Sequence[int]:
 
 
 @njit
-def scheduled(block: FloatArray, place: int, x: float) -> float:
-    """Value at x of the schedule whose (start, points) are at `place`; constant beyond its ends."""
-    start, points = int(block[place]), int(block[place + 1])
+def scheduled(block: FloatArray, entry: int, x: float) -> float:
+    """Value at x of the schedule whose (start, points) are at `entry`, in its unit ([deg], [m/s2], [Pa] ...);
+    constant beyond its ends."""
+    start, points = int(block[entry]), int(block[entry + 1])
     if points == 0:
         return 0.0
     if x <= block[start]:
         return block[start + points]
     for i in range(start + 1, start + points):
         if x < block[i]:
-            share = (x - block[i - 1]) / (block[i] - block[i - 1])
+            fraction = (x - block[i - 1]) / (block[i] - block[i - 1])
             low = block[i - 1 + points]
-            return low + share * (block[i + points] - low)
+            return low + fraction * (block[i + points] - low)
     return block[start + 2 * points - 1]
 
 
 @njit
-def schedule_slope(block: FloatArray, place: int, x: float) -> float:
-    """Derivative at x of a schedule, from the right at a point; 0 beyond its ends."""
-    start, points = int(block[place]), int(block[place + 1])
+def schedule_slope(block: FloatArray, entry: int, x: float) -> float:
+    """Derivative at x of a schedule, in its unit over that of x ([deg] per Mach ...), from the right at a point; 0
+    beyond its ends."""
+    start, points = int(block[entry]), int(block[entry + 1])
     for i in range(start + 1, start + points):
         if block[i - 1] <= x < block[i]:
             return (block[i + points] - block[i - 1 + points]) / (block[i] - block[i - 1])

@@ -158,7 +158,7 @@ class Stop(Convertible):
     time_s: Positive = 3000.0
 
     def passed(self, time_s: float, altitude_m: float, velocity_m_s: float, mach: float) -> bool:
-        """Whether a flight in this state has ended."""
+        """Whether a flight in this state ([s], [m], [m/s], Mach [-]) has ended."""
         return (
             time_s >= self.time_s - 1e-9
             or (self.altitude_m is not None and altitude_m <= self.altitude_m)
@@ -167,7 +167,7 @@ class Stop(Convertible):
         )
 
     def fraction_done(self, first_velocity_m_s: float, velocity_m_s: float, time_s: float) -> float:
-        """Fraction of a flight that is done, by velocity lost or by time, 0 to 1."""
+        """Fraction [-] of a flight that is done, by velocity lost or by time, 0 to 1."""
         # For the display of progress alone: some 300 m/s for Mach 1.
         last = self.velocity_m_s or 300.0 * (self.mach or 0.0)
         by_speed = (first_velocity_m_s - velocity_m_s) / max(first_velocity_m_s - last, 1.0)
@@ -303,7 +303,7 @@ class Dispersions(Convertible):
 
     @property
     def schedules(self) -> list[Sequence[tuple[float, float]]]:
-        """Density factor, wind to north and wind to east over altitude, as `schedules.pack` takes them."""
+        """Density factor [-], wind to north and to east [m/s] over altitude [m], as `schedules.pack` takes them."""
         return [self.density_factor or ((0.0, 1.0),), self.wind_north_m_s or (), self.wind_east_m_s or ()]
 
 
@@ -316,10 +316,10 @@ class _Triggered(Convertible):
 
     @model_validator(mode="after")
     def _check_trigger(self) -> _Triggered:
-        given = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
-        if len(given) != 1:
+        triggers = [k for k in ("at_velocity_m_s", "at_mach", "at_time_s") if getattr(self, k) is not None]
+        if len(triggers) != 1:
             raise ValueError(
-                "give exactly one of at_velocity_m_s, at_mach, at_time_s, not " + (" and ".join(given) or "none")
+                "give exactly one of at_velocity_m_s, at_mach, at_time_s, not " + (" and ".join(triggers) or "none")
             )
         return self
 
@@ -518,19 +518,19 @@ class FmuSource(Convertible):
 
     @field_validator("start", "inputs", mode="before")
     @classmethod
-    def _check_dotted_names(cls, given: Any, info: ValidationInfo) -> Any:
+    def _check_dotted_names(cls, tables: Any, info: ValidationInfo) -> Any:
         """Rejects a name with dots and without quotes, which TOML reads as a table."""
-        known = (FmuValue if info.field_name == "start" else FmuInput).model_fields
-        for name, table in given.items() if isinstance(given, dict) else ():
-            if isinstance(table, dict) and table and not known.keys() & table.keys():
+        keys = (FmuValue if info.field_name == "start" else FmuInput).model_fields
+        for name, table in tables.items() if isinstance(tables, dict) else ():
+            if isinstance(table, dict) and table and not keys.keys() & table.keys():
                 raise ValueError(f'write a name with dots in quotes, "{name}.{next(iter(table))}" = ...')
-        return given
+        return tables
 
     @property
     def commands(self) -> set[str]:
         """Commands of guidance and manoeuvres that the FMU takes."""
-        given = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
-        return {command for command in given if command is not None}
+        sources = {i if isinstance(i, str) else i.command for i in self.inputs.values()}
+        return {command for command in sources if command is not None}
 
 
 class TrajectorySpec(Convertible):

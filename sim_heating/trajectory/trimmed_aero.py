@@ -4,6 +4,8 @@ At every call the elevon trims the pitching moment about the centre of gravity t
 between nodes, and so is their sum. CN, CA, Cm are those of `aero.Aero`, bilinear in Mach and alpha. Below the tables'
 lowest Mach number the parabolic polar of aero/low_speed.csv takes over, CL = CL_0 + CL_alpha alpha,
 CD = CD_0 + K CL^2, blended linearly from its highest Mach number.
+
+Source: docs/theory/equations.md, equations 35 and 36.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ class TableCell(NamedTuple):
 
 @njit
 def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[int, float]:
-    """Interval of x on a short rising axis inside a block and its place 0..1 within; held at the ends."""
+    """Interval of x on a short rising axis inside a block and its position within, 0 to 1 [-]; held at the ends."""
     if points == 1:
         return 0, 0.0
     cell = cell_of(block, start, points, x)
@@ -59,7 +61,8 @@ def bracket_scan(block: FloatArray, start: int, points: int, x: float) -> tuple[
 
 @njit
 def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
-    """Positions and bilinear weights of the surrounding grid points; constant at the ends."""
+    """Positions and bilinear weights [-] of the grid points around a Mach number [-] and an angle [deg]; constant at
+    the ends."""
     machs, alphas = int(aero[MACHS]), int(aero[ALPHAS])
     width = 3 * (1 + int(aero[FLAPS]) + int(aero[ELEVONS]))
     i, u = bracket_scan(aero, AT_MACH, machs, mach)
@@ -74,7 +77,7 @@ def table_cell(aero: FloatArray, mach: float, alpha_deg: float) -> TableCell:
 
 @njit
 def cell_value(aero: FloatArray, p: TableCell, k: int) -> float:
-    """Number k of the cells, bilinear between the grid points."""
+    """Number k of the cells, a coefficient [-], bilinear between the grid points."""
     return p.w00 * aero[p.c00 + k] + p.w01 * aero[p.c01 + k] + p.w10 * aero[p.c10 + k] + p.w11 * aero[p.c11 + k]
 
 
@@ -116,7 +119,10 @@ def trim_elevon(aero: FloatArray, p: TableCell, moment: float, arm: float) -> fl
 def trimmed_kernel(
     mach: float, alpha_deg: float, flap_deg: float, d_elevon_deg: float, flight: FloatArray, aero: FloatArray
 ) -> tuple[float, float, float]:
-    """CN, CA and elevon [deg] with the elevon in trim plus an offset, within its travel."""
+    """CN, CA [-] and elevon [deg] with the elevon in trim plus an offset [deg], within its travel.
+
+    Source: docs/theory/equations.md, section 6.
+    """
     p = table_cell(aero, mach, alpha_deg)
     flaps, elevons = int(aero[FLAPS]), int(aero[ELEVONS])
     k, w = bracket_scan(aero, int(aero[AT_FLAP]), flaps, flap_deg)
@@ -140,7 +146,7 @@ def trimmed_kernel(
 
 @njit
 def polar_kernel(mach: float, alpha_deg: float, aero: FloatArray) -> tuple[float, float]:
-    """CL and CD of the low-speed polar, its coefficients linear in Mach."""
+    """CL and CD [-] of the low-speed polar at an angle of attack [deg], its coefficients linear in Mach."""
     a, last = int(aero[AT_LOW]), int(aero[AT_LOW]) + 5 * (int(aero[LOWS]) - 1)
     while a < last - 5 and mach >= aero[a + 5]:
         a += 5
@@ -155,7 +161,10 @@ def polar_kernel(mach: float, alpha_deg: float, aero: FloatArray) -> tuple[float
 def lift_drag_kernel(
     mach: float, alpha_deg: float, flap_deg: float, d_elevon_deg: float, flight: FloatArray, aero: FloatArray
 ) -> tuple[float, float, float, float]:
-    """CL, CD, CA and elevon [deg] in trim, over all Mach numbers."""
+    """CL, CD, CA [-] and elevon [deg] in trim, over all Mach numbers.
+
+    Source: docs/theory/equations.md, equation 36.
+    """
     s, c = math.sin(math.radians(alpha_deg)), math.cos(math.radians(alpha_deg))
     cn, ca, elevon = trimmed_kernel(mach, alpha_deg, flap_deg, d_elevon_deg, flight, aero)
     cl, cd = cn * c - ca * s, cn * s + ca * c
@@ -164,8 +173,8 @@ def lift_drag_kernel(
         # The polar is trimmed; between its last row and the lowest tabulated Mach number lift and drag are blended.
         cl_low, cd_low = polar_kernel(mach, alpha_deg, aero)
         top = aero[int(aero[AT_LOW]) + 5 * (rows - 1)]
-        share = clip((mach - top) / (bottom - top), 0.0, 1.0)
-        cl, cd = cl_low + share * (cl - cl_low), cd_low + share * (cd - cd_low)
+        fraction = clip((mach - top) / (bottom - top), 0.0, 1.0)
+        cl, cd = cl_low + fraction * (cl - cl_low), cd_low + fraction * (cd - cd_low)
     return cl, cd, cd * c - cl * s, elevon
 
 
@@ -173,7 +182,8 @@ LOW_SPEED = ("mach", "CL_0", "CL_alpha_deg", "CD_0", "K")
 
 
 def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
-    """Rows of aero/low_speed.csv, (0, 5) where a vehicle has no such file.
+    """Rows of aero/low_speed.csv, Mach [-], CL_0 [-], CL_alpha [1/deg], CD_0, K [-]; (0, 5) where a vehicle has no
+    such file.
 
     raises : InputError where mach does not rise, or reaches the Mach number where the tables begin
     """
@@ -188,7 +198,8 @@ def low_speed_rows(vehicle_dir: Path, below_mach: float) -> FloatArray:
 
 
 def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
-    """A vehicle's tables in one block for the kernels, with the layout described at MACHS."""
+    """A vehicle's tables, angles [deg] and coefficients [-], in one block for the kernels, with the layout described
+    at MACHS."""
     # All three tables on the union of their axes, which keeps linear interpolation exact: one search for Mach and alpha
     # serves all.
     grids = (aero.basic, aero.bodyflap, aero.elevon)
@@ -203,6 +214,7 @@ def aero_block(aero: Aero, low_speed: FloatArray) -> FloatArray:
 
 
 def resample_grid(grid: Grid, mach: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Values of a table on finer Mach and alpha axes that contain its own; constant beyond its ends."""
+    """Coefficients [-] of a table on finer axes of Mach [-] and alpha [deg] that contain its own; constant beyond its
+    ends."""
     by_mach = np.apply_along_axis(lambda v: np.interp(mach, grid.mach, v), 0, grid.values)
     return np.apply_along_axis(lambda v: np.interp(alpha, grid.alpha_deg, v), 1, by_mach)

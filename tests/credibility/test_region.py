@@ -68,4 +68,4 @@ def test_a_hotter_lamp_test_lies_beyond_by_its_temperature():
 
 def test_without_a_data_set_of_its_kind_nothing_is_validated():
     found = extrapolation([flight(20.0, 40.0, 6.0, 1000.0)], [])
-    assert (found.inside, found.within, found.error) == (0.0, {}, None)
+    assert (found.inside, found.share_by_case, found.error) == (0.0, {}, None)

@@ -85,7 +85,7 @@ def test_a_contribution_is_the_change_of_the_peak_at_one_standard_deviation(boar
 
 def test_a_board_under_a_lamp_has_no_mach_number_and_is_compared_with_ground_tests_alone(board: Prediction):
     statement = board.credibility
-    assert statement.region.within.keys() == {"kaowool_board"}
+    assert statement.region.share_by_case.keys() == {"kaowool_board"}
     assert set(statement.region.outside) <= {"wall_K"}
     assert levels(statement)["input_pedigree"] == 3  # its record states the source of its flux, confidence A
 
@@ -142,7 +142,7 @@ def test_an_input_without_a_source_is_named_with_the_place_where_to_state_it(boa
 def test_every_shipped_record_states_the_sources_of_all_it_was_made_from(path: Path):
     record = load_record(path.parent)
     stated = [*inputs_of_record(record, point_of_record(record).effects), *conditions_of_record(record)]
-    assert not [f"{i.name}: {i.place}" for i in stated if not i.source]
+    assert not [f"{i.name}: {i.location}" for i in stated if not i.source]
 
 
 def test_a_transition_without_a_source_is_named_with_its_table_of_the_record(tile: Prediction):

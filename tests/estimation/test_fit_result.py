@@ -53,9 +53,3 @@ def test_many_correlated_pairs_are_one_remark(fit: FitResult) -> None:
     (remark,) = [r for r in remarks(replace(three, bounds=bounds)) if r.kind == CORRELATION]
     assert remark.parameters == list(three.labels)
     assert remark.message.startswith("3 pairs have a correlation beyond 0.95: ratio.scale and ratio.d_alpha +0.990, ")
-
-
-def test_names_are_still_taken_with_a_warning(fit: FitResult) -> None:
-    with pytest.warns(DeprecationWarning, match="`names` is deprecated .* use `parameters`"):
-        again = sh.estimate(PRACTICE / "p06", names=NAMES)
-    assert again.parameters == fit.parameters

@@ -46,7 +46,7 @@ def test_schedule_holds_all_samples_and_divides_the_seconds_after_a_jump(schedul
 def test_linearised_march_in_the_schedule_is_the_march_that_divides_its_own_steps(schedule):
     ensemble = pack([bare()])
     own = ensemble.march(SECONDS, JUMP)[1:, [0, 2]]
-    assert ensemble.steps[0] == len(schedule) - 1
+    assert ensemble.counters.steps[0] == len(schedule) - 1
     np.testing.assert_allclose(in_steps(bare(), schedule).temperature_K.T, own, rtol=0.0, atol=1e-6)
 
 

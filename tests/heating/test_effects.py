@@ -153,7 +153,7 @@ def test_step_converges_through_a_steep_catalytic_rise():
     record, _ = practice_record("p06")
     ensemble = pack([practice_model("p06", effects=(STEEP,))])
     ensemble.march(record.conditions.time_s, condition_history(record.conditions)[np.newaxis])
-    assert ensemble.failures[0] == 0.0
+    assert ensemble.counters.failures[0] == 0.0
 
 
 def test_order_in_time_stays_two_where_heating_depends_on_the_wall_temperature():

@@ -85,7 +85,7 @@ def test_negative_ratio_cools_and_is_counted_without_clipping():
     t = np.linspace(0.0, 10.0, 11)
     ensemble, out = heat(w, flight(t, h_ref_kg_m2_s=0.01, H_r_J_kg=1.5e7), nodes=14, parameters={"ratio.d0": -0.01})
     assert out[-1, 0] < 300.0 - 1.0
-    assert ensemble.steps_of_negative_ratio[0] == len(t)
+    assert ensemble.counters.steps_of_negative_ratio[0] == len(t)
 
 
 def test_thin_radiating_coating_on_an_insulator_warms_as_the_lumped_solution():

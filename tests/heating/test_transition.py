@@ -33,7 +33,7 @@ def begun(*used: EffectUse, **conditions: float) -> Ensemble:
 
 def recovery(ensemble: Ensemble) -> float:
     """Recovery enthalpy in the surface balance [J/kg]."""
-    return float(ensemble.block(0)[block.scalar_row(block.RECOVERY + 2)][0])
+    return float(ensemble.memory.block(0)[block.scalar_row(block.RECOVERY + 2)][0])
 
 
 def gamma(log10_re: float, alpha: float) -> float:

@@ -236,11 +236,11 @@ def test_samples_outside_the_ratio_table_are_counted(entry):
     time, history = entry
     ensemble, beyond = pack([practice_model("p06")]), history.copy()
     ensemble.march(time, history)
-    before = ensemble.steps_outside_table[0]
+    before = ensemble.counters.steps_outside_table[0]
     beyond[0, 100:110, CONDITION_COLUMNS.index("alpha_deg")] = 80.0
     ensemble.reset()
     ensemble.march(time, beyond)
-    assert (before, ensemble.steps_outside_table[0]) == (0.0, 10.0)
+    assert (before, ensemble.counters.steps_outside_table[0]) == (0.0, 10.0)
 
 
 # Any physical input --------------------------------------------------------------------------------------------------
@@ -307,5 +307,5 @@ def test_a_tile_on_its_own_mesh_survives_any_jump_of_heating_from_any_flight_tem
     tile.set_profile(0, np.full(tile.meshes[0].nodes, initial))
     history = flight(step_s * np.arange(6), q_add_W_m2=flux * np.array([1, 0, 1, 1, 0, 0]), p_surface_Pa=p_Pa)
     out = tile.march(step_s * np.arange(6), history, longest_step_s=step_s)
-    assert tile.failures[0] == 0.0
+    assert tile.counters.failures[0] == 0.0
     assert np.all((out > 50.0) & (out < 5000.0))

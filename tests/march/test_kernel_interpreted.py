@@ -50,7 +50,7 @@ def state_in_hex() -> list[str]:
         # two samples are one step, whatever its length; the march begins again from the temperatures present
         ensemble.march(FEW_STEPS_S[k - 1 : k + 1], history[:, k - 1 : k + 1], [0, 0, 0], longest_step_s=10.0)
         lines += [float(T).hex() for i in range(3) for T in ensemble.node_temperatures(i)]
-    counts = (*ensemble.iterations, *ensemble.steps)
+    counts = (*ensemble.counters.iterations, *ensemble.counters.steps)
     return [*lines, *(float(n).hex() for n in counts)]
 
 
@@ -76,4 +76,4 @@ def test_every_point_of_the_comparison_is_heated():
     start = [ensemble.node_temperatures(i)[0] for i in range(3)]
     ensemble.march(FEW_STEPS_S, some_flight(), [0, 0, 0])
     assert all(ensemble.node_temperatures(i)[0] > start[i] + 10.0 for i in range(3))
-    assert len(set(ensemble.steps)) == 3  # each divides its steps in its own way
+    assert len(set(ensemble.counters.steps)) == 3  # each divides its steps in its own way

@@ -185,7 +185,7 @@ def test_steady_flight_takes_one_newton_iteration_a_stage(
     """A step has two stages, and begins along the parabola of the one before."""
     _, frames = twenty_hertz
     run(every_frame, frames)
-    a_step = every_frame.ensemble.iterations / (len(frames) - 1)
+    a_step = every_frame.ensemble.counters.iterations / (len(frames) - 1)
     assert np.all(a_step >= 2.0)
     assert np.all(a_step < 2.2), a_step
 

@@ -21,7 +21,7 @@ def imbalance(ensemble: Ensemble, march, model: int = 0) -> float:
     """Heat gained less heat entered, over heat entered, of a march."""
     start = heat_content(ensemble, model)
     march()
-    entered, left = ensemble.absorbed_J_m2[model], ensemble.emitted_J_m2[model]
+    entered, left = ensemble.counters.absorbed_J_m2[model], ensemble.counters.emitted_J_m2[model]
     return abs(heat_content(ensemble, model) - start - (entered - left)) / abs(entered)
 
 
@@ -46,7 +46,7 @@ def test_energy_closes_with_heat_leaving_at_the_back():
     ensemble, t = pack([PointModel("wall", w)]), np.linspace(0.0, 600.0, 301)
     history = flight(t, q_add_W_m2=8e4 * np.sin(np.pi * t / 600.0))
     assert imbalance(ensemble, lambda: ensemble.march(t, history)) < CLOSED
-    assert ensemble.emitted_J_m2[0] > 0.0
+    assert ensemble.counters.emitted_J_m2[0] > 0.0
 
 
 def test_energy_closes_where_the_heating_depends_on_the_wall_temperature():
@@ -66,7 +66,7 @@ def test_energy_entered_is_the_flux_times_time_where_nothing_is_radiated():
     t = np.linspace(0.0, 100.0, 101)
     ensemble = pack([PointModel("wall", wall((material(), 0.02)), nodes=20)])
     ensemble.march(t, flight(t, q_add_W_m2=1e4))
-    assert ensemble.absorbed_J_m2[0] == pytest.approx(1e6, rel=1e-9)
+    assert ensemble.counters.absorbed_J_m2[0] == pytest.approx(1e6, rel=1e-9)
 
 
 def test_insulated_wall_in_surroundings_of_its_own_temperature_keeps_its_temperature():
@@ -78,7 +78,7 @@ def test_insulated_wall_in_surroundings_of_its_own_temperature_keeps_its_tempera
 def test_reset_clears_the_energy_of_the_flight_before():
     ensemble, t = pack([PointModel("wall", wall((TILE, 0.03)), nodes=20)]), np.linspace(0.0, 10.0, 11)
     ensemble.march(t, flight(t, q_add_W_m2=1e4))
-    once = ensemble.absorbed_J_m2[0]
+    once = ensemble.counters.absorbed_J_m2[0]
     ensemble.reset()
     ensemble.march(t, flight(t, q_add_W_m2=1e4))
-    assert ensemble.absorbed_J_m2[0] == once
+    assert ensemble.counters.absorbed_J_m2[0] == once

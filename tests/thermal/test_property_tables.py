@@ -184,7 +184,7 @@ def test_melting_half_space_absorbs_what_neumann_found():
     root = brentq(lambda x: math.sqrt(math.pi) * x * math.exp(x * x) * math.erf(x) - stefan, 1e-3, 3.0)
     absorbed = 2.0 * k * rise_K * math.sqrt(t[-1] / (math.pi * a)) / math.erf(root)
     # 0.2 % of the mesh and of the width of the peak
-    assert ensemble.absorbed_J_m2[0] == pytest.approx(absorbed, rel=0.005)
+    assert ensemble.counters.absorbed_J_m2[0] == pytest.approx(absorbed, rel=0.005)
 
 
 # Air at the wall -----------------------------------------------------------------------------------------------------

@@ -88,7 +88,7 @@ def test_after_a_jump_of_heating_temperatures_are_those_of_the_wall_within_a_twe
     ensemble, controlled = marched(jump)
     assert np.max(np.abs(plain - exact[jump])) > 5.0
     assert np.max(np.abs(controlled - exact[jump])) < 0.05
-    assert ensemble.steps[0] < 4.0 * len(SECONDS)
+    assert ensemble.counters.steps[0] < 4.0 * len(SECONDS)
 
 
 def test_error_follows_the_tolerance(exact):
@@ -112,7 +112,7 @@ def test_an_entry_at_steps_of_one_second_is_divided_at_few_of_them():
     record, _ = practice_record("p06")
     ensemble = pack([practice_model("p06")])
     ensemble.march(record.conditions.time_s, condition_history(record.conditions)[np.newaxis])
-    assert 0.0 < ensemble.steps[0] - (len(record.conditions) - 1) < 0.02 * len(record.conditions)
+    assert 0.0 < ensemble.counters.steps[0] - (len(record.conditions) - 1) < 0.02 * len(record.conditions)
 
 
 def test_temperatures_do_not_depend_on_how_neighbours_divide_their_steps():
@@ -127,16 +127,19 @@ def test_temperatures_do_not_depend_on_how_neighbours_divide_their_steps():
     for i in range(8):
         alone = pack([models[i]])
         np.testing.assert_array_equal(out[:, i], alone.march(SECONDS, histories[i : i + 1]))
-        assert (alone.steps[0], alone.iterations[0]) == (together.steps[i], together.iterations[i])
-        assert alone.absorbed_J_m2[0] == together.absorbed_J_m2[i]
-    assert len(set(together.steps)) > 4
+        assert (alone.counters.steps[0], alone.counters.iterations[0]) == (
+            together.counters.steps[i],
+            together.counters.iterations[i],
+        )
+        assert alone.counters.absorbed_J_m2[0] == together.counters.absorbed_J_m2[i]
+    assert len(set(together.counters.steps)) > 4
 
 
 def test_energy_closes_where_steps_are_divided():
     jump = "flux that comes within a second and goes"
     ensemble, _ = marched(jump)
     gained = heat_content(ensemble) - RHO * C * 0.05 * 300.0
-    assert gained == pytest.approx(ensemble.absorbed_J_m2[0] - ensemble.emitted_J_m2[0], rel=1e-10)
+    assert gained == pytest.approx(ensemble.counters.absorbed_J_m2[0] - ensemble.counters.emitted_J_m2[0], rel=1e-10)
 
 
 def test_samples_outside_the_table_and_of_negative_ratio_count_once_however_their_step_is_divided():
@@ -144,9 +147,9 @@ def test_samples_outside_the_table_and_of_negative_ratio_count_once_however_thei
     t = np.arange(0.0, 11.0)
     ensemble = pack([model])
     ensemble.march(t, flight(t, alpha_deg=80.0, log10_re=6.0, q_add_W_m2=2e5, h_ref_kg_m2_s=0.01))
-    assert ensemble.steps[0] > 20.0
-    assert ensemble.steps_outside_table[0] == 11.0  # the first sample, and ten ends of frames
-    assert ensemble.steps_of_negative_ratio[0] == 11.0
+    assert ensemble.counters.steps[0] > 20.0
+    assert ensemble.counters.steps_outside_table[0] == 11.0  # the first sample, and ten ends of frames
+    assert ensemble.counters.steps_of_negative_ratio[0] == 11.0
 
 
 def test_a_lag_of_the_heating_ratio_is_that_of_steps_marched_one_by_one():
@@ -166,6 +169,6 @@ def test_a_step_that_does_not_converge_is_divided():
     plain = pack([model], tolerance_K=NOT_CONTROLLED_K)
     controlled = pack([model], 10.0)
     out = controlled.march(t, flight(t), longest_step_s=10.0)
-    assert controlled.failures[0] == 0.0
+    assert controlled.counters.failures[0] == 0.0
     fine = plain.march(t, flight(t), longest_step_s=1.0 / 512.0)
     assert np.max(np.abs(out[:, 0] - fine[:, 0])) < 0.5

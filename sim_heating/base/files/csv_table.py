@@ -19,6 +19,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.files.text import (
     abbreviated,
+    and_more_rows,
     display_path,
     is_plain,
     nearest_name,
@@ -61,16 +62,15 @@ class CsvTable:
 
     def problem(self, index: int, column: str, rule: str) -> str:
         """`file, row 14, column x: value rule`."""
-        place = f"{display_path(self.path)}, row {self.lines[index]}, column {column}"
-        return f"{place}: {self.columns[column][index]:g} {rule}"
+        cell = f"{display_path(self.path)}, row {self.lines[index]}, column {column}"
+        return f"{cell}: {self.columns[column][index]:g} {rule}"
 
     def problems_where_not(self, column: str, holds: ArrayLike, rule: str) -> list[str]:
         """One problem line for a column where a condition does not hold in every row, naming the first such row."""
         bad = np.flatnonzero(~np.asarray(holds, dtype=bool))
         if bad.size == 0:
             return []
-        more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-        return [self.problem(int(bad[0]), column, rule) + more]
+        return [self.problem(int(bad[0]), column, rule) + and_more_rows(bad.size)]
 
     def order_problems(self, column: str = "time_s") -> list[str]:
         """Problems of a column that must increase from row to row."""
@@ -153,7 +153,7 @@ def csv_columns(
     columns: dict[str, FloatArray] = {}
     for name in (n for n in selected if n not in text):
         columns[name], bad = _numbers(cells[name], name in lost)
-        problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {what}" for i, what in bad]
+        problems += [f"{display_path(path)}, row {lines[i]}, column {name}: {problem}" for i, problem in bad]
     raise_problems(problems)
     texts = {n: [c.strip() for c in cells[n]] for n in selected if n in text}
     return CsvTable(columns, header, path, np.array(lines, dtype=np.int64), texts)
@@ -175,17 +175,17 @@ def _large_table(
         return None
     if "," in body and lost:
         body = re.sub(r",(?=[ ]*(?:,|\n|$))", ",nan", re.sub(r"(?m)^(?=[ ]*,)", "nan", body))
-    wanted = [n for n in names if keep_other or n in {*required, *optional}]
+    kept = [n for n in names if keep_other or n in {*required, *optional}]
     try:
-        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=[names.index(n) for n in wanted])
+        values = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, usecols=[names.index(n) for n in kept])
     except ValueError:
         return None
-    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}
-    whole = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
-    if len(values) != rows or not whole:
+    columns = {name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(kept)}
+    is_complete = all(np.all(np.isfinite(v)) or (n in lost and not np.any(np.isinf(v))) for n, v in columns.items())
+    if len(values) != rows or not is_complete:
         return None
     first = above.count("\n") + 2
-    header = dict(_header_entry(line) for line in above.splitlines() if ":" in line)
+    header = dict(header_entry(line) for line in above.splitlines() if ":" in line)
     return CsvTable(columns, header, path, np.arange(first, first + rows, dtype=np.int64))
 
 
@@ -206,7 +206,7 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
     first = next((i for i, line in enumerate(content) if line.strip() and not line.startswith("#")), None)
     if first is None:
         raise InputError(f"{display_path(path)}: the row of column names is missing; the file holds comments only")
-    header = dict(_header_entry(line) for line in content[:first] if ":" in line)
+    header = dict(header_entry(line) for line in content[:first] if ":" in line)
     reader = csv.reader(content[first:])
     try:
         rows = [(row, first + reader.line_num) for row in reader]
@@ -222,15 +222,14 @@ def _cells(path: Path, text: str) -> tuple[list[str], list[list[str]], list[int]
     return names, [row for row, _ in rows[1:]], [line for _, line in rows[1:]], header
 
 
-def _header_entry(line: str) -> tuple[str, str]:
+def header_entry(line: str) -> tuple[str, str]:
+    """Key and value of a line `# key: value` above the names of a file."""
     key, _, value = line.lstrip("# ").partition(":")
     return key.strip(), value.strip()
 
 
 def _first_and_count(problems: list[str]) -> list[str]:
-    if len(problems) > 1:
-        return [f"{problems[0]} (and {len(problems) - 1} more rows)"]
-    return problems
+    return [problems[0] + and_more_rows(len(problems))] if problems else []
 
 
 def _units_problems(file: str, rows: list[list[str]], lines: list[int], readings: bool) -> list[str]:
@@ -240,10 +239,10 @@ def _units_problems(file: str, rows: list[list[str]], lines: list[int], readings
     if not any(isinstance(_number(c, False), float) for c in rows[1]):
         return []
     shown = ", ".join(f'"{abbreviated(cell.strip()).strip(chr(34))}"' for cell in rows[0][:3])
-    more = ", ..." if len(rows[0]) > 3 else ""
+    ellipsis = ", ..." if len(rows[0]) > 3 else ""
     convert = "; or let `sim-heating new record --csv` convert the file" if readings else ""
     return [
-        f"{file}, row {lines[0]}: {shown}{more} are no numbers; units are those that the names end in: "
+        f"{file}, row {lines[0]}: {shown}{ellipsis} are no numbers; units are those that the names end in: "
         f"convert to them and remove the row{convert}"
     ]
 
@@ -272,8 +271,12 @@ def _nearest_column(name: str, other: list[str], of_readings: bool) -> str:
     if close:
         return f"; nearest in the file: `{close}`"
     # `STS96_480_surface_K` where the file has `mine_K`: one of the two names is to be changed
-    own = [n for n in other if not n.startswith("sigma")] if of_readings else []
-    return f"; the file has {', '.join(f'`{n}`' for n in own[:6])}: change one of the names" if own else "; add it"
+    readings = [n for n in other if not n.startswith("sigma")] if of_readings else []
+    return (
+        f"; the file has {', '.join(f'`{n}`' for n in readings[:6])}: change one of the names"
+        if readings
+        else "; add it"
+    )
 
 
 def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list[tuple[int, str]]]:
@@ -284,8 +287,7 @@ def _numbers(cells: Sequence[str], may_be_empty: bool) -> tuple[FloatArray, list
     parsed = [_number(cell, may_be_empty) for cell in cells]
     bad = [(i, p) for i, p in enumerate(parsed) if isinstance(p, str)]
     if bad:
-        more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
-        return np.empty(0), [(bad[0][0], bad[0][1] + more)]
+        return np.empty(0), [(bad[0][0], bad[0][1] + and_more_rows(len(bad)))]
     return np.array(parsed, dtype=np.float64), []
 
 

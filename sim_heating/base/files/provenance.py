@@ -84,16 +84,16 @@ def provenance_attributes() -> dict[str, str]:
     """Attributes `history`, as the CF conventions name it, and `provenance`, in JSON, of a netCDF file."""
     block = provenance()
     command = None if block is None else block["command"]
-    made = "written from Python" if command is None else " ".join(["sim-heating", *command])
+    call = "written from Python" if command is None else " ".join(["sim-heating", *command])
     # a name of a file may hold bytes that are no characters in the encoding of the system
-    history = {"history": f"sim-heating {package_version()}: {os.fsencode(made).decode(errors='replace')}"}
+    history = {"history": f"sim-heating {package_version()}: {os.fsencode(call).decode(errors='replace')}"}
     return history if block is None else {**history, PROVENANCE: json.dumps(block)}
 
 
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
     """Versions of the program, of Python and of the libraries that the program requires and finds."""
-    found = {"sim-heating": package_version(), "python": platform.python_version()}
+    by_name = {"sim-heating": package_version(), "python": platform.python_version()}
     try:
         required = requires("sim-heating") or []
     except PackageNotFoundError:
@@ -101,10 +101,10 @@ def versions() -> dict[str, str]:
     names = {re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in required if "extra ==" not in line}
     for name in sorted(names, key=str.lower):
         try:
-            found[name] = version(name)
+            by_name[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return by_name
 
 
 def system() -> str:
@@ -127,8 +127,8 @@ def input_name(path: Path) -> str:
 
 def input_place(name: str) -> Path:
     """Path of an input by its name in a block; it need not exist."""
-    places = (Path(name), PACKAGE / name, PACKAGE.parent / name)
-    return next((p for p in places if p.exists()), Path(name))
+    candidates = (Path(name), PACKAGE / name, PACKAGE.parent / name)
+    return next((p for p in candidates if p.exists()), Path(name))
 
 
 def input_digest(path: Path) -> str:
@@ -136,10 +136,10 @@ def input_digest(path: Path) -> str:
     if not path.is_dir():
         return file_digest(path)
     digest = hashlib.sha256()
-    for place in sorted(p for p in path.rglob("*") if p.is_file()):
-        name = place.relative_to(path)
-        if not any(part.startswith((".", "__pycache__")) for part in name.parts):
-            digest.update(f"{name.as_posix()}\0{file_digest(place)}\0".encode())
+    for file in sorted(p for p in path.rglob("*") if p.is_file()):
+        name = file.relative_to(path)
+        if not any(folder.startswith((".", "__pycache__")) for folder in name.parts):
+            digest.update(f"{name.as_posix()}\0{file_digest(file)}\0".encode())
     return f"sha256:{digest.hexdigest()}"
 
 

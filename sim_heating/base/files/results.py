@@ -299,8 +299,8 @@ def files_written(directory: str | os.PathLike[str]) -> set[str]:
 
     raises : InputError where the list is damaged
     """
-    found = _read_marker(Path(directory))
-    return set() if found is None else set(found[1])
+    marker = _read_marker(Path(directory))
+    return set() if marker is None else set(marker[1])
 
 
 def all_files_written(directory: str | os.PathLike[str]) -> list[str]:
@@ -312,9 +312,9 @@ def all_files_written(directory: str | os.PathLike[str]) -> list[str]:
 def results_digest(directory: str | os.PathLike[str]) -> str | None:
     """Digest of all results in a directory; None where one is missing, was changed, or there are none."""
     try:
-        found = _read_marker(Path(directory))
-        whole = found is not None and all(has_digest(Path(directory) / n, d) for n, d in found[1].items())
-        return file_digest(Path(directory) / MARKER) if whole else None
+        marker = _read_marker(Path(directory))
+        is_unchanged = marker is not None and all(has_digest(Path(directory) / n, d) for n, d in marker[1].items())
+        return file_digest(Path(directory) / MARKER) if is_unchanged else None
     except (OSError, InputError):
         return None
 
@@ -327,8 +327,8 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
     raises : InputError, nothing written, where another file has one of the names
     """
     with exclusive(directory) as target:
-        found = _read_marker(target)
-        listed = {} if found is None else found[1]
+        listing = _read_marker(target)
+        listed = {} if listing is None else listing[1]
         kept = {name: text for name, text in texts.items() if has_digest(target / name, text_digest(text))}
         new = {name: text for name, text in texts.items() if name not in kept}
         foreign = [n for n in new if os.path.lexists(target / n) and not has_digest(target / n, listed.get(n, ""))]
@@ -339,7 +339,7 @@ def write_own_files(directory: str | os.PathLike[str], command: str, texts: Mapp
             )
         digests = {**listed, **{name: text_digest(text) for name, text in texts.items()}}
         marker = json_text({"format": MARKER_FORMAT, "command": command, "files": digests})
-        if new or found is None or digests != listed:
+        if new or listing is None or digests != listed:
             replace_files(target, {**new, MARKER: marker})
         if foreign:
             _warn_of_replaced(target, foreign, command)
@@ -352,8 +352,8 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     raises : InputError where these are another command's, were changed, or where another file has one of the names
     """
     names = set(names)
-    found = _read_marker(target)
-    earlier, files = found if found is not None else (command, {})
+    listing = _read_marker(target)
+    earlier, files = listing if listing is not None else (command, {})
     if earlier != command and not replaces_others():
         raise InputError(
             f"{display_path(target)}: holds results of `{earlier}`, which `{command}` does not replace; choose another "
@@ -365,7 +365,7 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
     if replaces_others() and not any((target / name).is_dir() for name in there):
         # a listed result that was changed, and is not written again, is a person's file
         gone = [n for n in there if n in names or has_digest(target / n, files[n])]
-        marker = [] if found is None else [MARKER]
+        marker = [] if listing is None else [MARKER]
         return {name: file_digest(target / name) for name in (*marker, *gone)}
     foreign = [name for name in there if name not in files]
     if foreign:
@@ -379,15 +379,15 @@ def _results_to_replace(target: Path, command: str, names: Iterable[str]) -> dic
             f"{display_path(target)}: {', '.join(changed)} was changed after sim-heating wrote it and is not replaced; "
             f"move it away or choose another directory{OR_FORCE}"
         )
-    own = {} if found is None else {MARKER: file_digest(target / MARKER)}
-    return own | {name: files[name] for name in there}
+    replaced = {} if listing is None else {MARKER: file_digest(target / MARKER)}
+    return replaced | {name: files[name] for name in there}
 
 
 def _others(target: Path, command: str, replaced: Iterable[str]) -> list[str]:
     """Files that are replaced although another command or a person wrote or changed them."""
-    found = _read_marker(target)
-    own = found[1] if found is not None and found[0] == command else {}
-    return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, own.get(n, ""))]
+    marker = _read_marker(target)
+    listed = marker[1] if marker is not None and marker[0] == command else {}
+    return [n for n in sorted(set(replaced) - {MARKER}) if not has_digest(target / n, listed.get(n, ""))]
 
 
 def _listed(names: list[str]) -> str:
@@ -397,10 +397,10 @@ def _listed(names: list[str]) -> str:
 
 def _refuse_inputs(target: Path, inputs: Iterable[str | os.PathLike[str] | None]) -> None:
     """raises : InputError where a directory for results is, contains or lies in something that they are made from"""
-    for given in inputs:
-        if given is None or not os.path.exists(given):
+    for source in inputs:
+        if source is None or not os.path.exists(source):
             continue
-        path = real_path(given)
+        path = real_path(source)
         relation = (
             "is" if path == target
             else "contains" if target in path.parents

@@ -41,8 +41,8 @@ def path_below(rule: str) -> AfterValidator:
         absolute = posix.is_absolute() or windows.root or windows.drive
         if absolute or ".." in (*posix.parts, *windows.parts) or posix.name == "" or not name.isprintable():
             raise ValueError(f"`{name}` {rule}")
-        for part in posix.parts:
-            if (problem := portable_problem(part)) is not None:
+        for segment in posix.parts:
+            if (problem := portable_problem(segment)) is not None:
                 raise ValueError(f"{abbreviated(name)} {problem}")
         return name
 
@@ -118,21 +118,21 @@ class Roots:
         lines: list[str] = []
         waiting, entered, count = [folder], set[str](), 0
         while waiting:
-            place = waiting.pop()
-            real = os.path.realpath(place)
+            current = waiting.pop()
+            real = os.path.realpath(current)
             if real in entered:
                 continue
             entered.add(real)
-            for entry in _entries(place):
+            for entry in _entries(current):
                 count += 1
                 if count > MOST_ENTRIES:
                     raise InputError(
                         f"{display_path(folder)}: holds more than {MOST_ENTRIES} files and folders, links followed; it "
                         "is to hold the vehicle alone"
                     )
-                found = self._link_problems(Path(entry.path)) if entry.is_symlink() else []
-                lines += found
-                if not found and os.path.isdir(entry.path):
+                problems = self._link_problems(Path(entry.path)) if entry.is_symlink() else []
+                lines += problems
+                if not problems and os.path.isdir(entry.path):
                     waiting.append(Path(entry.path))
         raise_problems(lines)
 
@@ -147,9 +147,9 @@ class Roots:
             return
         shown = f"{abbreviated(name)} " if name else ""
         if not _within(real, self.folders):
-            places = ", ".join(map(str, self.folders))
+            allowed = ", ".join(map(str, self.folders))
             yield (
-                f"{shown}leads to {real}, outside the folders that may be read from here ({places}); "
+                f"{shown}leads to {real}, outside the folders that may be read from here ({allowed}); "
                 "move it into one of them, or name its folder with --root"
             )
         elif code and not _within(real, self.code):
@@ -170,12 +170,12 @@ def roots_of(
     vehicle : folder of the file's vehicle, where it has another one than the file's
     raises  : InputError where `root` is no directory
     """
-    own = real_path(Path(file).parent)
-    given = () if root is None else (_given_root(root),)
-    places = (own, *given) if given else (own, *_default_root(own))
-    more = () if vehicle is None else (real_path(Path(vehicle)),)
+    parent = real_path(Path(file).parent)
+    named = () if root is None else (_given_root(root),)
+    roots = (parent, *named) if named else (parent, *_default_root(parent))
+    of_vehicle = () if vehicle is None else (real_path(Path(vehicle)),)
     data = (real_path(folder) for name in DATA for folder in data_folders(name) if folder.is_dir())
-    return Roots(Path(file), _outermost((*places, *more, *data)), _outermost((own, *given)))
+    return Roots(Path(file), _outermost((*roots, *of_vehicle, *data)), _outermost((parent, *named)))
 
 
 def _given_root(root: str | os.PathLike[str]) -> Path:
@@ -184,8 +184,8 @@ def _given_root(root: str | os.PathLike[str]) -> Path:
     return real_path(Path(root))
 
 
-def _default_root(own: Path) -> tuple[Path, ...]:
-    marked = next((place for place in (own, *own.parents) if os.path.isdir(place / MARK)), None)
+def _default_root(parent: Path) -> tuple[Path, ...]:
+    marked = next((folder for folder in (parent, *parent.parents) if os.path.isdir(folder / MARK)), None)
     if marked is not None:
         return (marked,)
     try:
@@ -206,7 +206,7 @@ def _outermost(folders: tuple[Path, ...]) -> tuple[Path, ...]:
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
     """Entries of a folder in the order of their names; none where it cannot be read, which its reader reports."""
     try:
-        with os.scandir(folder) as found:
-            yield from sorted(found, key=lambda entry: entry.name)
+        with os.scandir(folder) as entries:
+            yield from sorted(entries, key=lambda entry: entry.name)
     except OSError:
         return

@@ -75,13 +75,13 @@ def documented(js: dict[str, Any], model: type[BaseModel], quantities: Mapping[s
         value.pop("title", None)
         declared = quantities.get(name, name)
         of_field = isinstance(declared, str) and (declared == name or declared not in model.model_fields)
-        found = quantity(declared) if of_field else None
-        if found is not None:
-            _set_range(value, found)
+        of_name = quantity(declared) if of_field else None
+        if of_name is not None:
+            _set_range(value, of_name)
         text = model.model_fields[name].description if name in model.model_fields else None
         text = text or written.get(name)
         if text is None and not _is_table(value):
-            text = DESCRIPTIONS.get(name) or (noun(found) if found is not None else COMMON.get(name))
+            text = DESCRIPTIONS.get(name) or (noun(of_name) if of_name is not None else COMMON.get(name))
         if text is not None:
             value["description"] = text
     return js
@@ -93,38 +93,38 @@ def _is_table(js: Mapping[str, Any]) -> bool:
     return "$ref" in js or any(map(_is_table, below))
 
 
-def noun(known: Quantity) -> str:
+def noun(measured: Quantity) -> str:
     """What a quantity is, from the rule of its messages: `a flight speed in m/s` gives `flight speed in m/s`."""
-    match = _RULE.match(known.rule)
-    return match["noun"] if match else known.rule
+    match = _RULE.match(measured.rule)
+    return match["noun"] if match else measured.rule
 
 
 def _docstring_entries(model: type[BaseModel]) -> dict[str, str]:
     """Lines `name, name : text` of the docstrings of a model and of its bases, with the lines that go on below them."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for owner in reversed(model.__mro__):
         names: list[str] = []
         for line in (owner.__dict__.get("__doc__") or "").splitlines():
             entry = _ENTRY.match(line.strip())
             if entry:
                 names = entry[1].split(", ")
-                found |= dict.fromkeys(names, entry[2])
+                entries |= dict.fromkeys(names, entry[2])
             elif names and line.strip():
-                found |= {name: f"{found[name]} {line.strip()}" for name in names}
+                entries |= {name: f"{entries[name]} {line.strip()}" for name in names}
             else:
                 names = []
-    return found
+    return entries
 
 
-def _set_range(js: dict[str, Any], known: Quantity) -> None:
+def _set_range(js: dict[str, Any], measured: Quantity) -> None:
     """Set the range of a quantity at every number of a schema, where the model sets none."""
     if js.get("type") in ("number", "integer"):
-        if "minimum" not in js and "exclusiveMinimum" not in js and abs(known.lowest) != float("inf"):
-            js["minimum"] = known.lowest
-        if "maximum" not in js and "exclusiveMaximum" not in js and abs(known.highest) != float("inf"):
-            js["maximum"] = known.highest
+        if "minimum" not in js and "exclusiveMinimum" not in js and abs(measured.lowest) != float("inf"):
+            js["minimum"] = measured.lowest
+        if "maximum" not in js and "exclusiveMaximum" not in js and abs(measured.highest) != float("inf"):
+            js["maximum"] = measured.highest
     for below in ("items", "additionalProperties"):
         if isinstance(js.get(below), dict):
-            _set_range(js[below], known)
+            _set_range(js[below], measured)
     for branch in (*js.get("anyOf", []), *js.get("oneOf", []), *js.get("prefixItems", [])):
-        _set_range(branch, known)
+        _set_range(branch, measured)

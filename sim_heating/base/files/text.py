@@ -38,33 +38,33 @@ MANY_NAMES, OTHER_LENGTH = 5000, 2
 """Of more names, as many are compared that begin alike and differ in length by at most so many letters."""
 
 
-def nearest_name(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+def nearest_name(name: str, choices: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name most similar to a wrong one, ignoring case, or None where none is similar.
 
     cutoff : least similarity, 0 to 1 (difflib)
     """
-    by_lower = {k.lower(): k for k in known}
+    by_lower = {k.lower(): k for k in choices}
     if len(by_lower) > MANY_NAMES:  # each comparison takes microseconds
         alike = (k for k in by_lower if k[:1] == name[:1].lower() and abs(len(k) - len(name)) <= OTHER_LENGTH)
         by_lower = {k: by_lower[k] for k in islice(alike, MANY_NAMES)}
-    found = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
-    return by_lower[found[0]] if found else None
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=cutoff)
+    return by_lower[close[0]] if close else None
 
 
-def suggestion(name: str, known: Iterable[str], otherwise: str | None = None, cutoff: float = 0.6) -> str:
+def suggestion(name: str, choices: Iterable[str], otherwise: str | None = None, cutoff: float = 0.6) -> str:
     """End of a message about an unknown name: "; did you mean `x`?", or the known names where none is close.
 
     otherwise : end of the message where no name is close, in place of the list of known names
     cutoff    : least similarity of a close name, 0 to 1
     """
-    names = list(known)
+    names = list(choices)
     near = nearest_name(name, names, cutoff)
     if near:
         return f"; did you mean `{near}`?"
     if otherwise is not None:
         return otherwise
-    more = f" and {len(names) - NAMES_LISTED} more" if len(names) > NAMES_LISTED else ""
-    return f"; known: {', '.join(f'`{n}`' for n in names[:NAMES_LISTED]) or 'none'}{more}"
+    rest = f" and {len(names) - NAMES_LISTED} more" if len(names) > NAMES_LISTED else ""
+    return f"; known: {', '.join(f'`{n}`' for n in names[:NAMES_LISTED]) or 'none'}{rest}"
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
@@ -81,6 +81,11 @@ def raise_problems(problems: Sequence[str]) -> None:
     """Raise all problems of a file at once, if there are any."""
     if problems:
         raise InputError(*problems)
+
+
+def and_more_rows(count: int) -> str:
+    """` (and 3 more rows)` of 4 rows of which a message names the first; empty for a single one."""
+    return f" (and {count - 1} more rows)" if count > 1 else ""
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -115,8 +120,8 @@ def _regular_file(path: Path, name: str) -> bytes:
     """The bytes of a file; a pipe or a device, which may never end, is not opened."""
     kind, size = path.stat().st_mode, path.stat().st_size
     if not stat.S_ISREG(kind):
-        found = next((words for test, words in _OTHER_KINDS if test(kind)), "not a regular file")
-        raise InputError(f"{name}: is {found}; give a text file")
+        kind_text = next((text for test, text in _OTHER_KINDS if test(kind)), "not a regular file")
+        raise InputError(f"{name}: is {kind_text}; give a text file")
     if size > LARGEST_TEXT_BYTES:
         raise InputError(
             f"{name}: has {size / 1e6:.0f} MB, above the {LARGEST_TEXT_BYTES / 1e6:.0f} MB that a text may have; "
@@ -200,8 +205,8 @@ def write_bytes_atomic(path: str | os.PathLike[str], data: bytes) -> None:
             make_durable(target.parent)
     except OSError as error:
         Path(partial).unlink(missing_ok=True)
-        what = f"{display_path(result_path(path))}: cannot be written ({os_error_reason(error)})"
-        raise RunError(f"{what}; nothing is half-written: make room or choose another place") from None
+        problem = f"{display_path(result_path(path))}: cannot be written ({os_error_reason(error)})"
+        raise RunError(f"{problem}; nothing is half-written: make room or choose another place") from None
     except BaseException:
         Path(partial).unlink(missing_ok=True)
         raise

@@ -60,17 +60,19 @@ class Declared(BaseModel):
     def implausible(self) -> list[tuple[Location, str]]:
         """Location and text of each number that is beyond its range, or does not fit the others."""
         return [
-            ((name, *place), text)
+            ((name, *below), text)
             for name in type(self).model_fields
-            for place, text in _quantity_problems(self, name, getattr(self, name))
+            for below, text in _quantity_problems(self, name, getattr(self, name))
         ]
 
     def unusual(self) -> list[tuple[Location, str]]:
         """Location and text of each number of the file that is possible and outside what is usual; one a field."""
-        found: list[tuple[Location, str]] = []
+        remarks: list[tuple[Location, str]] = []
         for name in (n for n in type(self).model_fields if n in self.model_fields_set):
-            found += [((name, *place), text) for place, text in _quantity_remarks(self, name, getattr(self, name))[:1]]
-        return found
+            remarks += [
+                ((name, *below), text) for below, text in _quantity_remarks(self, name, getattr(self, name))[:1]
+            ]
+        return remarks
 
 
 class Convertible(Declared):
@@ -83,10 +85,10 @@ class Convertible(Declared):
     def _refuse_other_types(cls, data: Any) -> Any:
         # Pydantic would take "12", "1_2", digits of other scripts, and true for a 1.
         problems: list[tuple[Location, str]] = [
-            ((name, *place), f"{abbreviated(wrong)} is not a number; write a number without quotes")
+            ((name, *below), f"{abbreviated(wrong)} is not a number; write a number without quotes")
             for name, value in (data.items() if isinstance(data, dict) else ())
             if name in cls.model_fields
-            for place, wrong in _not_numbers(value, _leaves(cls.model_fields[name].annotation))
+            for below, wrong in _not_numbers(value, _leaves(cls.model_fields[name].annotation))
         ]
         if problems:
             raise LocatedError(*problems)
@@ -118,15 +120,15 @@ def _quantity_problems(model: Declared, name: str, value: Any) -> list[tuple[Loc
     if declared is None:
         return []
     if isinstance(value, Mapping):
-        return [((key, *place), text) for key, v in value.items() for place, text in _range_problems(quantity(key), v)]
+        return [((key, *below), text) for key, v in value.items() for below, text in _range_problems(quantity(key), v)]
     if isinstance(declared, str):
         return _range_problems(quantity(_meant(model, declared)), value)
     columns = [None if column is None else quantity(_meant(model, column)) for column in declared]
     problems: list[tuple[Location, str]] = [
         ((i, j), text)
         for i, row in enumerate(value if isinstance(value, (list, tuple)) else ())
-        for j, (known, number) in enumerate(zip(columns, row, strict=False))
-        for _, text in _range_problems(known, number)
+        for j, (measured, number) in enumerate(zip(columns, row, strict=False))
+        for _, text in _range_problems(measured, number)
     ]
     return problems or _axis_problems(columns[0], value)
 
@@ -138,7 +140,7 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
     declared = model.quantities.get(name, name)
     if isinstance(value, Mapping):
         numbers = ((key, _unusual_numbers(key, v)) for key, v in value.items())
-        return [((key, *place), text) for key, found in numbers for place, text in found]
+        return [((key, *below), text) for key, remarks in numbers for below, text in remarks]
     if declared is None:
         return []
     if isinstance(declared, str):
@@ -153,7 +155,9 @@ def _quantity_remarks(model: Declared, name: str, value: Any) -> list[tuple[Loca
 
 
 def _unusual_numbers(name: str, value: Any) -> list[tuple[Location, str]]:
-    return [(place, text) for place, number in numbers_in(value) if (text := usual_remark(name, number)) is not None]
+    return [
+        (location, text) for location, number in numbers_in(value) if (text := usual_remark(name, number)) is not None
+    ]
 
 
 def remarks_of(model: Declared, data: Any, where: str, *, below: bool = True) -> list[str]:
@@ -163,23 +167,23 @@ def remarks_of(model: Declared, data: Any, where: str, *, below: bool = True) ->
     where : name of the file
     below : false: of this model alone
     """
-    found = _unusual_below(model, ()) if below else model.unusual()
-    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in found]
+    remarks = _unusual_below(model, ()) if below else model.unusual()
+    return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in remarks]
 
 
-def _unusual_below(value: Any, place: Location) -> list[tuple[Location, str]]:
+def _unusual_below(value: Any, location: Location) -> list[tuple[Location, str]]:
     if isinstance(value, BaseModel):
-        found = [((*place, *loc), text) for loc, text in value.unusual()] if isinstance(value, Declared) else []
+        remarks = [((*location, *loc), text) for loc, text in value.unusual()] if isinstance(value, Declared) else []
         items: Any = [(name, getattr(value, name)) for name in type(value).model_fields]
     elif isinstance(value, Mapping):
-        found, items = [], value.items()
+        remarks, items = [], value.items()
     elif isinstance(value, (list, tuple)) and value and isinstance(value[0], BaseModel):
-        found, items = [], enumerate(value)
+        remarks, items = [], enumerate(value)
     else:
         return []
     for key, item in items:
-        found += _unusual_below(item, (*place, key))
-    return found
+        remarks += _unusual_below(item, (*location, key))
+    return remarks
 
 
 def _meant(model: Declared, name: str) -> str:
@@ -188,24 +192,26 @@ def _meant(model: Declared, name: str) -> str:
     return text if isinstance(text, str) else name
 
 
-def _range_problems(known: Quantity | None, value: Any) -> list[tuple[Location, str]]:
-    if known is None:
+def _range_problems(measured: Quantity | None, value: Any) -> list[tuple[Location, str]]:
+    if measured is None:
         return []
     if type(value) is float:  # most are, and there are thousands
-        text = known.problem(value)
+        text = measured.problem(value)
         return [] if text is None else [((), text)]
-    return [(place, text) for place, number in numbers_in(value) if (text := known.problem(number)) is not None]
+    return [
+        (location, text) for location, number in numbers_in(value) if (text := measured.problem(number)) is not None
+    ]
 
 
-def _axis_problems(known: Quantity | None, rows: Any) -> list[tuple[Location, str]]:
+def _axis_problems(measured: Quantity | None, rows: Any) -> list[tuple[Location, str]]:
     """A problem where the x of several rows are so low, or so close together, that they are in another unit."""
-    if known is None or not isinstance(rows, (list, tuple)) or len(rows) < 2:
+    if measured is None or not isinstance(rows, (list, tuple)) or len(rows) < 2:
         return []
     if not all(rows):  # an empty pair, which the model refuses
         return []
     order = sorted(range(len(rows)), key=lambda i: float(rows[i][0]))
     last = order[-1]
-    text = known.axis_problem(rows[order[0]][0], rows[last][0])
+    text = measured.axis_problem(rows[order[0]][0], rows[last][0])
     return [] if text is None else [((last, 0), text)]
 
 
@@ -214,7 +220,7 @@ def _leaves(annotation: Any) -> set[Any]:
     if typing.get_origin(annotation) is typing.Literal:
         return {type(value) for value in typing.get_args(annotation)}
     parts = typing.get_args(annotation)
-    return set().union(*(_leaves(part) for part in parts)) if parts else {annotation}
+    return set().union(*(_leaves(argument) for argument in parts)) if parts else {annotation}
 
 
 def _not_numbers(value: Any, allowed: set[Any]) -> list[tuple[Location, Any]]:
@@ -222,7 +228,7 @@ def _not_numbers(value: Any, allowed: set[Any]) -> list[tuple[Location, Any]]:
     if not allowed & {int, float} or str in allowed:
         return []
     if isinstance(value, (list, tuple)):
-        return [((i, *place), found) for i, item in enumerate(value) for place, found in _not_numbers(item, allowed)]
+        return [((i, *below), wrong) for i, item in enumerate(value) for below, wrong in _not_numbers(item, allowed)]
     if isinstance(value, bool):
         return [] if bool in allowed else [((), value)]
     try:
@@ -253,11 +259,11 @@ def read_toml_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _toml_syntax(name: str, text: str, message: str) -> str:
-    place = re.search(r"\s*\(at line (\d+), column (\d+)\)$", message)
-    if place is None:
-        what = message.removesuffix(" (at end of document)")
-        return f"{name}, line {len(text.splitlines())}: {what} at the end of the file; it may have been cut off"
-    return f"{name}, line {place[1]}: {message[: place.start()]} (column {place[2]}); this is not TOML"
+    position = re.search(r"\s*\(at line (\d+), column (\d+)\)$", message)
+    if position is None:
+        problem = message.removesuffix(" (at end of document)")
+        return f"{name}, line {len(text.splitlines())}: {problem} at the end of the file; it may have been cut off"
+    return f"{name}, line {position[1]}: {message[: position.start()]} (column {position[2]}); this is not TOML"
 
 
 def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
@@ -271,9 +277,11 @@ def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
     except ValidationError as error:
         # An unknown key is often the reason why another is missing, so it comes first. In a file of another format
         # every key is wrong, so the format alone is reported.
-        found = error.errors(include_url=False)
-        other_format = [e for e in found if e["loc"] == ("format",) and e["type"] != "missing"]
-        errors = other_format or _one_error_per_union(sorted(found, key=lambda e: e["type"] != "extra_forbidden"), data)
+        raised = error.errors(include_url=False)
+        other_format = [e for e in raised if e["loc"] == ("format",) and e["type"] != "missing"]
+        errors = other_format or _one_error_per_union(
+            sorted(raised, key=lambda e: e["type"] != "extra_forbidden"), data
+        )
         problems = [p for e in errors for p in _error_lines(e, data, model, where)]
         raise InputError(*problems) from None
     except RecursionError:
@@ -286,18 +294,18 @@ def check(data: Any, model: type[M], where: str, *, tells: bool = True) -> M:
 def _one_error_per_union(errors: Sequence[Any], data: Any) -> list[Any]:
     """Errors with those of a union reduced to one value: the errors within the intended branch, else a single error
     that lists all types that the union accepts."""
-    places = [_data_location(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
-    meant = {place[:k] for place in places for k in range(len(place))}
-    meant |= {place for error, place in zip(errors, places, strict=True) if not _is_type_error(error)}
+    locations = [_data_location(tuple(e["loc"]), data, keep_last=e["type"] == "missing") for e in errors]
+    intended = {location[:k] for location in locations for k in range(len(location))}
+    intended |= {location for error, location in zip(errors, locations, strict=True) if not _is_type_error(error)}
     kept: list[Any] = []
     kinds: dict[Location, list[str]] = {}
-    for error, place in zip(errors, places, strict=True):
+    for error, location in zip(errors, locations, strict=True):
         if not _is_type_error(error):
             kept.append(error)
-        elif place not in meant:
-            if place not in kinds:
-                kept.append(error | {"kinds": kinds.setdefault(place, [])})
-            kinds[place].append(_TYPE_NAMES.get(error["type"], "one of the allowed texts"))
+        elif location not in intended:
+            if location not in kinds:
+                kept.append(error | {"kinds": kinds.setdefault(location, [])})
+            kinds[location].append(_TYPE_NAMES.get(error["type"], "one of the allowed texts"))
     return kept
 
 
@@ -312,8 +320,8 @@ def _error_lines(error: Any, data: Any, model: type[BaseModel], where: str) -> l
     """The lines for one pydantic error; a LocatedError from a validator may hold several."""
     located = error.get("ctx", {}).get("error")
     if isinstance(located, LocatedError):
-        places = [(tuple(error["loc"]) + loc, text) for loc, text in located.problems]
-        return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in places]
+        located_texts = [(tuple(error["loc"]) + loc, text) for loc, text in located.problems]
+        return [_problem_line(_data_location(loc, data), data, where, text) for loc, text in located_texts]
     loc = _data_location(tuple(error["loc"]), data, keep_last=error["type"] == "missing")
     return [
         _problem_line(
@@ -325,14 +333,14 @@ def _error_lines(error: Any, data: Any, model: type[BaseModel], where: str) -> l
 def _data_location(loc: Location, data: Any, keep_last: bool = False) -> Location:
     """A pydantic location without the tags that pydantic adds for the branches of a union."""
     kept: list[str | int] = []
-    for i, part in enumerate(loc):
+    for i, key in enumerate(loc):
         is_last = keep_last and i == len(loc) - 1
-        if isinstance(data, dict) and (part in data or is_last):
-            kept.append(part)
-            data = data.get(part)
-        elif isinstance(data, (list, tuple)) and isinstance(part, int) and part < len(data):
-            kept.append(part)
-            data = data[part]
+        if isinstance(data, dict) and (key in data or is_last):
+            kept.append(key)
+            data = data.get(key)
+        elif isinstance(data, (list, tuple)) and isinstance(key, int) and key < len(data):
+            kept.append(key)
+            data = data[key]
     return tuple(kept)
 
 
@@ -354,14 +362,14 @@ def _split_location(loc: Location, data: Any) -> tuple[str, str | None, str]:
     """Split a location into table `[a.b] 2`, key, and `, row i, item j` inside the key's value."""
     table: list[str] = []
     count, node = "", data
-    for i, part in enumerate(loc):
-        value = _child(node, part)
-        if isinstance(part, int):
-            count = f" {part + 1}"
+    for i, key in enumerate(loc):
+        value = _child(node, key)
+        if isinstance(key, int):
+            count = f" {key + 1}"
         elif _leads_to_table(value, loc[i + 1 :]):
-            table.append(part)
+            table.append(key)
         else:
-            return _table_header(table, count), part, _row_text(loc[i + 1 :])
+            return _table_header(table, count), key, _row_text(loc[i + 1 :])
         node = value
     return _table_header(table, count), None, ""
 
@@ -377,15 +385,15 @@ def _leads_to_table(value: Any, rest: Location) -> bool:
     return isinstance(value, dict)
 
 
-def _child(node: Any, part: str | int) -> Any:
+def _child(node: Any, key: str | int) -> Any:
     if isinstance(node, dict):
-        return node.get(part)
-    return node[part] if isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node) else None
+        return node.get(key)
+    return node[key] if isinstance(node, (list, tuple)) and isinstance(key, int) and key < len(node) else None
 
 
 def _row_text(parts: Sequence[str | int]) -> str:
-    words = ("row", "item", "part")
-    return "".join(f", {word} {int(p) + 1}" for word, p in zip(words, parts, strict=False) if isinstance(p, int))
+    levels = ("row", "item", "part")
+    return "".join(f", {word} {int(p) + 1}" for word, p in zip(levels, parts, strict=False) if isinstance(p, int))
 
 
 _TYPE_NAMES = {
@@ -439,8 +447,8 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         kinds = f"{', '.join(others)} or {last}" if others else last
         return f"{abbreviated(value)} is not {kinds}{_in_parentheses(description)}"
     if kind in _BOUNDS:
-        name, words = _BOUNDS[kind]
-        return f"{abbreviated(value)} {words} {ctx[name]:g}{_in_parentheses(description)}"
+        name, comparison = _BOUNDS[kind]
+        return f"{abbreviated(value)} {comparison} {ctx[name]:g}{_in_parentheses(description)}"
     if kind in ("union_tag_invalid", "union_tag_not_found") and "discriminator" in ctx:
         return _tag_rule(ctx, value)
     if kind == "string_pattern_mismatch":
@@ -450,8 +458,8 @@ def _error_rule(error: Any, loc: Location, model: type[BaseModel]) -> str:
         return _choice_rule(value, re.findall(r"'([^']*)'", ctx["expected"]))
     if kind in ("too_short", "too_long"):
         limit = ctx.get("min_length", ctx.get("max_length"))
-        words = "at least" if kind == "too_short" else "at most"
-        return f"has {ctx['actual_length']} values, takes {words} {limit}{_in_parentheses(description)}"
+        comparison = "at least" if kind == "too_short" else "at most"
+        return f"has {ctx['actual_length']} values, takes {comparison} {limit}{_in_parentheses(description)}"
     text = str(ctx["error"]) if "error" in ctx else error["msg"]
     return f"{text}{_in_parentheses(description)}" if kind != "value_error" else text
 
@@ -465,13 +473,13 @@ def _unknown_key_rule(key: str, model: type[BaseModel], table: Location, tagged:
     stated = next((m for m, (_, names) in kinds.items() if len(tagged) > 1 and tagged[-2] in names), None)
     if stated is None:
         return f"unknown key `{key}`{suggestion(key, known_keys(model, table))}"
-    field, own = kinds[stated][0], list(stated.model_fields)
+    field, keys_of_kind = kinds[stated][0], list(stated.model_fields)
     others = [name for m, (_, names) in kinds.items() if key in m.model_fields for name in names]
     if others:
-        keys = ", ".join(f"`{name}`" for name in own if name != field)
+        keys = ", ".join(f"`{name}`" for name in keys_of_kind if name != field)
         owners = ", ".join(f'"{name}"' for name in others)
         return f'`{key}` belongs to {field} = {owners}, not to {field} = "{tagged[-2]}", which takes {keys}'
-    return f"unknown key `{key}`{suggestion(key, own)}"
+    return f"unknown key `{key}`{suggestion(key, keys_of_kind)}"
 
 
 def _kind(model: type[BaseModel]) -> tuple[str, tuple[Any, ...]] | None:
@@ -501,13 +509,13 @@ def _in_parentheses(description: str) -> str:
 
 def known_keys(model: type[BaseModel], loc: Location) -> list[str]:
     """The keys of the table at a location of a model; none where the location does not exist."""
-    found = _models_at(model, loc)
-    return list(dict.fromkeys(name for m in found for name in m.model_fields))
+    models = _models_at(model, loc)
+    return list(dict.fromkeys(name for m in models for name in m.model_fields))
 
 
 def _description(model: type[BaseModel], loc: Location) -> str:
     """The description of the field that a location lies in."""
-    keys = [i for i, part in enumerate(loc) if isinstance(part, str)]
+    keys = [i for i, key in enumerate(loc) if isinstance(key, str)]
     for i in reversed(keys):
         for owner in _models_at(model, loc[:i]):
             info = owner.model_fields.get(str(loc[i]))
@@ -519,20 +527,20 @@ def _description(model: type[BaseModel], loc: Location) -> str:
 def _models_at(model: type[BaseModel], loc: Location) -> list[type[BaseModel]]:
     """The pydantic models that a location may hold (several for a union)."""
     annotations: list[Any] = [model]
-    for part in loc:
-        annotations = [new for a in annotations for new in _annotations_below(a, part)]
+    for key in loc:
+        annotations = [new for a in annotations for new in _annotations_below(a, key)]
     return [a for a in annotations if isinstance(a, type) and issubclass(a, BaseModel)]
 
 
-def _annotations_below(annotation: Any, part: str | int) -> list[Any]:
+def _annotations_below(annotation: Any, key: str | int) -> list[Any]:
     """The annotations one key or index below an annotation, unions opened."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        info = annotation.model_fields.get(str(part))
+        info = annotation.model_fields.get(str(key))
         return _union_branches(info.annotation) if info else []
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin in (dict, Mapping) and isinstance(part, str):
+    if origin in (dict, Mapping) and isinstance(key, str):
         return _union_branches(args[1])
-    if origin in (list, tuple, Sequence) and isinstance(part, int):
+    if origin in (list, tuple, Sequence) and isinstance(key, int):
         return _union_branches(args[0])
     return []
 
@@ -557,16 +565,16 @@ def toml_text(data: Mapping[str, Any], comment: str = "") -> str:
     return head + tomlkit.dumps(_toml_data(data, "")).lstrip("\n")
 
 
-def _toml_data(value: Any, place: str) -> Any:
+def _toml_data(value: Any, location: str) -> Any:
     """A value as tomlkit writes it: Python numbers, texts, lists and dictionaries without None."""
     value = as_builtin(value)
     if isinstance(value, Mapping):
-        found = {k: v for k, v in value.items() if v is not None}
-        return {k: _toml_data(v, f"{place}.{k}" if place else k) for k, v in found.items()}
+        present = {k: v for k, v in value.items() if v is not None}
+        return {k: _toml_data(v, f"{location}.{k}" if location else k) for k, v in present.items()}
     if isinstance(value, (list, tuple)):
-        return [_toml_data(v, place) for v in value]
+        return [_toml_data(v, location) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
-        raise RunError(f"`{place}` is {value}, which is not written to TOML files; nothing was written")
+        raise RunError(f"`{location}` is {value}, which is not written to TOML files; nothing was written")
     if not isinstance(value, (bool, str, int, float)):
-        raise RunError(f"`{place}`: {type(value).__name__} cannot be represented in TOML")
+        raise RunError(f"`{location}`: {type(value).__name__} cannot be represented in TOML")
     return value

@@ -41,8 +41,8 @@ def _held() -> set[Path]:
     """Directories that this thread has locked."""
     if not hasattr(_thread, "held"):
         _thread.held = set()
-    held: set[Path] = _thread.held
-    return held
+    locked: set[Path] = _thread.held
+    return locked
 
 
 @contextmanager
@@ -207,8 +207,8 @@ def require_plain(target: Path, name: str) -> None:
     if not parts or ".." in parts or PurePosixPath(name).is_absolute() or "\\" in name or "\0" in name:
         raise InputError(f"{display_path(target)}: `{name}` is not the name of a file in it; nothing was changed")
     path = target
-    for part in parts:
-        path /= part
+    for segment in parts:
+        path /= segment
         if path.is_symlink():
             raise InputError(
                 f"{display_path(path)}: is a symbolic link, which is not followed to replace a file; remove it or "
@@ -252,8 +252,8 @@ def settle(directory: str | os.PathLike[str]) -> None:
 
 def settle_below(directory: str | os.PathLike[str]) -> None:
     """Settle all directories below one, where processes that wrote into them have been ended."""
-    left = {path.parent for name in (LOCK, STAGING) for path in Path(directory).rglob(name)}
-    for folder in sorted(left):
+    unsettled = {path.parent for name in (LOCK, STAGING) for path in Path(directory).rglob(name)}
+    for folder in sorted(unsettled):
         with suppress(InputError), exclusive(folder, wait_s=0.0):  # refused where another process is at work
             pass
 

@@ -106,9 +106,9 @@ def _plain(name: str) -> str:
     """A unit as loggers write it, in names that pint knows and the syntax of FMUs."""
     text = SERIAL_NUMBER.sub("", name).strip()
     while (inner := re.fullmatch(r"\(([^()]*)\)|\[([^\[\]]*)\]|<([^<>]*)>", text)) is not None:
-        text = next(part for part in inner.groups() if part is not None).strip()
+        text = next(group for group in inner.groups() if group is not None).strip()
     text = re.sub(r"^([CFKR])[°º]$", r"\1", text)
-    text = DEGREES.sub(lambda found: SCALES[found[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
+    text = DEGREES.sub(lambda match: SCALES[match[1][0].lower()], text.translate(SUPERSCRIPTS).replace("²", "2"))
     text = re.sub(r"(?i)(?<![a-z])(?:sq\.? *|square +)([a-z]+)", r"\g<1>2", text)
     text = re.sub(r"(?i)(?<![a-z])(?:cu\. *|cu +|cubic +)([a-z]+)", r"\g<1>3", text)
     text = re.sub(r"(?i) +per +", "/", text)
@@ -145,12 +145,12 @@ def known_unit(name: str) -> Scale | None:
     registry = _registry()
     try:
         unit = registry.parse_units(_pint_syntax(plain))
-        zero, one = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
+        zero, unity = (registry.Quantity(v, unit).to_base_units() for v in (0.0, 1.0))
         offset = float(zero.magnitude)
         # over a long span, so that an offset takes no digits of the factor
         span = 1.0 if offset == 0.0 else 2.0**30
         factor = float(registry.Quantity(span, unit).to_base_units().magnitude - offset) / span
-        scale = Scale(dimension_of(dict(one.unit_items())), factor, offset)
+        scale = Scale(dimension_of(dict(unity.unit_items())), factor, offset)
     except Exception:  # pint raises its own, Python's tokenizer others
         return None
     return scale if is_usable(scale) else None
@@ -166,11 +166,11 @@ def dimension_of(exponents: dict[str, Any]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((k, float(v)) for k, v in exponents.items() if v))
 
 
-def conversion(given: Scale, required: Scale) -> Conversion | None:
+def conversion(source: Scale, required: Scale) -> Conversion | None:
     """The conversion between two units, None where their dimensions differ."""
-    if given.dimension != required.dimension:
+    if source.dimension != required.dimension:
         return None
-    factor, offset = given.factor / required.factor, (given.offset - required.offset) / required.factor
+    factor, offset = source.factor / required.factor, (source.offset - required.offset) / required.factor
     # A factor of 1 but for rounding must leave every bit as it is.
     return Conversion(1.0 if abs(factor - 1.0) < SAME_FACTOR else factor, offset)
 
@@ -181,8 +181,8 @@ def converted(unit: str, si: str) -> Conversion | None:
     >>> converted("(deg. F)", "K")(212.0), converted("W per sq. m", "W/m2"), converted("mV", "K")
     (373.15, Conversion(factor=1.0, offset=0.0), None)
     """
-    given, required = known_unit(unit), known_unit(si)
-    return None if given is None or required is None else conversion(given, required)
+    source, required = known_unit(unit), known_unit(si)
+    return None if source is None or required is None else conversion(source, required)
 
 
 def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
@@ -197,9 +197,9 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
     """
     head = head.strip()
     for pattern in STATED:
-        found = re.fullmatch(pattern, head)
-        if found:
-            return found[1].strip(), found[2].strip()
+        match = re.fullmatch(pattern, head)
+        if match:
+            return match[1].strip(), match[2].strip()
     inside = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])]\s*(\S.*)", head)
     if inside and any(converted(inside[2], si) is not None for si in quantities):
         return f"{inside[1]} {inside[3]}", inside[2]
@@ -211,8 +211,8 @@ def name_and_unit(head: str, quantities: Sequence[str]) -> tuple[str, str]:
         for unit in (ending, f"{top}/{' '.join(under)}" if under else ""):
             if unit and any(converted(unit, si) is not None for si in quantities):
                 return name, unit
-    found = re.fullmatch(SLASHED, head)
-    return (found[1], found[2]) if found else (head, "")
+    match = re.fullmatch(SLASHED, head)
+    return (match[1], match[2]) if match else (head, "")
 
 
 def _endings(head: str) -> list[int]:

@@ -43,8 +43,8 @@ def _imported(path: Path, modules: Mapping[str, Path]) -> set[Path]:
             names |= {f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-    within = (name.removeprefix(f"{PACKAGE.name}.") for name in names if name.startswith(f"{PACKAGE.name}."))
-    return {modules[name] for name in within if name in modules}
+    below = (name.removeprefix(f"{PACKAGE.name}.") for name in names if name.startswith(f"{PACKAGE.name}."))
+    return {modules[name] for name in below if name in modules}
 
 
 def kernel_sources(package: Path = PACKAGE) -> list[Path]:
@@ -116,22 +116,22 @@ def known_digest(home: Path, package: Path = PACKAGE) -> str:
     states = file_states(package)
     if states is None:
         return source_digest(package)
-    known = home / f"{KNOWN}{states}"
+    record = home / f"{KNOWN}{states}"
     with suppress(OSError, ValueError):
-        kept = known.read_text(encoding="ascii")
+        kept = record.read_text(encoding="ascii")
         if _DIGEST.fullmatch(kept):
             return kept
     digest = source_digest(package)
     with suppress(OSError):
-        known.write_text(digest, encoding="ascii")
+        record.write_text(digest, encoding="ascii")
     return digest
 
 
 def cache_folder() -> str:
     """A writable folder for the compiled kernels of this version only: in the user's cache, else temporary."""
-    for place in (_user_cache, _temporary_cache):
+    for candidate in (_user_cache, _temporary_cache):
         try:
-            home = place()
+            home = candidate()
             if home is None:
                 continue
             home.mkdir(parents=True, exist_ok=True)
@@ -170,6 +170,6 @@ def _temporary_cache() -> Path | None:
     folder = Path(tempfile.gettempdir()) / f"sim_heating-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-    found = folder.lstat()
-    is_private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    state = folder.lstat()
+    is_private = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o077
     return folder if is_private else None

@@ -74,8 +74,8 @@ def compiled_by_one_process(function: Any) -> Iterator[None]:
 
 def kernel(function: Any, inline: bool) -> Any:
     """numba's dispatcher of a kernel; `inline` as in jit.njit."""
-    made = numba.njit(nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
-    return compile_within(compiled_by_one_process, made(function))
+    decorate = numba.njit(nogil=True, forceinline=inline, pipeline_class=KernelCompiler, **_ARITHMETIC)
+    return compile_within(compiled_by_one_process, decorate(function))
 
 
 def inlined_kernel(function: Any) -> Any:

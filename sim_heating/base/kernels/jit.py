@@ -43,22 +43,22 @@ class Kernel:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """numba's dispatcher."""
-        made = self._compiled(self.py_func)
-        _KERNELS[id(made)] = self
-        self._call = made
-        return made
+        compiled = self._compiled(self.py_func)
+        _KERNELS[id(compiled)] = self
+        self._call = compiled
+        return compiled
 
     @property
     def _numba_type_(self) -> Any:
         """What numba takes the kernel for where another one calls it."""
         return self.dispatcher._numba_type_
 
-    def _first_call(self, *given: Any) -> Any:
-        return self.dispatcher(*given)
+    def _first_call(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
 
-    def __call__(self, *given: Any) -> Any:
+    def __call__(self, *arguments: Any) -> Any:
         """The kernel's value; the line below the class puts the slot `_call` in the place of this."""
-        return self._call(*given)
+        return self._call(*arguments)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name in ("_make", "_compiled"):
@@ -83,10 +83,10 @@ _KERNELS: WeakValueDictionary[int, Kernel] = WeakValueDictionary()
 
 def _kernel_with(dispatcher: Any) -> Kernel:
     """The kernel of a dispatcher that was pickled: the one of this process, or a new one in another process."""
-    found = _KERNELS.get(id(dispatcher))
-    if found is None:
-        found = Kernel(lambda: dispatcher.py_func, lambda _: dispatcher)
-    return found
+    existing = _KERNELS.get(id(dispatcher))
+    if existing is None:
+        existing = Kernel(lambda: dispatcher.py_func, lambda _: dispatcher)
+    return existing
 
 
 def is_interpreted() -> bool:

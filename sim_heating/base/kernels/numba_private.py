@@ -50,8 +50,8 @@ class KernelCompiler(CFunctionCompiler):
     which Python cannot pass.
     """
 
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         flags = self.state.flags
         flags.no_cfunc_wrapper = True
         flags.no_cpython_wrapper = any(isinstance(argument, numba.types.CPointer) for argument in self.state.args)
@@ -73,10 +73,12 @@ class LoadedFunctions(numba.core.caching.FunctionCache):
 def cached_c_function(signature: Any, function: Any, options: Mapping[str, Any]) -> Any:
     """A function as numba's cfunc makes it, loaded from the cache where that has it; options as that takes them."""
     arguments = numba.core.sigutils.normalize_signature(signature)
-    made: Any = numba.core.ccallback.CFunc(function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler)
-    made._cache = LoadedFunctions(function)
-    made.compile()
-    return made
+    c_function: Any = numba.core.ccallback.CFunc(
+        function, arguments, {}, dict(options), pipeline_class=CFunctionCompiler
+    )
+    c_function._cache = LoadedFunctions(function)
+    c_function.compile()
+    return c_function
 
 
 def _is_cached(cache: Any, signature: Any) -> bool:
@@ -143,8 +145,8 @@ def power_of_two_bits(_typing_context, k):  # type: ignore[no-untyped-def]
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
-        whole = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
-        return builder.bitcast(builder.add(builder.shl(whole, bits(52)), bits(1023 << 52)), number)
+        integer = builder.bitcast(builder.fadd(args[0], number(WHOLE)), bits)
+        return builder.bitcast(builder.add(builder.shl(integer, bits(52)), bits(1023 << 52)), number)
 
     return numba.types.float64(numba.types.float64), codegen
 
@@ -155,11 +157,11 @@ def mantissa_and_exponent_bits(_typing_context, x):  # type: ignore[no-untyped-d
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         number, bits = llvmlite.ir.DoubleType(), llvmlite.ir.IntType(64)
-        whole = builder.bitcast(args[0], bits)
+        pattern = builder.bitcast(args[0], bits)
         # The exponent's bits below those of 2^52 are 2^52 + exponent: no conversion of integers, which AVX2 lacks.
-        above = builder.or_(builder.lshr(whole, bits(52)), bits(1075 << 52))
+        above = builder.or_(builder.lshr(pattern, bits(52)), bits(1075 << 52))
         exponent = builder.fsub(builder.bitcast(above, number), number(2.0**52 + 1022.0))
-        half = builder.or_(builder.and_(whole, bits((1 << 52) - 1)), bits(1022 << 52))
+        half = builder.or_(builder.and_(pattern, bits((1 << 52) - 1)), bits(1022 << 52))
         return context.make_tuple(builder, signature.return_type, [builder.bitcast(half, number), exponent])
 
     float64 = numba.types.float64

@@ -171,9 +171,9 @@ def fill_terms(lower: FloatArray, upper: FloatArray, mean: FloatArray, sigma: Fl
             if alpha != beta:
                 terms[i, :] = math.nan
             continue
-        found = truncated_normal(alpha, beta, (upper[i] - lower[i]) / sigma[i])
-        for k in range(len(found)):
-            terms[i, k] = found[k]
+        row = truncated_normal(alpha, beta, (upper[i] - lower[i]) / sigma[i])
+        for k in range(len(row)):
+            terms[i, k] = row[k]
 
 
 @njit

@@ -109,7 +109,9 @@ def run_batches(
         raise InputError(f"jobs: the id `{name}` is repeated; give each job its own")
     with exclusive(out):
         clear_partial_files(out)
-        done = {job.id for job in jobs if (found := _stored_result(out, job.id)) is not None and is_current(job, found)}
+        done = {
+            job.id for job in jobs if (stored := _stored_result(out, job.id)) is not None and is_current(job, stored)
+        }
         remaining = [job for job in jobs if job.id not in done]
         counter = _JobProgress(len(jobs), len(done), progress)
         failed = {}
@@ -159,10 +161,10 @@ def _stored_result(out: Path, job_id: str) -> bytes | None:
     """A job's result of an earlier run; None where there is none, or it is not what was written."""
     try:
         result = (out / job_id).read_bytes()
-        whole = _digest_path(out, job_id).read_bytes() == f"{bytes_digest(result)}\n".encode()
+        is_intact = _digest_path(out, job_id).read_bytes() == f"{bytes_digest(result)}\n".encode()
     except OSError:
         return None
-    return result if whole else None
+    return result if is_intact else None
 
 
 def _digest_path(out: Path, job_id: str) -> Path:

@@ -46,38 +46,38 @@ def in_processes(tasks: Sequence[Callable[[], R]]) -> list[R]:
     return in_turn(lambda numbers, _: {k: tasks[k]() for k in numbers}, len(tasks))
 
 
-def in_turn(of: Callable[[Iterator[int], int], Mapping[int, R]], count: int) -> list[R]:
+def in_turn(task: Callable[[Iterator[int], int], Mapping[int, R]], count: int) -> list[R]:
     """Results number 0 to count - 1, in their order; this process and copies of it take one number after another.
 
-    of    : results, by number, of all numbers that it takes from an iterator; otherwise a task of `in_processes`. Its
-            second argument is how many to work at together: with more, too few would be left for the other processes
-    count : of all results
+    task  : results, by number, of all numbers that it takes from an iterator; otherwise a task of `in_processes`. Its
+            second argument is how many to work at in one batch: a larger one would idle the other processes
+    count : number of results
     """
     shares = _processes_for(count)
     if shares == 1:
-        found = dict(of(iter(range(count)), count))
+        by_number = dict(task(iter(range(count)), count))
     else:
-        together = max(LEAST_TOGETHER, -(-count // (TURNS * shares)))
-        with march_threads(1), _Numbers(range(shares, count)) as left:
-            parts = _in_copies([partial(of, chain([k], left), together) for k in range(shares)])
-            found = {k: result for part in parts for k, result in part.items()}
+        batch = max(LEAST_TOGETHER, -(-count // (TURNS * shares)))
+        with march_threads(1), _Numbers(range(shares, count)) as remaining:
+            parts = _in_copies([partial(task, chain([k], remaining), batch) for k in range(shares)])
+            by_number = {k: result for results in parts for k, result in results.items()}
             # what a copy had taken that failed
-            found.update(of((k for k in range(count) if k not in found), together))
-    return [found[k] for k in range(count)]
+            by_number.update(task((k for k in range(count) if k not in by_number), batch))
+    return [by_number[k] for k in range(count)]
 
 
-def in_shares(of: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]:
+def in_shares(task: Callable[[Sequence[int]], Sequence[R]], count: int) -> list[R]:
     """Results number 0 to count - 1, in their order, with the numbers shared out to this process and to copies of it.
 
-    of    : results of some of the numbers together, in the order of these; otherwise as a task of `in_processes`
-    count : of all results
+    task  : results of some of the numbers, in the order of these; otherwise a task of `in_processes`
+    count : number of results
     """
     shares = _processes_for(count)
     if shares == 1:
-        return list(of(range(count)))
+        return list(task(range(count)))
     with march_threads(1):
-        found = _in_copies([partial(of, range(k, count, shares)) for k in range(shares)])
-    return [found[i % shares][i // shares] for i in range(count)]
+        by_copy = _in_copies([partial(task, range(k, count, shares)) for k in range(shares)])
+    return [by_copy[i % shares][i // shares] for i in range(count)]
 
 
 def in_copy(task: Callable[[Progress], R], meanwhile: Callable[[], object], progress: Progress) -> R:
@@ -93,8 +93,8 @@ def in_copy(task: Callable[[Progress], R], meanwhile: Callable[[], object], prog
         copy = _Copy(task)
         try:
             meanwhile()
-            found: R = copy.result(progress)
-            return found
+            result: R = copy.result(progress)
+            return result
         finally:
             copy.end()
 
@@ -104,19 +104,19 @@ def _processes_for(count: int) -> int:
     return max(1, min(count, thread_count())) if _can_be_copied() else 1
 
 
-def _in_copies(shares: Sequence[Callable[[], R]]) -> list[R]:
+def _in_copies(tasks: Sequence[Callable[[], R]]) -> list[R]:
     """Results of shares: of the first here, of each other one in a copy, or here where the copy failed."""
     copies: list[_Copy] = []
     try:
-        copies += [_Copy(partial(_alone, share)) for share in shares[1:]]
-        return [shares[0](), *(copy.result() for copy in copies)]
+        copies += [_Copy(partial(_alone, task)) for task in tasks[1:]]
+        return [tasks[0](), *(copy.result() for copy in copies)]
     finally:
         for copy in copies:
             copy.end()
 
 
-def _alone(share: Callable[[], R], _progress: Progress) -> R:
-    return share()
+def _alone(task: Callable[[], R], _progress: Progress) -> R:
+    return task()
 
 
 class _Numbers:
@@ -132,8 +132,8 @@ class _Numbers:
         os.lseek(self._file, 0, os.SEEK_SET)
 
     def __iter__(self) -> Iterator[int]:
-        while taken := os.read(self._file, NUMBER_BYTES):
-            yield int.from_bytes(taken, sys.byteorder)
+        while number := os.read(self._file, NUMBER_BYTES):
+            yield int.from_bytes(number, sys.byteorder)
 
     def __enter__(self) -> _Numbers:
         return self
@@ -151,15 +151,15 @@ def _can_be_copied() -> bool:
 class _Copy:
     """A copy of this process that does a share of the work."""
 
-    def __init__(self, share: Callable[[Progress], Any]) -> None:
-        self._share = share
+    def __init__(self, task: Callable[[Progress], Any]) -> None:
+        self._task = task
         reading, writing = os.pipe()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the threads of a BLAS, which a copy does not use
             self._process = os.fork()
         if self._process == 0:
             os.close(reading)
-            _send_result(share, writing)
+            _send_result(task, writing)
         os.close(writing)
         self._pipe = os.fdopen(reading, "rb")
 
@@ -175,7 +175,7 @@ class _Copy:
         _, status = os.waitpid(self._process, 0)
         self._process = 0
         if status != 0 or kind == SAID:
-            return self._share(progress)
+            return self._task(progress)
         if kind == FAILED:
             raise content
         return content
@@ -190,13 +190,13 @@ class _Copy:
             self._process = 0
 
 
-def _send_result(share: Callable[[Progress], Any], writing: int) -> None:
+def _send_result(task: Callable[[Progress], Any], writing: int) -> None:
     """Do a share and send its result; the process ends here, without anything that Python does at its end."""
     status = 1
     shown: list[object] = []
     try:
         _end_with_parent()
-        warnings.showwarning = lambda *warning, **_more: shown.append(warning)
+        warnings.showwarning = lambda *warning, **_details: shown.append(warning)
         with os.fdopen(writing, "wb") as pipe:
 
             def send(kind: str, content: object) -> None:
@@ -204,7 +204,7 @@ def _send_result(share: Callable[[Progress], Any], writing: int) -> None:
                 pipe.flush()
 
             try:
-                send(DONE, share(lambda *said: send(SAID, said)))
+                send(DONE, task(lambda *report: send(SAID, report)))
             except (InputError, RunError) as error:
                 send(FAILED, error)
         status = int(bool(shown))

@@ -65,9 +65,9 @@ def march_threads(count: int) -> Iterator[None]:
         _threads = before
 
 
-def in_threads(one: Callable[[int], R], count: int) -> list[R]:
+def in_threads(task: Callable[[int], R], count: int) -> list[R]:
     """one(0), ..., one(count - 1), in threads where there are several."""
     if min(count, _threads) <= 1:
-        return [one(k) for k in range(count)]
+        return [task(k) for k in range(count)]
     with ThreadPoolExecutor(min(count, _threads)) as pool:
-        return list(pool.map(one, range(count)))
+        return list(pool.map(task, range(count)))

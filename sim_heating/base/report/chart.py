@@ -213,8 +213,8 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
     reduced = False
 
     def time_number(time_s: FloatArray) -> int:
-        for i, known in enumerate(times):
-            if np.array_equal(known, time_s, equal_nan=True):
+        for i, earlier in enumerate(times):
+            if np.array_equal(earlier, time_s, equal_nan=True):
                 return i
         times.append(time_s)
         return len(times) - 1
@@ -225,24 +225,24 @@ def chart_data(chart: Chart, intervals: int) -> tuple[dict[str, Any], str]:
         reduced |= bool(np.count_nonzero(np.isfinite(values[kept])) < np.count_nonzero(np.isfinite(values)))
         if points:  # dots have no gaps
             kept = kept[np.isfinite(values[kept])]
-        whole = len(kept) == len(time_s)
-        found = values[kept]
-        span = float(np.ptp(found[np.isfinite(found)])) if np.any(np.isfinite(found)) else 0.0
-        top = float(np.max(np.abs(found[np.isfinite(found)]), initial=0.0))
+        is_complete = len(kept) == len(time_s)
+        drawn = values[kept]
+        span = float(np.ptp(drawn[np.isfinite(drawn)])) if np.any(np.isfinite(drawn)) else 0.0
+        top = float(np.max(np.abs(drawn[np.isfinite(drawn)]), initial=0.0))
         step = 10.0 ** math.floor(math.log10((span or top or 1.0) / RESOLUTION))
         return {
-            "t": time_number(time_s), **({} if whole else {"i": _differences(kept.astype(float))}),
-            "step": step, "y": _differences(found / step),
+            "t": time_number(time_s), **({} if is_complete else {"i": _differences(kept.astype(float))}),
+            "step": step, "y": _differences(drawn / step),
         }  # fmt: skip
 
     def curve(c: Curve) -> dict[str, Any]:
         time_s, values = np.asarray(c.time_s, dtype=float), np.asarray(c.values, dtype=float)
-        found = {"label": printable(c.label), "color": to_hex(c.color), **encoded(time_s, values, c.points)}
-        found |= {"points": True} if c.points else {}
-        found |= {"dash": list(c.dash)} if c.dash else {}
+        entry = {"label": printable(c.label), "color": to_hex(c.color), **encoded(time_s, values, c.points)}
+        entry |= {"points": True} if c.points else {}
+        entry |= {"dash": list(c.dash)} if c.dash else {}
         if c.sigma is not None:
-            found["band"] = [encoded(time_s, values + k * c.sigma, False) for k in (-2.0, 2.0)]
-        return found
+            entry["band"] = [encoded(time_s, values + k * c.sigma, False) for k in (-2.0, 2.0)]
+        return entry
 
     panels = [
         {
@@ -272,16 +272,16 @@ def _encoded_times(time_s: FloatArray) -> dict[str, Any]:
 
 def _differences(values: FloatArray) -> list[int | None]:
     """Rounded values, each less the one before it that is finite; the first as it is. None for what is not finite."""
-    found: list[int | None] = []
+    steps: list[int | None] = []
     last = 0
     for v in values.tolist():
         if not math.isfinite(v):
-            found.append(None)
+            steps.append(None)
         else:
             now = round(v)
-            found.append(now - last)
+            steps.append(now - last)
             last = now
-    return found
+    return steps
 
 
 def script_json(data: Any) -> str:

@@ -55,7 +55,7 @@ THERMOCOUPLE: dict[str, Any] = {
     "color": "0.15", "marker": "o", "markersize": 3.0, "linewidth": 0.8, "label": "outermost thermocouple, predicted",
 }  # fmt: skip
 TITLE_LINES = 4
-_held: dict[Path, bytes] | None = None
+_collected: dict[Path, bytes] | None = None
 """Files that are drawn and not to be written yet."""
 
 
@@ -79,10 +79,10 @@ def save_figure(figure: Figure, path: Path | None, title: str, axes: np.ndarray)
 
 def write_content(path: Path, content: bytes) -> None:
     """Write a file, or hold it where `draw_files` writes all of them in the end."""
-    if _held is None:
+    if _collected is None:
         write_bytes_atomic(path, content)
     else:
-        _held[path] = content
+        _collected[path] = content
 
 
 def draw_files(draws: Sequence[Callable[[], object]], before: Sequence[Callable[[], R]] = ()) -> list[R]:
@@ -92,22 +92,22 @@ def draw_files(draws: Sequence[Callable[[], object]], before: Sequence[Callable[
     before  : called before them in the same processes, with picklable results
     returns : results of `before`
     """
-    made: list[Any] = in_processes([*before, *(partial(_hold, draw) for draw in draws)])
-    for drawn in made[len(before) :]:
+    results: list[Any] = in_processes([*before, *(partial(_hold, draw) for draw in draws)])
+    for drawn in results[len(before) :]:
         for path, content in drawn.items():
             write_bytes_atomic(path, content)
-    return made[: len(before)]
+    return results[: len(before)]
 
 
 def _hold(draw: Callable[[], object]) -> dict[Path, bytes]:
     """The files that a function makes, not written."""
-    global _held
-    _held = {}
+    global _collected
+    _collected = {}
     try:
         draw()
-        return _held
+        return _collected
     finally:
-        _held = None
+        _collected = None
 
 
 def picture_file(figure: Figure, kind: str, **settings: Any) -> bytes:
@@ -178,7 +178,7 @@ def _names_its_ticks(axis: Axis) -> bool:
 
 
 def _printable_label(label: Callable[..., str]) -> Callable[..., str]:
-    return lambda *place: printable(label(*place))
+    return lambda *arguments: printable(label(*arguments))
 
 
 class PictureWarning(LeftOutWarning):
@@ -240,7 +240,7 @@ def legend_label(name: str) -> str:
 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
     """A legend in rows above the axes, where it covers no curve; of the axes' own labels, or of others."""
-    own = {} if handles is None else {"handles": handles}
+    shown = {} if handles is None else {"handles": handles}
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1, **own
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False, borderaxespad=0.1, **shown
     )

@@ -105,7 +105,7 @@ class SavedPicture:
 def _svg(figure: Figure) -> bytes:
     with mpl.rc_context({"svg.hashsalt": TEMPLATE}):  # identifiers in the file are the same in each run
         drawing = picture_file(figure, "svg", dpi=RASTER_DPI, metadata={"Date": None})
-    return RASTER.sub(lambda found: _with_palette(base64.b64decode(found[1])), drawing)
+    return RASTER.sub(lambda match: _with_palette(base64.b64decode(match[1])), drawing)
 
 
 def _with_palette(raster: bytes) -> bytes:

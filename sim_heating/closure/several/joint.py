@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import files_written, output_directory
 from sim_heating.base.parameters import AT
@@ -86,7 +85,6 @@ class JointClosedLoop:
         return residuals_figure(self.report)
 
 
-@renamed_argument("names", "parameters")
 def close_loops(
     records: Sequence[Record | str | os.PathLike[str]],
     parameters: Sequence[str] | None = None,

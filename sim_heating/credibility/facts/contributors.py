@@ -136,9 +136,9 @@ def _varied(model: PointModel, flown: Conditions, hottest: int) -> Iterator[tupl
 
 
 def _changed(model: PointModel, name: str, sigma: float) -> PointModel:
-    p, place = MODEL[name], model.places[name]
-    now = float(model.values[place])
-    known = {n for n in model.parameters if model.places[n] == place}
-    others = {n: v for n, v in model.parameters.items() if n not in known}
+    p, index = MODEL[name], model.places[name]
+    now = float(model.values[index])
+    aliases = {n for n in model.parameters if model.places[n] == index}
+    others = {n: v for n, v in model.parameters.items() if n not in aliases}
     value = now + sigma if now + sigma <= p.upper else now - sigma
     return replace(model, parameters={**others, name: max(value, p.lower)})

@@ -129,17 +129,17 @@ def _critical(histories: Sequence[PointHistory], limits: Limits) -> int:
 def _holds(histories: Sequence[PointHistory], limits: Limits, critical: int, sigma_K: float | None) -> Answer:
     """Whether all temperatures keep their limits, and the most critical surface does by two standard deviations."""
     margins = {
-        f"{h.name} {what}": limit - float(values.max())
+        f"{h.name} {part_of_wall}": limit - float(values.max())
         for h in histories
-        for what, values in (("surface", h.surface_K), ("bondline", h.bondline_K))
-        if (limit := limits.get(h.name, {}).get(f"{what}_K")) is not None
+        for part_of_wall, values in (("surface", h.surface_K), ("bondline", h.bondline_K))
+        if (limit := limits.get(h.name, {}).get(f"{part_of_wall}_K")) is not None
     }
     if not margins or sigma_K is None:
         return NOT_LOOKED_AT
     least = min(margins, key=lambda name: margins[name])
-    own = margins.get(f"{histories[critical].name} surface", margins[least])
+    critical_margin = margins.get(f"{histories[critical].name} surface", margins[least])
     text = (
         f"least margin {margins[least]:.0f} K ({least}); two sigma of the surface of {histories[critical].name}: "
-        f"{SIGMAS * sigma_K:.0f} K, its margin {own:.0f} K"
+        f"{SIGMAS * sigma_K:.0f} K, its margin {critical_margin:.0f} K"
     )
-    return Answer(margins[least] > 0.0 and own > SIGMAS * sigma_K, text)
+    return Answer(margins[least] > 0.0 and critical_margin > SIGMAS * sigma_K, text)

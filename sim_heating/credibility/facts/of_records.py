@@ -49,7 +49,7 @@ def facts_of_record(
     times, surface = t[inside], history.surface_K[inside]
     digest = digest_of(record) if os.path.isdir(record.directory) else ""
     uncertainty = peak_uncertainty(model, flown, peak(times, surface)[1]) if with_peak and len(times) else None
-    within = _within_uncertainty(record, residual_K, uncertainty)
+    agreement = _within_uncertainty(record, residual_K, uncertainty)
     return Facts(
         kind=kind,
         topics=frozenset(topics_of_record(record, model)),
@@ -61,8 +61,8 @@ def facts_of_record(
         sigma=declares_sigma(model, record.conditions),
         uncertainty=uncertainty,
         consistent=within_noise(record, residual_K),
-        holds=within,
-        varied=within if record.declared.measured else Answer(False, "the record is synthetic"),
+        holds=agreement,
+        varied=agreement if record.declared.measured else Answer(False, "the record is synthetic"),
         own_share=_share_of_rise(record, residual_K),
         own_noise=within_noise(record, residual_K),
         folder=record.directory if digest else None,
@@ -177,12 +177,14 @@ def ratio_uncertainty(
     farthest = np.max(np.abs(x - np.asarray(reference)), axis=0)
     magnitude = max(float(np.max(np.abs(declared_ratio(r.ratio_table, np.atleast_2d(reference))))) for r in records)
     reach = {"scale": magnitude, "d0": 1.0} | {f"d_{s}": float(d) for s, d in zip(SHORT_NAMES, farthest, strict=True)}
-    found = {
-        name: s * reach[own]
+    contributions = {
+        name: s * reach[parameter]
         for name, s in sigma.items()
-        if name.startswith("ratio.") and (own := name.partition("@")[0].removeprefix("ratio.")) in reach
+        if name.startswith("ratio.") and (parameter := name.partition("@")[0].removeprefix("ratio.")) in reach
     }
-    if not any(found.values()):
+    if not any(contributions.values()):
         return None
     method = "sigma of each estimate times the farthest excursion of its variable; correlations left out"
-    return combined("heating ratio where the flight was farthest from the reference condition", "", None, found, method)
+    return combined(
+        "heating ratio where the flight was farthest from the reference condition", "", None, contributions, method
+    )

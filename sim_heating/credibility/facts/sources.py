@@ -32,14 +32,14 @@ class DeclaredInput:
     name       : what it is;  source : where it comes from, as stated; empty where it is not stated
     confidence : as stated; empty where it is not
     measured   : whether it is said to be measured, or recorded
-    place      : where it is stated, with `{key}` for the key, as "`{key}` in record.toml"; empty where there is none
+    location   : where it is stated, with `{key}` for the key, as "`{key}` in record.toml"; empty where there is none
     """
 
     name: str
     source: str
     confidence: str
     measured: bool = False
-    place: str = ""
+    location: str = ""
 
     @property
     def worst(self) -> str | None:
@@ -51,25 +51,25 @@ class DeclaredInput:
         return max(re.findall(rf"\b[{CONFIDENCES}]\b", self.confidence), default=None)
 
 
-def _materials(construction: Construction, place: str) -> list[DeclaredInput]:
-    """Materials of the layers; place : where one is declared, with `{name}` for its name."""
+def _materials(construction: Construction, location: str) -> list[DeclaredInput]:
+    """Materials of the layers; location : where one is declared, with `{name}` for its name."""
     layers = zip(construction.stack.layer, construction.layer_materials(), strict=True)
-    found = {layer.material: m for layer, m in layers}
+    by_name = {layer.material: m for layer, m in layers}
     return [
-        DeclaredInput(f"material {n}", m.source or "", m.confidence or "", place=place.replace("{name}", n))
-        for n, m in found.items()
+        DeclaredInput(f"material {n}", m.source or "", m.confidence or "", location=location.replace("{name}", n))
+        for n, m in by_name.items()
     ]
 
 
-def _stated(name: str, declared: Transition | Catalysis, place: str) -> DeclaredInput:
-    return DeclaredInput(name, declared.source, declared.confidence, place=place)
+def _stated(name: str, declared: Transition | Catalysis, location: str) -> DeclaredInput:
+    return DeclaredInput(name, declared.source, declared.confidence, location=location)
 
 
 def _table(name: str, table: RatioTable | None, file: str | None) -> list[DeclaredInput]:
     if table is None:
         return []
-    place = f"`# {{key}}: ...` at the head of {file}" if file else ""
-    return [DeclaredInput(name, table.header.get("source", ""), table.header.get("confidence", ""), place=place)]
+    location = f"`# {{key}}: ...` at the head of {file}" if file else ""
+    return [DeclaredInput(name, table.header.get("source", ""), table.header.get("confidence", ""), location=location)]
 
 
 def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[EffectUse]) -> list[DeclaredInput]:
@@ -79,35 +79,35 @@ def inputs_of_point(vehicle: Vehicle, point: ControlPoint, effects: Iterable[Eff
     """
     declared = point.declared
     own_file, vehicle_file = IN.format(f"control_points/{point.name}.toml"), IN.format("vehicle.toml")
-    own = {e.name: e.source for e in declared.effect}
+    effect_sources = {e.name: e.source for e in declared.effect}
     coating = point.construction.stack.layer[0].material
     transition_place = f"{own_file if declared.transition else vehicle_file}, [transition]"
     catalysis_place = f"{own_file}, [catalysis]" if declared.catalysis else f"{vehicle_file}, [catalysis.{coating}]"
-    found = [
+    inputs = [
         DeclaredInput(
             f"vehicle {vehicle.name}",
             vehicle.declared.source,
             vehicle.declared.confidence,
-            place=vehicle_file,
+            location=vehicle_file,
         ),
         DeclaredInput(
             f"control point {point.name}",
             declared.source,
             declared.confidence,
-            place=own_file,
+            location=own_file,
         ),
         *_materials(point.construction, IN.format("materials/{name}.toml")),
         *_table(f"heating ratio of {point.name}", point.ratio, declared.ratio_table),
     ]
     for effect in (used.effect.name for used in effects):
         if effect == TRANSITION and point.transition is not None:
-            found.append(_stated("transition", point.transition, transition_place))
+            inputs.append(_stated("transition", point.transition, transition_place))
         elif effect == RECOMBINATION and point.catalysis is not None:
-            found.append(_stated(f"recombination on {coating}", point.catalysis, catalysis_place))
+            inputs.append(_stated(f"recombination on {coating}", point.catalysis, catalysis_place))
         else:
-            place = f"{own_file}, its [[effect]]" if effect in own else ""
-            found.append(DeclaredInput(f"effect {effect}", own.get(effect, ""), "", place=place))
-    return found
+            location = f"{own_file}, its [[effect]]" if effect in effect_sources else ""
+            inputs.append(DeclaredInput(f"effect {effect}", effect_sources.get(effect, ""), "", location=location))
+    return inputs
 
 
 def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[DeclaredInput]:
@@ -116,12 +116,12 @@ def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[Decla
     effects : those of the model; one that the record does not declare was found from its own data
     """
     declared, heating = record.declared, record.declared.heating
-    found = [
+    inputs = [
         DeclaredInput(
             "construction of the wall",
             declared.source,
             declared.confidence,
-            place=f"{IN.format(DECLARATION)}, at the top",
+            location=f"{IN.format(DECLARATION)}, at the top",
         ),
         *_materials(record.construction, f"{IN.format(DECLARATION)}, [materials.{{name}}]"),
         *_table("heating ratio", record.ratio_table, heating.ratio_table),
@@ -129,12 +129,12 @@ def inputs_of_record(record: Record, effects: Iterable[EffectUse]) -> list[Decla
     ]
     for effect in (used.effect.name for used in effects):
         if effect == TRANSITION and heating.transition is not None:
-            found.append(_stated("transition", heating.transition, f"{IN.format(DECLARATION)}, [heating.transition]"))
+            inputs.append(_stated("transition", heating.transition, f"{IN.format(DECLARATION)}, [heating.transition]"))
         elif effect == RECOMBINATION and heating.catalysis is not None:
-            found.append(_stated("recombination", heating.catalysis, f"{IN.format(DECLARATION)}, [heating.catalysis]"))
+            inputs.append(_stated("recombination", heating.catalysis, f"{IN.format(DECLARATION)}, [heating.catalysis]"))
         else:
-            found.append(DeclaredInput(f"effect {effect}", "found from the record", ""))
-    return found
+            inputs.append(DeclaredInput(f"effect {effect}", "found from the record", ""))
+    return inputs
 
 
 def conditions_of_record(record: Record) -> list[DeclaredInput]:
@@ -142,8 +142,8 @@ def conditions_of_record(record: Record) -> list[DeclaredInput]:
     declared = record.declared.conditions
     confidence = declared.confidence
     name = "flight conditions" if record.has_flow else "conditions"
-    place = f"{IN.format(DECLARATION)}, [conditions]"
-    return [DeclaredInput(name, declared.source, confidence, measured=record.declared.measured, place=place)]
+    location = f"{IN.format(DECLARATION)}, [conditions]"
+    return [DeclaredInput(name, declared.source, confidence, measured=record.declared.measured, location=location)]
 
 
 def conditions_of_scenario(scenario: Scenario) -> list[DeclaredInput]:
@@ -174,10 +174,12 @@ def _recording(path: Path, has_model_density: bool) -> DeclaredInput:
     confidence = stated.get("confidence") or " ".join(head)  # many heads state one for each column, in their text
     if has_model_density:
         confidence = lowered_confidence(confidence)
-    place = f"`# {{key}}: ...` at the head of {path.name}"
-    return DeclaredInput(f"recording {path.name}", stated.get("source", ""), confidence, measured=True, place=place)
+    location = f"`# {{key}}: ...` at the head of {path.name}"
+    return DeclaredInput(
+        f"recording {path.name}", stated.get("source", ""), confidence, measured=True, location=location
+    )
 
 
 def _toml_source(path: Path, name: str) -> DeclaredInput:
     data = read_toml_dict(path)
-    return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")), place=IN.format(name))
+    return DeclaredInput(name, str(data.get("source", "")), str(data.get("confidence", "")), location=IN.format(name))

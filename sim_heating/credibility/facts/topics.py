@@ -20,48 +20,48 @@ MARCH = (*CORE, "mesh and steps", "whole stack")
 def topics_of_model(model: PointModel) -> set[str]:
     """Topics of a control point's model: its wall, its ratio, its effects."""
     stack = model.construction.stack
-    found = set(MARCH)
+    topics = set(MARCH)
     if any(layer.contact_m2K_W > 0.0 for layer in stack.layer):
-        found.add("contact resistance")
+        topics.add("contact resistance")
     if any(isinstance(m.conductivity_W_mK, PressureTable) for m in model.construction.layer_materials()):
-        found.add("conductivity at pressures")
+        topics.add("conductivity at pressures")
     if stack.venting_tau_s > 0.0:
-        found.add("venting")
+        topics.add("venting")
     if isinstance(stack.back, BackFace):
-        found.add("back face")
+        topics.add("back face")
     if model.wall_enthalpy == "equilibrium-air":
-        found.add("equilibrium air")
+        topics.add("equilibrium air")
     if model.ratio is not None:
-        found.add("ratio table")
-    return found | {f"effect {used.effect.name}" for used in model.effects}
+        topics.add("ratio table")
+    return topics | {f"effect {used.effect.name}" for used in model.effects}
 
 
 def _topics_of_heating(reference: str, recovery: Recovery) -> set[str]:
-    found = set() if reference in ("columns", "none") else {f"reference {reference}", "equilibrium air"}
-    return found if reference == "none" or recovery.kind == "total" else {*found, f"recovery {recovery.kind}"}
+    topics = set() if reference in ("columns", "none") else {f"reference {reference}", "equilibrium air"}
+    return topics if reference == "none" or recovery.kind == "total" else {*topics, f"recovery {recovery.kind}"}
 
 
 def _topics_of_sensors(sensors: Iterable[Sensor]) -> set[str]:
-    found = set()
+    topics = set()
     for sensor in sensors:
-        found |= {"thermocouple lag"} if sensor.tau_s > 0.0 else set()
-        found |= {"recorder words"} if sensor.bits is not None else set()
-    return found
+        topics |= {"thermocouple lag"} if sensor.tau_s > 0.0 else set()
+        topics |= {"recorder words"} if sensor.bits is not None else set()
+    return topics
 
 
 def topics_of_record(record: Record, model: PointModel) -> set[str]:
     """Topics of a prediction along a record."""
     heating = record.declared.heating
-    own = topics_of_model(model) | _topics_of_heating(heating.reference, heating.recovery_of_point)
-    return own | _topics_of_sensors(record.used_sensors)
+    topics = topics_of_model(model) | _topics_of_heating(heating.reference, heating.recovery_of_point)
+    return topics | _topics_of_sensors(record.used_sensors)
 
 
 def topics_of_points(vehicle: Vehicle, points: Sequence[ControlPoint], models: Sequence[PointModel]) -> set[str]:
     """Topics of the control points of a vehicle along a flight."""
-    found = {"atmosphere", "surface pressure"}
+    topics = {"atmosphere", "surface pressure"}
     for point, model in zip(points, models, strict=True):
-        found |= topics_of_model(model) | _topics_of_heating(vehicle.heating.reference, point.recovery)
-    return found
+        topics |= topics_of_model(model) | _topics_of_heating(vehicle.heating.reference, point.recovery)
+    return topics
 
 
 def topics_of_trajectory(scenario: Scenario) -> set[str]:

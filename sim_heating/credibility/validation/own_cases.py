@@ -51,7 +51,7 @@ def _read_case(path: Path) -> ValidationCase:
     if not digest_matches(data):
         raise InputError(f"{name}: was changed after it was written; add the record again: sim-heating credibility add")
     try:
-        return case_from_json({k: v for k, v in data.items() if k not in ("format", "program", DIGEST)}, own=True)
+        return case_from_json({k: v for k, v in data.items() if k not in ("format", "program", DIGEST)}, of_user=True)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name}: is no validation case of this version ({error}); add the record again") from None
 
@@ -79,8 +79,8 @@ def remove_case(name: str) -> Path:
     """
     path = validation_folder() / f"{name}.json"
     if Path(name).name != name or not path.is_file():
-        known = [p.stem for p in sorted(validation_folder().glob("*.json"))]
-        hint = suggestion(name, known, otherwise=f"; known: {', '.join(known) or 'none'}")
+        names = [p.stem for p in sorted(validation_folder().glob("*.json"))]
+        hint = suggestion(name, names, otherwise=f"; known: {', '.join(names) or 'none'}")
         raise InputError(f"{name}: is no validation case of yours{hint}")
     path.unlink()
     return path

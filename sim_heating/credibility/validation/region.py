@@ -54,19 +54,19 @@ class Band:
     rmse_K: float
     n: int
 
-    def beyond(self, samples: Samples, known: Distances) -> dict[str, FloatArray]:
+    def beyond(self, samples: Samples, computed: Distances) -> dict[str, FloatArray]:
         """(time,) signed distance of each variable from the interval, 0 within, in its unit.
 
-        known : distances that were computed before; points of one flight share their conditions
+        computed : distances that were computed before; points of one flight share their conditions
         """
-        found = {}
+        distances = {}
         for name, (low, high) in self.limits.items():
             x = samples.values[name]
             key = (id(x), low, high)
-            if key not in known:
-                known[key] = x - np.clip(x, low, high)
-            found[name] = known[key]
-        return found
+            if key not in computed:
+                computed[key] = x - np.clip(x, low, high)
+            distances[name] = computed[key]
+        return distances
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class ValidationCase:
     files       : digest of the record's files
     rmse_K, max_abs_K, n : errors of the prediction over all used readings [K]
     rise_K      : greatest less least reading [K]
-    own         : whether a user added it
+    of_user     : whether a user added it
     """
 
     name: str
@@ -93,22 +93,22 @@ class ValidationCase:
     n: int
     rise_K: float
     bands: tuple[Band, ...]
-    own: bool = False
+    of_user: bool = False
 
 
 @dataclass(frozen=True)
 class Extrapolation:
     """Where a result lies against the conditions of measured data sets.
 
-    inside  : part of the time within them [-]
-    outside : variable -> (farthest below, farthest above, part of the time outside), distances in its unit
-    within  : data set -> part of the time within it [-], those above 0
-    error   : greatest RMSE over rise of the ranges that the result lies in [-]; None where it lies in none
+    inside        : part of the time within them [-]
+    outside       : variable -> (farthest below, farthest above, part of the time outside), distances in its unit
+    share_by_case : data set -> part of the time within it [-], those above 0
+    error         : greatest RMSE over rise of the ranges that the result lies in [-]; None where it lies in none
     """
 
     inside: float
     outside: Mapping[str, tuple[float, float, float]]
-    within: Mapping[str, float]
+    share_by_case: Mapping[str, float]
     error: float | None
 
     @property
@@ -123,7 +123,7 @@ class Extrapolation:
     def words(self) -> str:
         """In one sentence."""
         if self.inside >= 1.0:
-            return f"at all times within the conditions of measured data ({', '.join(self.within)})"
+            return f"at all times within the conditions of measured data ({', '.join(self.share_by_case)})"
         if self.inside <= 0.0 and not self.outside:
             return "not compared with the conditions of measured data sets"
         far = []
@@ -170,28 +170,28 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
     points : conditions of each control point;  cases : data sets; those of another kind than a point are not compared
     """
     total = sum(float(np.sum(p.duration_s)) for p in points)
-    inside, within, error = 0.0, dict.fromkeys((c.name for c in cases), 0.0), None
+    inside, seconds_by_case, error = 0.0, dict.fromkeys((c.name for c in cases), 0.0), None
     outside: dict[str, list[float]] = {}
-    known: Distances = {}
+    computed: Distances = {}
     for samples in points:
-        own = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
-        if not own or not len(samples.duration_s):
+        bands = [(case, band) for case in cases if case.kind == samples.kind for band in case.bands]
+        if not bands or not len(samples.duration_s):
             continue
-        beyond = [band.beyond(samples, known) for _, band in own]
-        cost = np.array([sum(np.abs(d) / VARIABLES[n] for n, d in found.items()) for found in beyond])
+        beyond = [band.beyond(samples, computed) for _, band in bands]
+        cost = np.array([sum(np.abs(d) / VARIABLES[n] for n, d in distances.items()) for distances in beyond])
         nearest = np.argmin(cost, axis=0)
         is_inside = cost[nearest, np.arange(cost.shape[1])] == 0.0
         inside += float(np.sum(samples.duration_s[is_inside]))
-        for k, (case, band) in enumerate(own):
+        for k, (case, band) in enumerate(bands):
             if not np.any(cost[k] == 0.0):
                 continue
-            share = band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0
-            error = share if error is None else max(error, share)
-        for case in {id(c): c for c, _ in own}.values():
-            covered = np.any(np.array([cost[k] == 0.0 for k, (c, _) in enumerate(own) if c is case]), axis=0)
-            within[case.name] += float(np.sum(samples.duration_s[covered]))
+            error_share = band.rmse_K / case.rise_K if case.rise_K > 0.0 else 1.0
+            error = error_share if error is None else max(error, error_share)
+        for case in {id(c): c for c, _ in bands}.values():
+            covered = np.any(np.array([cost[k] == 0.0 for k, (c, _) in enumerate(bands) if c is case]), axis=0)
+            seconds_by_case[case.name] += float(np.sum(samples.duration_s[covered]))
         for name in samples.values:
-            d = np.array([found[name] for found in beyond])[nearest, np.arange(cost.shape[1])]
+            d = np.array([distances[name] for distances in beyond])[nearest, np.arange(cost.shape[1])]
             if np.any(d != 0.0):
                 far = outside.setdefault(name, [0.0, 0.0, 0.0])
                 far[0], far[1] = max(far[0], float(-d.min())), max(far[1], float(d.max()))
@@ -201,6 +201,6 @@ def extrapolation(points: Sequence[Samples], cases: Sequence[ValidationCase]) ->
     return Extrapolation(
         min(inside / total, 1.0) if inside < total * (1.0 - 1e-12) else 1.0,
         {n: (max(low, 0.0), max(high, 0.0), t / total) for n, (low, high, t) in outside.items()},
-        {n: t / total for n, t in within.items() if t > 0.0},
+        {n: t / total for n, t in seconds_by_case.items() if t > 0.0},
         error,
     )

@@ -310,7 +310,7 @@ class FilterMarch(LinearMarch):
 
     def _take_over(self, B: FloatArray) -> None:
         """Take over the block of a finished march, its ratios undisturbed again."""
-        own = self.nominal.block(0)
+        own = self.nominal.memory.block(0)
         d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
         B[d0] = own[d0]
         own[:] = B
@@ -383,7 +383,7 @@ class FilterMarch(LinearMarch):
             read[:, PREDICTED], read[:, PREDICTED_VARIANCE],
             read[:, INNOVATION], read[:, VARIANCE], read[:, LOG_LIKELIHOOD],
             read[:, N_OUT : N_OUT + point.parameters],
-            node_rows(self.nominal.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
+            node_rows(self.nominal.memory.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
             state.P[lane, :own, :own], kept,
         )  # fmt: skip
 

@@ -45,7 +45,7 @@ class MeshError:
         Source: docs/theory/filter.md, section "Mesh".
         """
         count = len(self._meshes)
-        self._both.clear()
+        self._both.counters.clear()
         for i, (model, mesh, fine) in enumerate(zip(models, self._meshes, self._fine, strict=True)):
             for k, own in ((i, mesh), (count + i, fine)):
                 self._both.set_model(k, model)

@@ -66,9 +66,9 @@ from sim_heating.estimation.filter.kernel import (
 )
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.mesh_error import MeshError
-from sim_heating.march.ensemble import PointLanes
 from sim_heating.march.frames import Flights
 from sim_heating.march.linearised import RATIO_ITSELF
+from sim_heating.march.packing import PointLanes
 from sim_heating.march.point import PointModel, heating_vector, initial_temperatures, stack_values
 from sim_heating.thermal.sensitivity import (
     ACTS_NOWHERE,
@@ -570,7 +570,7 @@ class OnlineFilter(FilterMarch):
         assert self.perturbed is not None
         mine = [k for k, perturbed in enumerate(self._lanes) if perturbed.track == i]
         changes = [("", 0.0), *((self._lanes[k].name, self._lanes[k].by) for k in mine)]
-        return self.nominal.lanes_of([i]), self.perturbed.lanes_of(mine), changes
+        return self.nominal.writer.lanes_of([i]), self.perturbed.writer.lanes_of(mine), changes
 
     def _write_model(self, i: int) -> None:
         """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
@@ -578,10 +578,10 @@ class OnlineFilter(FilterMarch):
         at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
         own, perturbed, changes = self._lanes_of[i]
         stack, heating = self._packed[i].rows(at, d, changes)
-        self.nominal.write_lanes(self.nominal.state, own, stack[:1], heating[:1])
+        self.nominal.writer.write_lanes(self.nominal.state, own, stack[:1], heating[:1])
         if e is not None:
             for state in self._X:
-                e.write_lanes(state, perturbed, stack[1:], heating[1:])
+                e.writer.write_lanes(state, perturbed, stack[1:], heating[1:])
 
 
 @dataclass(frozen=True, eq=False)

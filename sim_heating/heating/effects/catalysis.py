@@ -61,8 +61,8 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
             for T in (500.0, 700.0, 900.0, 1100.0, 1300.0)
         ),
         *(
-            SearchStart(flow, {"flow_J_kg": part * greatest, "flow_width_J_kg": width})
-            for part in (0.3, 0.5, 0.7, 0.9)
+            SearchStart(flow, {"flow_J_kg": fraction * greatest, "flow_width_J_kg": width})
+            for fraction in (0.3, 0.5, 0.7, 0.9)
             for width in (1e6, 3e6)
         ),
     ]

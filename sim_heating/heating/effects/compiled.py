@@ -31,7 +31,7 @@ SIGNATURE = "float64(int64, CPointer(float64), int64, int64, float64)"
 KERNEL = "float64(CPointer(float64), int64, int64, float64)"
 """value [-] = kernel(B, c, p, wall_K), wall_K [K]."""
 
-FLOWN = tuple(name for name, place in vars(flight_variables).items() if isinstance(place, int))
+FLOWN = tuple(name for name, index in vars(flight_variables).items() if isinstance(index, int))
 """Names of the flight conditions that a kernel reads."""
 CONDITIONS = 1 + max(getattr(flight_variables, name) for name in FLOWN)
 """Flight conditions before the parameters, where a kernel is run by itself."""
@@ -118,8 +118,8 @@ class EffectAlong:
     """
 
     def __init__(self, use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> None:
-        made = effect_dispatcher((use.effect,))
-        self._address, self._code = made.address, made.codes[0]
+        dispatcher = effect_dispatcher((use.effect,))
+        self._address, self._code = dispatcher.address, dispatcher.codes[0]
         self._rows, self._wall_K = (np.ascontiguousarray(a, dtype=float) for a in (rows, wall_K))
 
     def at(self, values: FloatArray) -> FloatArray:
@@ -132,9 +132,9 @@ class EffectAlong:
         """
         sets = np.ascontiguousarray(np.atleast_2d(values), dtype=float)
         block = np.zeros(self._rows.shape[1] + sets.shape[1])
-        found = np.empty((len(sets), len(self._rows)))
-        _fill_values(self._address, self._code, self._rows, block, self._wall_K, sets, found)
-        return found if np.ndim(values) == 2 else found[0]
+        rows = np.empty((len(sets), len(self._rows)))
+        _fill_values(self._address, self._code, self._rows, block, self._wall_K, sets, rows)
+        return rows if np.ndim(values) == 2 else rows[0]
 
 
 def values_along(use: EffectUse, rows: FloatArray, wall_K: FloatArray) -> FloatArray:
@@ -184,7 +184,7 @@ def compiled_kernel(effect: Effect) -> Any:
         name = getattr(effect.kernel, "__name__", "the kernel")
         raise InputError(f"{effect_context(effect)}: {name} is not compiled; write @njit in the line above its `def`")
     try:
-        made, raises = _compiled(effect.kernel)
+        c_kernel, raises = _compiled(effect.kernel)
     except Exception as error:  # whatever the compiler finds in a user's kernel
         number = re.search(r"line (\d+)", str(error))
         at = f", line {number[1]}" if number else ""
@@ -195,7 +195,7 @@ def compiled_kernel(effect: Effect) -> Any:
             "return a number for every input"
         )
     _check_places(effect)
-    return made
+    return c_kernel
 
 
 def _reason(error: Exception) -> str:
@@ -268,5 +268,5 @@ def _compiled(kernel: Any) -> tuple[Any, bool]:
     """A kernel as a C function, and whether it can raise."""
     from sim_heating.base.kernels.numba_private import can_raise  # numba is slow to import
 
-    made = c_function(KERNEL, kernel.py_func, cache=kernel.py_func.__closure__ is None)
-    return made, can_raise(made)
+    c_kernel = c_function(KERNEL, kernel.py_func, cache=kernel.py_func.__closure__ is None)
+    return c_kernel, can_raise(c_kernel)

@@ -54,13 +54,14 @@ def model_parameter(name: str, stands_for: str, text: str = "", **changes: float
     name       : name within the effect
     stands_for : dotted name of the model's parameter, such as `stack.gap.fraction` or `clock.skew`
     text       : what it is, in a line; that of the model's parameter by default
-    changes    : `value`, `sigma`, `lower` or `upper` where the effect needs another than the model
+    changes    : `value`, `sigma`, `lower` or `upper` in its unit ([-], [m] ...), where the effect needs another than
+                 the model
     raises     : InputError with the nearest known name where the model has no such parameter
     """
-    known = {**MODEL, **RECORD_PARAMETERS}
-    if stands_for not in known:
-        raise InputError(f"parameter `{name}`: the model has no `{stands_for}`{suggestion(stands_for, known)}")
-    model = known[stands_for]
+    parameters = {**MODEL, **RECORD_PARAMETERS}
+    if stands_for not in parameters:
+        raise InputError(f"parameter `{name}`: the model has no `{stands_for}`{suggestion(stands_for, parameters)}")
+    model = parameters[stands_for]
     return ModelParameter(**asdict(model) | {"name": name, "text": text or model.text} | changes, stands_for=stands_for)
 
 
@@ -83,11 +84,11 @@ class Window:
     ramp: float = 0.0
 
     def __post_init__(self) -> None:
-        known = [name for name, place in vars(flight_variables).items() if isinstance(place, int)]
-        if self.variable not in known:
+        variables = [name for name, index in vars(flight_variables).items() if isinstance(index, int)]
+        if self.variable not in variables:
             raise InputError(
                 f"window `{self.name}`: effects do not read a flight condition `{self.variable}`"
-                f"{suggestion(self.variable, known)}"
+                f"{suggestion(self.variable, variables)}"
             )
         if not self.low < self.high:
             raise InputError(f"window `{self.name}`: low is {self.low:g} and high {self.high:g}; low is below high")
@@ -256,7 +257,7 @@ class Effect:
             "source": "a text" if not isinstance(self.source, str) else "",
         }
         raise_problems(
-            [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {what}" for f, what in wrong.items() if what]
+            [f"effect {self.name}, `{f}`: {getattr(self, f)!r} is not {kind}" for f, kind in wrong.items() if kind]
         )
         self._check_arguments()
 
@@ -266,10 +267,10 @@ class Effect:
             return
         function = getattr(self.kernel, "py_func", self.kernel)
         try:
-            given = inspect.signature(function)
-            given.bind(*KERNEL_ARGUMENTS)
+            signature = inspect.signature(function)
+            signature.bind(*KERNEL_ARGUMENTS)
         except TypeError:
-            called = f"{function.__name__}({', '.join(given.parameters)})"
+            called = f"{function.__name__}({', '.join(signature.parameters)})"
             raise InputError(
                 f"effect {self.name}, `kernel`: {called} takes other arguments than a kernel; "
                 f"write {function.__name__}({', '.join(KERNEL_ARGUMENTS)})"
@@ -277,11 +278,11 @@ class Effect:
 
     def _check_names(self, names: Iterable[str], where: str) -> None:
         """raises : InputError where one of the names is not a parameter of this effect"""
-        known = [p.name for p in self.parameters]
+        declared = [p.name for p in self.parameters]
         for name in names:
-            if name not in known:
+            if name not in declared:
                 raise InputError(
-                    f"effect {self.name}, `{where}`: no parameter `{name}`. The effect has: {', '.join(known)}."
+                    f"effect {self.name}, `{where}`: no parameter `{name}`. The effect has: {', '.join(declared)}."
                 )
 
 
@@ -307,7 +308,8 @@ def effect_within(always: Effect, window: Window) -> Effect:
 
         f_w = n + w (f - n),    w = min(1, max(0, min(v - low, high - v) / ramp))
 
-    always : an effect with a kernel and without memory;  window : range of a flight condition v
+    always : an effect with a kernel and without memory;  window : range of a flight condition v, in its unit ([-],
+             [K], [s] ...)
     raises : InputError where the effect takes no window
 
     n is the value of no effect, 0 of what adds to the ratio and 1 of a factor. docs/reference/effects.md, equation 30.
@@ -318,13 +320,13 @@ def effect_within(always: Effect, window: Window) -> Effect:
     if always.lags or always.remembers:
         raise InputError(f"effect {name}: takes no window, as it has a memory; remove `window`")
     kernel, neutral = always.kernel, 0.0 if always.mode == "add" else 1.0
-    place, low, high, ramp = getattr(flight_variables, window.variable), window.low, window.high, window.ramp
+    index, low, high, ramp = getattr(flight_variables, window.variable), window.low, window.high, window.ramp
 
     def within(B: FloatArray, c: int, p: int, wall_K: float) -> float:
-        share = share_within(B[c + place], low, high, ramp)
-        if share == 0.0:
+        weight = share_within(B[c + index], low, high, ramp)
+        if weight == 0.0:
             return neutral
-        return neutral + share * (kernel(B, c, p, wall_K) - neutral)
+        return neutral + weight * (kernel(B, c, p, wall_K) - neutral)
 
     needs = dict.fromkeys((*always.needs, window.variable))
     return replace(
@@ -349,9 +351,9 @@ class EffectUse:
         return self.declared or self.effect.parameters
 
 
-def combined_uses(declared: Iterable[EffectUse], more: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
-    """Effects of a point: those declared, each replaced by one of the same name among `more`, then the other ones."""
-    new = {u.effect.name: u for u in more}
+def combined_uses(declared: Iterable[EffectUse], replacing: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
+    """Effects of a point: those declared, or that of the same name in `replacing`; then the rest of `replacing`."""
+    new = {u.effect.name: u for u in replacing}
     return (*(new.pop(u.effect.name, u) for u in declared), *new.values())
 
 

@@ -63,7 +63,7 @@ def search_starts(flown: Conditions) -> Sequence[SearchStart]:
               that decay in 60, 200 or 500 [s] from where h_ref H_r first reaches 0.1, or 0.5, of its maximum
     """
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
-    begins = [float(flown.time_s[int(np.argmax(heating >= part * np.max(heating)))]) for part in (0.1, 0.5)]
+    begins = [float(flown.time_s[int(np.argmax(heating >= fraction * np.max(heating)))]) for fraction in (0.1, 0.5)]
     behind = [] if "T_upstream_K" not in flown else [lag_of_wall(flown.time_s, heating, flown["T_upstream_K"])]
     return [
         *(SearchStart(("lag_s", "lag_fraction"), {"lag_s": lag}) for lag in (*behind, 1.5, 3.0, 6.0)),

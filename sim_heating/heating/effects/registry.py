@@ -57,11 +57,11 @@ def _loaded(label: str, load: Callable[[], Any], file: Path | None = None) -> Ef
         where = "" if file is None else _line(file, error)
         raise InputError(f"{label}{where}: {type(error).__name__}: {error}{_remedy(error)}") from None
     is_module = isinstance(loaded, ModuleType)
-    found = getattr(loaded, "EFFECT", None) if is_module else loaded
-    if isinstance(found, Effect) or (found is None and is_module and file is not None):
-        return found
+    effect = getattr(loaded, "EFFECT", None) if is_module else loaded
+    if isinstance(effect, Effect) or (effect is None and is_module and file is not None):
+        return effect
     name = "EFFECT" if is_module else "it"
-    raise InputError(f"{label}: {name} is a {type(found).__name__}; it must be an Effect")
+    raise InputError(f"{label}: {name} is a {type(effect).__name__}; it must be an Effect")
 
 
 def _from_file(path: Path) -> Effect | None:
@@ -87,8 +87,8 @@ def _label(entry: metadata.EntryPoint) -> str:
 
 def _line(path: Path, error: BaseException) -> str:
     """`, line 3` of a user's file where an error was raised; empty where no line of it is concerned."""
-    own = {str(path), os.path.abspath(path)}
-    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename in own]
+    names = {str(path), os.path.abspath(path)}
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename in names]
     line = getattr(error, "lineno", None) or (lines[-1] if lines else None)
     return f", line {line}" if line else ""
 
@@ -114,12 +114,12 @@ def user_effect_files() -> tuple[Path, ...]:
 
     raises : InputError where one of the folders does not exist
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for folder in map(Path, filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep))):
         if not folder.is_dir():
             raise InputError(f"{FOLDERS_VARIABLE}: {folder} is not a directory; name one that holds effects")
-        found += sorted(path for path in folder.glob("*.py") if path.is_file())
-    return tuple(found)
+        files += sorted(path for path in folder.glob("*.py") if path.is_file())
+    return tuple(files)
 
 
 @cache
@@ -128,25 +128,25 @@ def _of_packages(search_path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...
 
     search_path : where Python looks for packages, which the answer depends on
     """
-    found = metadata.entry_points(group=GROUP)
+    entries = metadata.entry_points(group=GROUP)
     # Of a package that is installed twice Python imports the first.
-    return tuple({_label(e): e for e in sorted(found, key=_label)}.values())
+    return tuple({_label(e): e for e in sorted(entries, key=_label)}.values())
 
 
 @cache
 def _all(files: tuple[Path, ...], entries: tuple[metadata.EntryPoint, ...]) -> Mapping[str, Effect]:
-    found = dict(_built_in())
-    defined_by = dict.fromkeys(found, "the package sim-heating")
+    effects_by_name = dict(_built_in())
+    defined_by = dict.fromkeys(effects_by_name, "the package sim-heating")
     sources = [(label := _label(entry), _loaded(label, entry.load)) for entry in entries]
     sources += [(str(path), _from_file(path)) for path in files]
     for label, effect in sources:
         if effect is None:
             continue
         name = effect.name
-        if name in found:
+        if name in effects_by_name:
             raise InputError(f"{label}: {defined_by[name]} already has an effect `{name}`; give yours another name")
-        found[name], defined_by[name] = effect, label
-    return found
+        effects_by_name[name], defined_by[name] = effect, label
+    return effects_by_name
 
 
 def add_user_effects(digest: Any) -> None:
@@ -180,43 +180,43 @@ def effect(name: str) -> Effect:
     raises : InputError with the nearest known name where the name is unknown
     """
     # Those of the package first: a vehicle that declares one does not depend on the files of a user.
-    known = own if name in (own := _built_in()) else effects()
-    if name not in known:
+    by_name = built_in if name in (built_in := _built_in()) else effects()
+    if name not in by_name:
         folders = os.environ.get(FOLDERS_VARIABLE) or "not set: set it to the folder of your file"
         where = f" (your own are read from the folders in {FOLDERS_VARIABLE}, which is {folders}, and from packages)"
-        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(known))}{where}")
-    return known[name]
+        raise InputError(f"unknown effect `{name}`{suggestion(name, sorted(by_name))}{where}")
+    return by_name[name]
 
 
 def use(name: str, values: Mapping[str, float] | None = None, window: Window | None = None) -> EffectUse:
     """An effect with some of its parameters set and the rest nominal.
 
     name    : of the effect
-    values  : parameter values by name, each in the parameter's unit
+    values  : parameter values by name, each in the parameter's unit ([-], [K], [s] ...)
     window  : range of a flight condition within which it acts; None: always
     returns : the effect and all its values, in the order in which its kernel reads them
     raises  : InputError naming a parameter that the effect does not have, or a value outside its bounds
     """
-    found, given = effect(name), dict(values or {})
-    found = found if window is None else effect_within(found, window)
-    known = [p.name for p in found.parameters]
-    for key in given:
-        if key not in known:
-            raise InputError(f"effect {name}: no parameter `{key}`. It has: {', '.join(known)}.")
-    chosen = tuple(float(given.get(p.name, p.value)) for p in found.parameters)
-    for p, value in zip(found.parameters, chosen, strict=True):
+    used, stated = effect(name), dict(values or {})
+    used = used if window is None else effect_within(used, window)
+    names = [p.name for p in used.parameters]
+    for key in stated:
+        if key not in names:
+            raise InputError(f"effect {name}: no parameter `{key}`. It has: {', '.join(names)}.")
+    chosen = tuple(float(stated.get(p.name, p.value)) for p in used.parameters)
+    for p, value in zip(used.parameters, chosen, strict=True):
         if not p.lower <= value <= p.upper:
             raise InputError(f"effect {name}, {p.name}: {value:g} is outside its bounds {p.lower:g} to {p.upper:g}")
-    return EffectUse(found, chosen)
+    return EffectUse(used, chosen)
 
 
-def _reduced(found: Effect) -> Any:
+def _reduced(reduced: Effect) -> Any:
     """An effect as another process gets it: by its name, as the module of a user's file has none to be imported by."""
-    if found.window is not None:
-        always = effect(found.name.removesuffix(f"-{found.window.name}"))
-        return effect_within, (always, found.window)
-    known = effects().get(found.name) is found
-    return (effect, (found.name,)) if known else found.__reduce_ex__(pickle.DEFAULT_PROTOCOL)
+    if reduced.window is not None:
+        always = effect(reduced.name.removesuffix(f"-{reduced.window.name}"))
+        return effect_within, (always, reduced.window)
+    is_registered = effects().get(reduced.name) is reduced
+    return (effect, (reduced.name,)) if is_registered else reduced.__reduce_ex__(pickle.DEFAULT_PROTOCOL)
 
 
 copyreg.pickle(Effect, _reduced)

@@ -11,6 +11,8 @@ log10_re, re, and mach with altitude_m; and one of
 
 of which the ratio is the heating ratio: q = h (H_r - H_w), with the same H_r - H_w at both. Every control point takes
 the nearest body point of each case. The cases have to make a full grid of angle of attack, sideslip and log10 Re.
+
+Source: docs/theory/equations.md, equation 1.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ def tables_of_body_points(
     cases, case = np.unique(np.column_stack([file["alpha_deg"], beta, log_re]), axis=0, return_inverse=True)
     case = np.ravel(case)
     body = np.column_stack([file[n] for n in POSITION])
-    made: dict[str, RatioTable] = {}
+    tables: dict[str, RatioTable] = {}
     nearest_m = np.inf
     for name, position in positions.items():
         away = np.linalg.norm(body - np.asarray(position), axis=1)
@@ -74,11 +76,11 @@ def tables_of_body_points(
         columns = {"alpha_deg": cases[:, 0], "beta_deg": cases[:, 1], "log10_re": cases[:, 2], "ratio": ratio[rows]}
         header = {"control_point": name, "source": f"body points of {Path(path).name}",
                   "farthest_body_point_m": f"{away[rows].max():.4g}"}  # fmt: skip
-        made[name] = table_of_text(Path(path), csv_text(columns, None, header | _named(reference)))
-    if not made:
+        tables[name] = table_of_text(Path(path), csv_text(columns, None, header | _named(reference)))
+    if not tables:
         raise InputError(f"{where}: no control point has a body point of every case within {farthest_m:g} m (the "
                          f"nearest is {nearest_m:.3g} m away); check axes and units, or --farthest")  # fmt: skip
-    return made
+    return tables
 
 
 def _named(reference: str | None) -> dict[str, str]:
@@ -93,8 +95,8 @@ def _group(file: CsvTable, groups: tuple[tuple[str, ...], ...], where: str) -> t
     for names in groups:
         if all(n in file.columns for n in names):
             return names
-    known = ", or ".join(" with ".join(f"`{n}`" for n in names) for names in groups)
-    raise InputError(f"{where}: lacks columns; give {known}")
+    choices = ", or ".join(" with ".join(f"`{n}`" for n in names) for names in groups)
+    raise InputError(f"{where}: lacks columns; give {choices}")
 
 
 def _ratio(file: CsvTable, where: str) -> FloatArray:

@@ -7,7 +7,8 @@
 Between nodes a gridded table is multilinear, beyond them constant, or linear where its `extrapolate` says so. An
 ungridded table is linear on the Delaunay triangles of its points, and has the value of the nearest one beyond them.
 
-Source: ANSI/AIAA S-119-2011, Flight Dynamics Model Exchange Standard; DAVE-ML 2.0 reference manual, daveml.org.
+Source: ANSI/AIAA S-119-2011, Flight Dynamics Model Exchange Standard; DAVE-ML 2.0 reference manual, daveml.org;
+Jackson and Hildreth (2002), "Flight Dynamic Model Exchange Using XML", AIAA 2002-4482.
 """
 
 from __future__ import annotations
@@ -280,34 +281,34 @@ class DaveModel:
         raises  : InputError that names an input without a value
         Source: ANSI/AIAA S-119 (2011).
         """
-        known: dict[str, Any] = {}
+        by_identifier: dict[str, Any] = {}
         for i in self._order:
             v = self.variables[i]
             if v.calculation is not None:
-                known[i] = evaluate(v.calculation, known)
+                by_identifier[i] = evaluate(v.calculation, by_identifier)
             elif i in self.by_result:
-                known[i] = self.by_result[i].at(known)
+                by_identifier[i] = self.by_result[i].at(by_identifier)
             elif i in values:
-                known[i] = np.asarray(values[i], dtype=float)
+                by_identifier[i] = np.asarray(values[i], dtype=float)
             elif (start := v.number("initialValue")) is not None:
-                known[i] = np.float64(start)
+                by_identifier[i] = np.float64(start)
             else:
                 raise InputError(f"input `{i}` ({v.name}) has no value; it needs {', '.join(self.inputs)}")
             low, high = v.number("minValue"), v.number("maxValue")
             if low is not None or high is not None:
-                known[i] = np.clip(known[i], low, high)
-        return {i: known[i] for i in self.variables}
+                by_identifier[i] = np.clip(by_identifier[i], low, high)
+        return {i: by_identifier[i] for i in self.variables}
 
     def check_problems(self) -> list[str]:
         """Check values that the model misses by more than their tolerance, one line each."""
         problems = []
         for case in self.cases:
-            found = self.evaluate({s.variable: s.value for s in case.inputs})
+            outputs = self.evaluate({s.variable: s.value for s in case.inputs})
             for s in case.results:
-                off = abs(float(found[s.variable]) - s.value)
+                off = abs(float(outputs[s.variable]) - s.value)
                 tolerance = LOOSEST * max(1.0, abs(s.value)) if s.tolerance is None else s.tolerance
                 if not off <= tolerance:
-                    value = float(found[s.variable])
+                    value = float(outputs[s.variable])
                     problems.append(
                         f"check case `{case.name}`: `{s.variable}` is {value:.10g}, not {s.value:.10g} +- {tolerance:g}"
                     )
@@ -430,16 +431,16 @@ def _children(element: ET.Element, name: str) -> list[ET.Element]:
 
 
 def _child(element: ET.Element, name: str, where: str = "") -> ET.Element:
-    found = _children(element, name)
-    if not found:
+    children = _children(element, name)
+    if not children:
         raise InputError(f"{where or f'<{local_name(element)}>'}: lacks <{name}>")
-    return found[0]
+    return children[0]
 
 
 def _text(element: ET.Element, name: str) -> str:
     """Text of the first child of a name, its lines stripped; empty where there is none."""
     text = next((e.text or "" for e in _children(element, name)), "")
-    return "\n".join(line for line in (part.strip() for part in text.splitlines()) if line)
+    return "\n".join(line for line in (stripped.strip() for stripped in text.splitlines()) if line)
 
 
 def _numbers(element: ET.Element, where: str) -> FloatArray:
@@ -488,12 +489,12 @@ def read_dave_ml(path: str | os.PathLike[str]) -> DaveModel:
 
     raises : InputError with file and element
     """
-    place = Path(path)
-    content = read_xml(place, ROOT, names_standard=True)
+    file = Path(path)
+    content = read_xml(file, ROOT, names_standard=True)
     try:
         return _Reader(ET.fromstring(content)).model()
     except InputError as error:
-        raise InputError(*(f"{display_path(place)}: {p}" for p in error.problems)) from None
+        raise InputError(*(f"{display_path(file)}: {p}" for p in error.problems)) from None
 
 
 def write_dave_ml(path: str | os.PathLike[str], model: DaveModel) -> None:
@@ -541,8 +542,8 @@ def _table_names(tables: Mapping[int, Table]) -> dict[int, str]:
     """Identifiers of tables: their own, with a number where several have one."""
     names: dict[int, str] = {}
     for key, table in tables.items():
-        own = "".join(c if c.isalnum() or c == "_" else "_" for c in table.id) or "table"
-        names[key] = own if own not in names.values() else f"{own}_{len(names) + 1}"
+        identifier = "".join(c if c.isalnum() or c == "_" else "_" for c in table.id) or "table"
+        names[key] = identifier if identifier not in names.values() else f"{identifier}_{len(names) + 1}"
     return names
 
 

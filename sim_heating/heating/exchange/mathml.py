@@ -61,7 +61,7 @@ def local_name(element: ET.Element) -> str:
     return str(element.tag).rpartition("}")[2]
 
 
-def number_of(text: str | None, what: str) -> float:
+def number_of(text: str | None, subject: str) -> float:
     """A finite number, in the unit of what it is of, or [-].
 
     raises : InputError that says what it is of
@@ -72,7 +72,7 @@ def number_of(text: str | None, what: str) -> float:
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise InputError(f"{what}: `{(text or '').strip()[:40]}` is not a number")
+        raise InputError(f"{subject}: `{(text or '').strip()[:40]}` is not a number")
     return value
 
 
@@ -136,13 +136,13 @@ def names_in(expression: Expression) -> Iterator[str]:
     if isinstance(expression, str):
         yield expression
     elif isinstance(expression, tuple):
-        for part in expression[1:]:
-            if part is not None:
-                yield from names_in(part)
+        for operand in expression[1:]:
+            if operand is not None:
+                yield from names_in(operand)
 
 
 def evaluate(expression: Expression, values: Mapping[str, ArrayLike]) -> Any:
-    """Value of an expression; nan where no piece holds.
+    """Value of an expression, in its unit, or [-]; nan where no piece holds.
 
     values : of the variables, by identifier; arrays of shapes that go together
     """

@@ -11,6 +11,8 @@
 
 The system for JSBSim (`jsbsim_system`) needs the wall of a point besides its table; body points of a flow solver
 (`body_points`) become the tables of several points.
+
+Source: Jackson and Hildreth (2002), "Flight Dynamic Model Exchange Using XML", AIAA 2002-4482.
 """
 
 from __future__ import annotations
@@ -66,7 +68,8 @@ def _units(name: str) -> str:
 
 
 def dave_ml_of(table: RatioTable) -> DaveModel:
-    """A ratio table as a model: five inputs, the ratio and its sigma; check data at nodes and between them.
+    """A ratio table as a model: five inputs ([deg], [-]), the ratio and its sigma [-]; check data at nodes and
+    between them.
 
     Header entries of the table become lines `key: value` of the description.
     """
@@ -81,9 +84,16 @@ def dave_ml_of(table: RatioTable) -> DaveModel:
         for n in names
     }  # fmt: skip
     ends = tuple((float(a[0]), float(a[-1])) for a in table.axes)
-    held = ("neither",) * len(RATIO_VARIABLES)
+    extrapolation = ("neither",) * len(RATIO_VARIABLES)
     functions = tuple(
-        Function(STANDARD_NAMES[n], RATIO_VARIABLES, n, GriddedTable(f"{n}_table", (), table.axes, values), ends, held)
+        Function(
+            STANDARD_NAMES[n],
+            RATIO_VARIABLES,
+            n,
+            GriddedTable(f"{n}_table", (), table.axes, values),
+            ends,
+            extrapolation,
+        )
         for n, values in ((RATIO, table.ratio), (SIGMA, table.sigma))
         if values is not None
     )
@@ -105,8 +115,8 @@ def _check_points(table: RatioTable) -> list[dict[str, float]]:
 
 
 def _case(model: DaveModel, number: int, x: Mapping[str, float]) -> CheckCase:
-    found = model.evaluate(x)
-    results = tuple(Signal(n, float(found[n]), TOLERANCE) for n in model.outputs)
+    outputs = model.evaluate(x)
+    results = tuple(Signal(n, float(outputs[n]), TOLERANCE) for n in model.outputs)
     return CheckCase(f"case {number + 1}", tuple(Signal(n, value) for n, value in x.items()), results)
 
 
@@ -116,13 +126,13 @@ def _read_dave_ml(path: Path) -> RatioTable:
     raise_problems([f"{where}: {p}" for p in model.check_problems()])
     result = _variable_named(model, RATIO, model.outputs)
     if result is None:
-        known = ", ".join(model.outputs) or "none"
-        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {known})")
+        names = ", ".join(model.outputs) or "none"
+        raise InputError(f"{where}: no output named `{STANDARD_NAMES[RATIO]}` or `{RATIO}` (outputs: {names})")
     inputs = {name: _variable_named(model, name, model.inputs) for name in RATIO_VARIABLES}
     unknown = [i for i in model.inputs if i not in inputs.values()]
     if unknown:
-        known = ", ".join(STANDARD_NAMES[n] for n in RATIO_VARIABLES)
-        raise InputError(f"{where}: input `{unknown[0]}` is no variable of a heating ratio ({known})")
+        names = ", ".join(STANDARD_NAMES[n] for n in RATIO_VARIABLES)
+        raise InputError(f"{where}: input `{unknown[0]}` is no variable of a heating ratio ({names})")
     for name, i in inputs.items():
         units = "" if i is None else model.variables[i].attributes.get("units", "")
         if i is not None and units != _units(name):
@@ -131,13 +141,13 @@ def _read_dave_ml(path: Path) -> RatioTable:
     if (count := int(np.prod([len(a) for a in axes.values()]))) > MOST_NODES:
         raise InputError(f"{where}: its tables have {count} nodes together; {MOST_NODES} are read")
     grid = dict(zip(RATIO_VARIABLES, np.meshgrid(*axes.values(), indexing="ij"), strict=True))
-    found = model.evaluate({i: grid[name] for name, i in inputs.items() if i is not None})
+    outputs = model.evaluate({i: grid[name] for name, i in inputs.items() if i is not None})
     columns = {name: g.ravel() for name, g in grid.items()}
     shape = grid["alpha_deg"].shape
-    columns[RATIO] = np.broadcast_to(found[result], shape).ravel()
+    columns[RATIO] = np.broadcast_to(outputs[result], shape).ravel()
     sigma = _variable_named(model, SIGMA, model.outputs)
     if sigma is not None:
-        columns[SIGMA] = np.broadcast_to(found[sigma], shape).ravel()
+        columns[SIGMA] = np.broadcast_to(outputs[sigma], shape).ravel()
     header = dict(line.split(": ", 1) for line in model.about.splitlines() if ": " in line)
     header.setdefault("source", model.title)
     return table_of_text(path, csv_text(columns, None, header))
@@ -145,8 +155,8 @@ def _read_dave_ml(path: Path) -> RatioTable:
 
 def _variable_named(model: DaveModel, name: str, among: tuple[str, ...]) -> str | None:
     """Identifier of the variable with the name in the standard, or the identifier, of a column."""
-    wanted = (STANDARD_NAMES[name], name)
-    return next((i for i in among if i in wanted or model.variables[i].name in wanted), None)
+    accepted = (STANDARD_NAMES[name], name)
+    return next((i for i in among if i in accepted or model.variables[i].name in accepted), None)
 
 
 def _write_dave_ml(path: Path, table: RatioTable) -> None:
@@ -221,13 +231,13 @@ def table_format(path: str | os.PathLike[str]) -> TableFormat:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        known = ", ".join(f"{s} ({f.title})" for s, f in FORMATS.items())
-        raise InputError(f"{display_path(path)}: `{suffix}` is no format of ratio tables; there are {known}")
+        suffixes = ", ".join(f"{s} ({f.title})" for s, f in FORMATS.items())
+        raise InputError(f"{display_path(path)}: `{suffix}` is no format of ratio tables; there are {suffixes}")
     return FORMATS[suffix]
 
 
 def read_table(path: str | os.PathLike[str]) -> RatioTable:
-    """A ratio table from a file of any format.
+    """A ratio table [-] over angles [deg] and log10 Re [-] from a file of any format.
 
     raises : InputError with file and place
     """
@@ -235,5 +245,5 @@ def read_table(path: str | os.PathLike[str]) -> RatioTable:
 
 
 def write_table(path: str | os.PathLike[str], table: RatioTable) -> None:
-    """Write a ratio table in the format of the suffix, atomically."""
+    """Write a ratio table [-] over angles [deg] and log10 Re [-] in the format of the suffix, atomically."""
     table_format(path).write(Path(path), table)

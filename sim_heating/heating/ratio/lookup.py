@@ -206,7 +206,7 @@ def invalidate_cells(B: FloatArray) -> None:
 
 @njit
 def cache_axis_cell(B: FloatArray, table: FloatArray, lane: int, a: int, first: int, n: int) -> int:
-    """Find and cache the cell of one axis that contains a lane's variable.
+    """Find and cache the cell of one axis that contains a lane's variable, [deg] or [-].
 
     B, lane  : block of the lane group and number of the lane; its variable is in row CELL_X + a, in the axis's unit
     table    : flat array; the n nodes of axis number a begin at `first`
@@ -286,10 +286,10 @@ def fraction(B: FloatArray, a: int, lane: int) -> float:
 def _interpolate(B: FloatArray, J: IntArray, table: FloatArray) -> None:
     """Ratio of all lanes from the variables in CELL_X, and the number of these variables off the axes of the table."""
     # All lanes are searched when one has left: rare in a flight, and the test stays free of branches.
-    left = 0
+    lanes_to_search = 0
     for a in range(VARIABLES):
-        left += lanes_outside_cell(B, a)
-    if left > 0:
+        lanes_to_search += lanes_outside_cell(B, a)
+    if lanes_to_search > 0:
         for lane in range(LANES):
             _cache_cell(B, table, J[k.RATIO_TABLE + lane], lane)
     for lane in range(LANES):

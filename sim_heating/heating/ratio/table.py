@@ -93,10 +93,10 @@ class RatioTable:
         expected  : the recovery enthalpy that it is used with, a key of RECOVERIES
         reference : the reference heating that it is used with, for a table that states no recovery enthalpy
         """
-        own = recovery_name(self.recovery, reference)
-        if own == expected:
+        recovery = recovery_name(self.recovery, reference)
+        if recovery == expected:
             return None
-        stated = f"is `{own}`" if self.recovery else f"is not stated, which means `{own}`"
+        stated = f"is `{recovery}`" if self.recovery else f"is not stated, which means `{recovery}`"
         return f"header `recovery`: {stated}; it must agree with `{expected}`"
 
 
@@ -113,7 +113,8 @@ def read_ratio_table(path: str | os.PathLike[str]) -> RatioTable:
 
 
 def table_of_text(path: Path, text: str) -> RatioTable:
-    """The table in the text of a CSV file, made from a file of another format; checks and errors as `read_ratio_table`.
+    """The table, ratios [-] over angles [deg] and log10 Re [-], in the text of a CSV file, made from a file of
+    another format; checks and errors as `read_ratio_table`.
 
     path : of that file, for messages
     """
@@ -127,7 +128,7 @@ LEAST_LAST_LOG_RE, RATIOS = 4.0, (1e-3, 5.0)
 
 
 def log_re_remark(nodes: Sequence[float]) -> str | None:
-    """What is unusual about several nodes of log10 Re that end below those of any entry; None where they do not."""
+    """What is unusual about several nodes of log10 Re [-] that end below those of any entry; None where they do not."""
     if len(nodes) < 2 or nodes[-1] >= LEAST_LAST_LOG_RE:
         return None
     return f"ends at {nodes[-1]:g}, and entries reach 6 and more; is it the base-10 logarithm?"
@@ -137,10 +138,10 @@ def _remarks(table: RatioTable, where: str) -> list[str]:
     """What is possible and unusual about the nodes and ratios of a table."""
     remarks = []
     for name, axis in zip(RATIO_VARIABLES, table.axes, strict=True):
-        found = next((text for value in axis[[0, -1]] if (text := usual_remark(name, float(value)))), None)
-        if found is None and name == "log10_re":
-            found = log_re_remark(axis.tolist())
-        remarks += [] if found is None else [f"{where}, column {name}: {found}"]
+        remark = next((text for value in axis[[0, -1]] if (text := usual_remark(name, float(value)))), None)
+        if remark is None and name == "log10_re":
+            remark = log_re_remark(axis.tolist())
+        remarks += [] if remark is None else [f"{where}, column {name}: {remark}"]
     largest = float(np.max(table.ratio))
     if largest > 0.0 and not RATIOS[0] <= largest <= RATIOS[1]:
         remarks.append(f"{where}, column ratio: the largest is {largest:g} ({RATIOS[0]:g} to {RATIOS[1]:g} is usual)")
@@ -206,11 +207,11 @@ def _header_problems(table: CsvTable) -> list[str]:
 
 def _column_problems(table: CsvTable) -> list[str]:
     """Messages about unknown columns, implausible angles or Reynolds numbers, and negative sigma."""
-    known = (*RATIO_VARIABLES, "ratio", "sigma")
+    names = (*RATIO_VARIABLES, "ratio", "sigma")
     problems = [
-        f"{display_path(table.path)}: unknown column `{name}`{suggestion(name, known)}"
+        f"{display_path(table.path)}: unknown column `{name}`{suggestion(name, names)}"
         for name in table.columns
-        if name not in known
+        if name not in names
     ]
     for name in RATIO_VARIABLES:
         problems += range_problems(table, name, QUANTITIES[name])
@@ -225,13 +226,14 @@ def _column_problems(table: CsvTable) -> list[str]:
     return problems or _sigma_problems(table)
 
 
-def range_problems(table: CsvTable, name: str, known: Quantity) -> list[str]:
-    """Problems of a column of nodes: a value outside the range of its quantity, or nodes too close together."""
+def range_problems(table: CsvTable, name: str, measured: Quantity) -> list[str]:
+    """Problems of a column of nodes, [deg] or [-]: a value outside the range of its quantity, or nodes too close
+    together."""
     x = table[name]
-    inside = (x >= known.lowest) & (x <= known.highest)
+    inside = (x >= measured.lowest) & (x <= measured.highest)
     if not np.all(inside):
-        return table.problems_where_not(name, inside, known.rule)
-    text = known.axis_problem(float(x.min()), float(x.max()))
+        return table.problems_where_not(name, inside, measured.rule)
+    text = measured.axis_problem(float(x.min()), float(x.max()))
     return [] if text is None else [f"{display_path(table.path)}, column {name}: {text}"]
 
 
@@ -296,8 +298,8 @@ def _at(table: CsvTable, row: int) -> str:
 def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[NDArray[np.intp], ...]) -> list[str]:
     """Why the nodes do not fill the grid: an axis value that few nodes have, else the first missing node."""
     shape = tuple(len(a) for a in axes)
-    whole = math.prod(shape)
-    if len(table) == whole:
+    size = math.prod(shape)
+    if len(table) == size:
         return []
     # A mistyped axis value makes a whole plane of nodes look missing; the value is the better message.
     rare_value = _rare_value(table, shape, index)
@@ -306,9 +308,7 @@ def _missing_nodes(table: CsvTable, axes: tuple[FloatArray, ...], index: tuple[N
     have = set(zip(*(i.tolist() for i in index), strict=True))
     node = next(n for n in np.ndindex(*shape) if n not in have)
     at = ", ".join(f"{name} {axis[i]:g}" for name, axis, i in zip(RATIO_VARIABLES, axes, node, strict=True))
-    return [
-        f"{display_path(table.path)}: {whole - len(table)} of {whole} nodes of the grid missing; add a row for {at}"
-    ]
+    return [f"{display_path(table.path)}: {size - len(table)} of {size} nodes of the grid missing; add a row for {at}"]
 
 
 def _rare_value(table: CsvTable, shape: tuple[int, ...], index: tuple[NDArray[np.intp], ...]) -> str | None:

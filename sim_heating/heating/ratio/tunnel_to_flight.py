@@ -294,12 +294,12 @@ def correction(
         factor = high / low
     else:
         ends_of_transition = (scaling.tunnel_transition, scaling.flight_transition)
-        parts = [
+        blends = [
             _blend(t, re, f / lam, scaling.onset_sigma)
             for t, (_, re), f, lam in zip(ends_of_transition, ends, turbulent, laminar, strict=True)
         ]
-        factor = laminar[1] / laminar[0] * parts[1][0] / parts[0][0]
-        steps += [part[1] for part in parts]
+        factor = laminar[1] / laminar[0] * blends[1][0] / blends[0][0]
+        steps += [blend[1] for blend in blends]
     steps.append(scaling.correction_sigma * math.log(factor))
     # Exact where the edge is; its uncertainty is that of the method.
     return factor * _enthalpy_factor(scaling, angle, tunnel_log10_re, flight_log10_re), math.hypot(*steps)

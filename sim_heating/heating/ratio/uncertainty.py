@@ -83,10 +83,10 @@ def node_weights(axes: Sequence[FloatArray], x: FloatArray) -> csr_array:
         width = np.where(high > low, axis[high] - axis[low], 1.0)
         f = np.clip((values - axis[low]) / width, 0.0, 1.0)
         ends = np.stack([low, high], axis=1)
-        share = np.stack([1.0 - f, f], axis=1)
+        fractions = np.stack([1.0 - f, f], axis=1)
         shape = (len(x), 2 * nodes.shape[1])  # given, as -1 has no meaning where there is no sample
         nodes = (nodes[:, :, None] * len(axis) + ends[:, None, :]).reshape(shape)
-        weights = (weights[:, :, None] * share[:, None, :]).reshape(shape)
+        weights = (weights[:, :, None] * fractions[:, None, :]).reshape(shape)
     rows = np.repeat(np.arange(len(x)), nodes.shape[1])
     size = (len(x), math.prod(len(a) for a in axes))
     matrix = csr_array((weights.ravel(), (rows, nodes.ravel())), shape=size)
@@ -182,8 +182,8 @@ def prior_covariance(
     assert table.sigma is not None  # checked by posterior
     sigma = table.sigma.ravel()
     K = np.outer(sigma[first], sigma[second])
-    places = zip(np.unravel_index(first, shape), np.unravel_index(second, shape), strict=True)
-    for name, axis, (i, j) in zip(RATIO_VARIABLES, table.axes, places, strict=True):
+    indices = zip(np.unravel_index(first, shape), np.unravel_index(second, shape), strict=True)
+    for name, axis, (i, j) in zip(RATIO_VARIABLES, table.axes, indices, strict=True):
         # An axis of one value has no distances, and its correlation is 1.
         if len(axis) > 1:
             K *= correlation(name, axis[:, None] - axis[None, :], reach)[np.ix_(i, j)]

@@ -59,16 +59,16 @@ def derived_conditions(
     *,
     length_m: float | None = None,
     sounding: Sounding | None = None,
-    wanted: Collection[str] = (*AIR, "velocity_m_s", "mach", "log10_re"),
+    requested: Collection[str] = (*AIR, "velocity_m_s", "mach", "log10_re"),
 ) -> DerivedConditions:
     """Conditions with the columns that follow from those of a file.
 
-    stated   : name -> (row,) in the unit that the name ends in; `reynolds` [-], `sound_m_s` [m/s] and
-               `geopotential_m` [m] may be among them
-    length_m : reference length of the Reynolds number [m]; None for that of a metre
-    sounding : air of the day; what it does not reach is of the standard atmosphere
-    wanted   : columns to derive; what follows from nothing stays absent
-    Source: US Standard Atmosphere 1976, eqs. 42, 50, 51; docs/theory/equations_reference_heating.md, 1 to 3.
+    stated    : name -> (row,) in the unit that the name ends in; `reynolds` [-], `sound_m_s` [m/s] and
+                `geopotential_m` [m] may be among them
+    length_m  : reference length of the Reynolds number [m]; None for that of a metre
+    sounding  : air of the day; what it does not reach is of the standard atmosphere
+    requested : columns to derive; what follows from nothing stays absent
+    Source    : US Standard Atmosphere 1976, eqs. 42, 50, 51; docs/theory/equations_reference_heating.md, 1 to 3.
     """
     c = dict(stated)
     notes: list[str] = []
@@ -79,11 +79,11 @@ def derived_conditions(
         c["log10_re"] = np.log10(np.maximum(c[REYNOLDS], SLOWEST_RE))
         notes.append("log10_re from the Reynolds number, of the reference length of the file")
     air = _Air(c, sounding)
-    if "velocity_m_s" not in c and "velocity_m_s" in wanted and "mach" in c and (SOUND in c or air.is_known):
+    if "velocity_m_s" not in c and "velocity_m_s" in requested and "mach" in c and (SOUND in c or air.is_known):
         c["velocity_m_s"] = c["mach"] * (c[SOUND] if SOUND in c else np.sqrt(GAMMA * R_AIR * air["T_inf_K"]))
         notes.append(f"velocity_m_s from mach{' and the speed of sound' if SOUND in c else air.named('T_inf_K')}")
-    _add_density(c, notes, air, wanted)
-    _add_free_stream(c, notes, air, wanted, length_m)
+    _add_density(c, notes, air, requested)
+    _add_free_stream(c, notes, air, requested, length_m)
     columns = {name: values for name, values in c.items() if name not in (REYNOLDS, SOUND, GEOPOTENTIAL)}
     return DerivedConditions(columns, (*notes, *air.notes), tuple(n for n in AIR if n in air.of_model))
 
@@ -109,8 +109,8 @@ class _Air:
             z = self.conditions["altitude_m"]
             self._columns = dict(zip(AIR, us76(z), strict=True))
             if self.sounding is not None:
-                self._columns, more = self.sounding.at(z, self._columns)
-                self.notes += more
+                self._columns, notes = self.sounding.at(z, self._columns)
+                self.notes += notes
         if self.sounding is None or not np.all(self.sounding.reaches(self.conditions["altitude_m"])):
             self.of_model.add(name)
         return self._columns[name]
@@ -125,9 +125,9 @@ class _Air:
         return STANDARD if self.sounding is None else self.sounding.title
 
 
-def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, wanted: Collection[str]) -> None:
+def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, requested: Collection[str]) -> None:
     """Density [kg/m3] of dynamic pressure, of pressure and temperature, or of the air at the altitude."""
-    if "rho_kg_m3" in c or "rho_kg_m3" not in wanted:
+    if "rho_kg_m3" in c or "rho_kg_m3" not in requested:
         return
     q = next((name for name in ("q_Pa", "qbar_Pa") if name in c), None)
     if q is not None and "velocity_m_s" in c and np.all(c["velocity_m_s"] > 0.0):
@@ -145,10 +145,10 @@ def _add_density(c: dict[str, FloatArray], notes: list[str], air: _Air, wanted: 
 
 
 def _add_free_stream(
-    c: dict[str, FloatArray], notes: list[str], air: _Air, wanted: Collection[str], length_m: float | None
+    c: dict[str, FloatArray], notes: list[str], air: _Air, requested: Collection[str], length_m: float | None
 ) -> None:
     """Temperature [K], pressure [Pa], Mach number [-] and log10 Re [-], as far as absent."""
-    absent = [name for name in FREE_STREAM if name not in c and name in wanted]
+    absent = [name for name in FREE_STREAM if name not in c and name in requested]
     if not absent or not {"altitude_m", "velocity_m_s", "rho_kg_m3"} <= set(c):
         return
     length = METRE if length_m is None else length_m

@@ -111,11 +111,11 @@ def check_columns(fields: dict[str, Any], of_time: str = "") -> dict[str, Any]:
     of_time : rule of a message about `time_s`, where that is not declared here
     raises  : LocatedError for a column that is none
     """
-    known = [name for name in DESCRIPTIONS if name != "time_s" or not of_time]
+    names = [name for name in DESCRIPTIONS if name != "time_s" or not of_time]
     problems: list[tuple[Location, str]] = [
-        ((name,), of_time if name == "time_s" else f"unknown column of flight conditions{suggestion(name, known)}")
+        ((name,), of_time if name == "time_s" else f"unknown column of flight conditions{suggestion(name, names)}")
         for name in fields
-        if name not in known
+        if name not in names
     ]
     if problems:
         raise LocatedError(*problems)
@@ -160,19 +160,19 @@ QUANTITIES = tuple(dict.fromkeys(unit for column in VOCABULARY if (unit := colum
 """Units of the columns: what the end of a name has to convert to, to be a unit."""
 
 
-def unit_conversion(given: str, required: str, place: str) -> Conversion:
+def unit_conversion(unit: str, required: str, location: str) -> Conversion:
     """The conversion from a unit to another one.
 
-    place  : of the message, as `popu.toml, [conditions]: altitude_m`
-    raises : InputError where pint does not know the unit, or it measures something else
+    location : for the message, as `popu.toml, [conditions]: altitude_m`
+    raises   : InputError where pint does not know the unit, or it measures something else
     """
-    scale, target = known_unit(given), known_unit(required)
+    scale, target = known_unit(unit), known_unit(required)
     if scale is None or target is None:
-        raise InputError(f"{place}: unknown unit `{given}`; give one that pint knows, such as `{required or '1'}`")
-    found = conversion(scale, target)
-    if found is None:
-        raise InputError(f"{place}: unit `{given}` does not convert to `{required or '1'}`; correct the unit")
-    return found
+        raise InputError(f"{location}: unknown unit `{unit}`; give one that pint knows, such as `{required or '1'}`")
+    result = conversion(scale, target)
+    if result is None:
+        raise InputError(f"{location}: unit `{unit}` does not convert to `{required or '1'}`; correct the unit")
+    return result
 
 
 def unit_of_name(name: str, column: str) -> str | None:
@@ -267,9 +267,9 @@ def columns_of_fields(
         by_column[column] = [FlightField(named.field, column, unit or column_unit(column), convert)]
     if problems:
         raise InputError(*problems)
-    taken = {f.name for fields in by_column.values() for f in fields}
+    used = {f.name for fields in by_column.values() for f in fields}
     for name in names:
-        found = None if name in taken else field_of_name(name, units.get(name))
-        if found is not None and found.column not in stated:
-            by_column.setdefault(found.column, []).append(found)
+        named_field = None if name in used else field_of_name(name, units.get(name))
+        if named_field is not None and named_field.column not in stated:
+            by_column.setdefault(named_field.column, []).append(named_field)
     return by_column

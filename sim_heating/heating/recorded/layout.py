@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, read_text
+from sim_heating.base.files.csv_table import header_entry
+from sim_heating.base.files.text import and_more_rows, repeated_name
 from sim_heating.base.files.units import NO_DIMENSION, known_unit
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, columns_of_fields, field_of_name
 
@@ -37,21 +39,21 @@ RULE = re.compile(r"^[\s|+\-=]{3,}$")
 class FlightFields:
     """The fields of a file that are flight conditions.
 
-    path         : of the file
-    columns      : column -> (row,) in its unit; NaN where a cell holds no number
-    fields       : column -> the field that it comes from
-    asked        : column -> field whose unit is not known
-    unused       : fields that are no condition
-    empty        : fields of conditions without any number
-    header       : `# key: value` lines above the names
-    lines        : (row,) line of the file
-    numbers      : field -> (row,) as in the file; NaN where a cell holds no number
+    path                : of the file
+    columns             : column -> (row,) in its unit; NaN where a cell holds no number
+    fields              : column -> the field that it comes from
+    fields_without_unit : column -> field whose unit is not known
+    unused              : fields that are no condition
+    empty               : fields of conditions without any number
+    header              : `# key: value` lines above the names
+    lines               : (row,) line of the file
+    numbers             : field -> (row,) as in the file; NaN where a cell holds no number
     """
 
     path: Path
     columns: Mapping[str, FloatArray]
     fields: Mapping[str, FlightField]
-    asked: Mapping[str, FlightField]
+    fields_without_unit: Mapping[str, FlightField]
     unused: tuple[str, ...]
     empty: tuple[str, ...]
     header: dict[str, str]
@@ -61,7 +63,7 @@ class FlightFields:
     @property
     def without_unit(self) -> list[str]:
         """Fields of conditions whose unit is not known."""
-        return [f.name for f in self.asked.values()]
+        return [f.name for f in self.fields_without_unit.values()]
 
     @property
     def notes(self) -> list[str]:
@@ -74,10 +76,13 @@ class FlightFields:
         return [f"read {', '.join(renamed)}"] if renamed else []
 
     def replaced(
-        self, columns: Mapping[str, FloatArray], fields: Mapping[str, FlightField], asked: Mapping[str, FlightField]
+        self,
+        columns: Mapping[str, FloatArray],
+        fields: Mapping[str, FlightField],
+        fields_without_unit: Mapping[str, FlightField],
     ) -> FlightFields:
         """The fields of the file with other columns, and other fields that are asked for."""
-        return replace(self, columns=columns, fields=fields, asked=asked)
+        return replace(self, columns=columns, fields=fields, fields_without_unit=fields_without_unit)
 
     def table(self, columns: Mapping[str, FloatArray]) -> CsvTable:
         """Columns as a table whose rows are those of the file."""
@@ -135,24 +140,24 @@ def read_fields(path: Path, stated: Mapping[str, ConditionField | str] | None = 
     numbers = {name: _numbers(cells[name]) for name in names}
     columns: dict[str, FloatArray] = {}
     used: dict[str, FlightField] = {}
-    asked: dict[str, FlightField] = {}
+    fields_without_unit: dict[str, FlightField] = {}
     empty: list[str] = []
-    taken: set[str] = set()
+    matched: set[str] = set()
     for column, fields in by_column.items():
-        taken |= {f.name for f in fields}
+        matched |= {f.name for f in fields}
         filled = [f for f in fields if not np.all(np.isnan(numbers[f.name]))]
         empty += [f.name for f in fields if f not in filled]
-        known = [f for f in filled if f.unit is not None]
-        if filled and not known:
-            asked[column] = filled[0]
-        if known:
-            used[column], columns[column] = _one(path, column, known, numbers)
+        with_unit = [f for f in filled if f.unit is not None]
+        if filled and not with_unit:
+            fields_without_unit[column] = filled[0]
+        if with_unit:
+            used[column], columns[column] = _one(path, column, with_unit, numbers)
     for column, value in declared.items():
         if isinstance(value, ConditionField) and value.constant is not None:
             columns[column] = np.full(len(lines), value.constant)
-    unused = tuple(n for n in names if n not in taken)
+    unused = tuple(n for n in names if n not in matched)
     rows = np.array(lines, dtype=np.int64)
-    return FlightFields(path, columns, used, asked, unused, tuple(empty), header, rows, numbers)
+    return FlightFields(path, columns, used, fields_without_unit, unused, tuple(empty), header, rows, numbers)
 
 
 def _one(
@@ -204,42 +209,62 @@ def _rows(path: Path, text: str) -> Rows:
     """
     if text.lstrip()[:1] in ("{", "["):
         return _json_rows(path, text)
-    content = list(enumerate(text.splitlines(), 1))
-    lines = [(i, line) for i, line in content if line.strip() and not RULE.match(line)]
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not RULE.match(line)]
     comments = [(i, line) for i, line in lines if line.lstrip().startswith("#")]
-    rest = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
-    sign = _separator([line for _, line in rest[:200]])
-    split = [(i, _split(line, sign)) for i, line in rest]
+    plain = [(i, line) for i, line in lines if not line.lstrip().startswith("#")]
+    sign = _separator([line for _, line in plain[:200]])
+    split = [(i, _split(line, sign)) for i, line in plain]
     first = next((k for k, (_, c) in enumerate(split) if _is_data(c)), None)
     file = display_path(path)
     if first is None:
         raise InputError(f"{file}: no rows of numbers were found; give a file with a time and flight conditions")
-    width = len(split[first][1])
-    above = [c for _, c in split[:first] if len(c) == width]
+    ahead = [line for i, line in comments if i < split[first][0]]
+    names, units = _names_and_units(file, [c for _, c in split[:first]], ahead, sign, len(split[first][1]))
+    body = _even_rows(file, split[first:], sign)
+    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*_with_points(body, sign), strict=True), strict=True))
+    header = dict(header_entry(line) for line in ahead if ":" in line)
+    return names, units, columns, [i for i, _ in body], header
+
+
+def _names_and_units(
+    file: str, rows: Sequence[list[str]], comments: Sequence[str], sign: str, width: int
+) -> tuple[list[str], dict[str, str]]:
+    """Names of the columns, and unit by name, from the rows and comments above the numbers.
+
+    raises : InputError where there are no names, or a name is repeated
+    """
+    above = [cells for cells in rows if len(cells) == width]
     if not above:  # the names stand in the last comment that has as many cells
-        named = [_split(line.lstrip().lstrip("#"), sign) for i, line in comments if i < split[first][0]]
-        above = [c for c in named if len(c) == width]
-        above = above[-1:]
+        named = [_split(line.lstrip().lstrip("#"), sign) for line in comments]
+        above = [cells for cells in named if len(cells) == width][-1:]
     if not above:
         raise InputError(f"{file}: the row of column names is missing; add one, with units, as `Altitude (ft)`")
     names, units = above[-1], {}
     if len(above) > 1 and all(_is_unit(c) for c in above[-1]):
         names = above[-2]
         units = {n: u.strip("[]() ") for n, u in zip(names, above[-1], strict=True)}
-    header = dict(_header_entry(line) for i, line in comments if ":" in line and i < split[first][0])
-    if (twice := next((n for n in names if names.count(n) > 1), None)) is not None:
+    if (twice := repeated_name(names)) is not None:
         raise InputError(f"{file}: column `{twice}` is repeated; remove one")
-    body = split[first:]
+    return names, units
+
+
+def _even_rows(file: str, body: list[tuple[int, list[str]]], sign: str) -> list[tuple[int, list[str]]]:
+    """The rows that have as many cells as the first; between blanks others are left out.
+
+    raises : InputError, naming the first row with another number of cells
+    """
+    width = len(body[0][1])
     ragged = [i for i, c in body if len(c) != width]
     if ragged and sign != " ":
-        more = f" (and {len(ragged) - 1} more rows)" if len(ragged) > 1 else ""
-        rule = f"does not have {width} cells as the other rows; mend or remove it{more}"
+        rule = f"does not have {width} cells as the other rows; mend or remove it{and_more_rows(len(ragged))}"
         raise InputError(f"{file}, row {ragged[0]}: {rule}")
-    whole = [(i, c) for i, c in body if len(c) == width]
-    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in whole[0][1])
-    cells = [[x.replace(",", ".") for x in c] if comma else c for _, c in whole]
-    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*cells, strict=True), strict=True))
-    return names, units, columns, [i for i, _ in whole], header
+    return [(i, c) for i, c in body if len(c) == width]
+
+
+def _with_points(body: Sequence[tuple[int, list[str]]], sign: str) -> list[list[str]]:
+    """Cells of rows, a decimal comma replaced by a point."""
+    comma = sign != "," and any(re.fullmatch(r"[+-]?\d+,\d+(e[+-]?\d+)?", x, re.IGNORECASE) for x in body[0][1])
+    return [[x.replace(",", ".") for x in c] if comma else c for _, c in body]
 
 
 def _json_rows(path: Path, text: str) -> Rows:
@@ -247,15 +272,15 @@ def _json_rows(path: Path, text: str) -> Rows:
     file = display_path(path)
     try:
         if text.lstrip().startswith("["):
-            found = [(k, row) for k, row in enumerate(json.loads(text), 1)]
+            numbered = [(k, row) for k, row in enumerate(json.loads(text), 1)]
         else:
-            found = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+            numbered = [(i, json.loads(line)) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     except json.JSONDecodeError as error:
         raise InputError(f"{file}, row {error.lineno}: is not JSON ({error.msg}); give one object a line") from None
     except RecursionError:
         raise InputError(f"{file}: objects or lists are nested too deeply; give one object a line") from None
-    rows = [(i, row) for i, row in found if isinstance(row, dict)]
-    if not rows or len(rows) != len(found):
+    rows = [(i, row) for i, row in numbered if isinstance(row, dict)]
+    if not rows or len(rows) != len(numbered):
         raise InputError(f"{file}: is no list of JSON objects; give one object a line, of a time and flight conditions")
     names = list(dict.fromkeys(name for _, row in rows for name in row))
     return names, {}, {n: [row.get(n) for _, row in rows] for n in names}, [i for i, _ in rows], {}
@@ -281,8 +306,3 @@ def _is_data(cells: Sequence[str]) -> bool:
 def _is_unit(cell: str) -> bool:
     unit = cell.strip("[]() ")
     return unit in NO_DIMENSION or unit == "%" or known_unit(unit) is not None
-
-
-def _header_entry(line: str) -> tuple[str, str]:
-    key, _, value = line.lstrip("# ").partition(":")
-    return key.strip(), value.strip()

@@ -11,7 +11,7 @@ that stands out of those before and after it. Records, trajectories and links ar
     |dh/dt| <= V      a time in minutes or hours lies outside
     mass / (C_D A)    = int rho V^3 / 2 dt / -(change of V^2 / 2 + g h), of gliding flight; a time in ms lies outside
     log10 Re          = log10(rho V L / mu) with one length L; natural logarithms lie outside
-    p over h          near that of the standard atmosphere at 0.3048 h alone: altitudes in ft lie outside
+    p over h          near that of the US Standard Atmosphere 1976 at 0.3048 h alone: altitudes in ft lie outside
     rho over h        falls by at least e in 100 km, which no planet's atmosphere exceeds
     mass / (C_L S)    = rho V^2 / 2 over z'' + g - V^2 / (R + z), the lift that a path above 55 km needs; a speed in
                       other units is too slow for it, and no lift carries so little
@@ -110,7 +110,8 @@ def implausible_values(table: CsvTable) -> list[str]:
 
 
 def with_density(table: CsvTable) -> CsvTable:
-    """Conditions with the density from dynamic pressure and speed, where a file has `q_Pa` in place of `rho_kg_m3`.
+    """Conditions with the density [kg/m3] from dynamic pressure [Pa] and speed [m/s], where a file has `q_Pa` in
+    place of `rho_kg_m3`.
 
         rho = 2 q / V^2
 
@@ -177,17 +178,17 @@ def _has(table: CsvTable, *names: str) -> bool:
 
 
 def gas_problems(table: CsvTable) -> list[str]:
-    """Pressure, density and temperature that are those of no gas."""
+    """Pressure [Pa], density [kg/m3] and temperature [K] that are those of no gas."""
     if not _has(table, "p_inf_Pa", "rho_kg_m3", "T_inf_K"):
         return []
-    found = _mostly_outside(table, "p_inf_Pa", *_gas_ratio(table), GAS_RANGE)
-    if found is None:
+    outside = _mostly_outside(table, "p_inf_Pa", *_gas_ratio(table), GAS_RANGE)
+    if outside is None:
         return []
     units = {0.01: "hPa", 1e-3: "kPa", 1.0 / 47.88: "psf", 1.0 / 6894.8: "psi", 1.0 / 133.32: "torr",
              1.0 / 101325.0: "atm"}  # fmt: skip
-    close = [unit for size, unit in units.items() if 0.8 < found[1] / size < 1.25]
+    close = [unit for size, unit in units.items() if 0.8 < outside[1] / size < 1.25]
     hint = f"; it looks like {close[0]}, give Pa" if close else "; check units and order of p, rho and T"
-    return [f"{found[0]}: p is {found[1]:.3g} of rho R T of air, as no gas has it{hint}"]
+    return [f"{outside[0]}: p is {outside[1]:.3g} of rho R T of air, as no gas has it{hint}"]
 
 
 def _gas_ratio(table: CsvTable) -> tuple[FloatArray, BoolArray]:
@@ -198,16 +199,16 @@ def _gas_ratio(table: CsvTable) -> tuple[FloatArray, BoolArray]:
 
 
 def mach_problems(table: CsvTable) -> list[str]:
-    """Mach numbers that are not the speed over the speed of sound: V / 1000 ft/s, or another unit of either."""
+    """Mach numbers [-] that are not the speed over the speed of sound: V / 1000 ft/s, or another unit of either."""
     if not _has(table, "mach"):
         return []
     V, mach, rho = table["velocity_m_s"], table["mach"], table["rho_kg_m3"]
     used = (V > 50.0) & (mach > 0.1)
-    own = _has(table, "T_inf_K", "p_inf_Pa")
+    has_gas = _has(table, "T_inf_K", "p_inf_Pa")
     T = table["T_inf_K"] if _has(table, "T_inf_K") else us76(np.clip(table["altitude_m"], LOWEST_M, HIGHEST_M))[0]
-    gas = np.clip(table["p_inf_Pa"] / (rho * T), R_AIR * GAS_RANGE[0], R_AIR * GAS_RANGE[1]) if own else R_AIR
+    gas = np.clip(table["p_inf_Pa"] / (rho * T), R_AIR * GAS_RANGE[0], R_AIR * GAS_RANGE[1]) if has_gas else R_AIR
     # A pressure that is rounded to zero high up says nothing about the gas.
-    gas = np.where(table["p_inf_Pa"] > 0.0, gas, R_AIR) if own else np.full_like(T, R_AIR)
+    gas = np.where(table["p_inf_Pa"] > 0.0, gas, R_AIR) if has_gas else np.full_like(T, R_AIR)
     thousands = used & (V > 1000.0)
     if np.count_nonzero(thousands) > 3 and np.allclose(mach[thousands] * FT_S / V[thousands], 1.0, rtol=SAME):
         true = V[thousands] / np.sqrt(GAMMA * gas[thousands] * T[thousands])
@@ -215,29 +216,29 @@ def mach_problems(table: CsvTable) -> list[str]:
             first = int(np.flatnonzero(thousands)[0])
             rule = "is V / 1000 ft/s, as the Shuttle's literature has it; Mach here is V over the speed of sound"
             return [f"{table.problem(first, 'mach', rule)}, {true[0]:.4g}; correct the column or omit it"]
-    limits = MACH_RANGE if own else MACH_RANGE_STANDARD
-    scale = 1.0 if own else np.sqrt(GAMMA)
+    limits = MACH_RANGE if has_gas else MACH_RANGE_STANDARD
+    scale = 1.0 if has_gas else np.sqrt(GAMMA)
     ratio = np.divide(mach * np.sqrt(gas * T) * scale, V, out=np.ones_like(V), where=used)
-    found = _mostly_outside(table, "mach", ratio, used, limits)
-    if found is None:
+    outside = _mostly_outside(table, "mach", ratio, used, limits)
+    if outside is None:
         return []
-    expected = f"{found[1] * np.sqrt(GAMMA) / scale:.3g} of velocity_m_s over the speed of sound"
-    return [f"{found[0]}: is {expected}; check units and order of mach, velocity_m_s and T_inf_K"]
+    expected = f"{outside[1] * np.sqrt(GAMMA) / scale:.3g} of velocity_m_s over the speed of sound"
+    return [f"{outside[0]}: is {expected}; check units and order of mach, velocity_m_s and T_inf_K"]
 
 
 def reynolds_problems(table: CsvTable) -> list[str]:
-    """Reynolds numbers that imply no length: natural logarithms, or another column."""
+    """Reynolds numbers [-] that imply no length: natural logarithms, or another column."""
     if not _has(table, "log10_re", "T_inf_K"):
         return []
     unit, used = _unit_reynolds(table)
     length = np.where(used, 10.0 ** table["log10_re"] / np.where(used, unit, 1.0), 1.0)
-    found = _mostly_outside(table, "log10_re", length, used, LENGTHS_M)
-    if found is None:
+    outside = _mostly_outside(table, "log10_re", length, used, LENGTHS_M)
+    if outside is None:
         return []
     as_log = np.where(used, np.exp(table["log10_re"]) / np.where(used, unit, 1.0), 1.0)
     natural = _mostly_outside(table, "log10_re", as_log, used, LENGTHS_M) is None
     hint = "it looks like a natural logarithm, give the base-10 one" if natural else "check the columns of rho V L / mu"
-    return [f"{found[0]}: implies a reference length of {found[1]:.3g} m; {hint}"]
+    return [f"{outside[0]}: implies a reference length of {outside[1]:.3g} m; {hint}"]
 
 
 def _unit_reynolds(table: CsvTable | Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
@@ -259,7 +260,7 @@ def implied_length_m(columns: Mapping[str, FloatArray]) -> float | None:
 
 
 def profile_problems(table: CsvTable) -> list[str]:
-    """A density that does not fall with altitude, or is far from any standard atmosphere of the Earth."""
+    """A density [kg/m3] that does not fall with altitude [m], or is far from any standard atmosphere of the Earth."""
     z, rho = table["altitude_m"], table["rho_kg_m3"]
     lowest, highest = int(np.argmin(z)), int(np.argmax(z))
     span = z[highest] - z[lowest]
@@ -274,18 +275,19 @@ def profile_problems(table: CsvTable) -> list[str]:
     if not np.any(inside):
         return []
     standard = us76(np.clip(z, LOWEST_M, HIGHEST_M))[2]
-    found = _mostly_outside(table, "rho_kg_m3", rho / standard, inside, STANDARD_RANGE)
-    if found is None:
+    outside = _mostly_outside(table, "rho_kg_m3", rho / standard, inside, STANDARD_RANGE)
+    if outside is None:
         return []
     units = {1e-3: "g/cm3", 1.0 / 515.379: "slug/ft3", 1.0 / 16.0185: "lb/ft3"}
-    close = min(units, key=lambda size: abs(np.log(found[1] / size)))
-    near = 0.4 < found[1] / close < 2.5
+    close = min(units, key=lambda size: abs(np.log(outside[1] / size)))
+    near = 0.4 < outside[1] / close < 2.5
     hint = f"it looks like {units[close]}, give kg/m3" if near else "check its unit, or give T_inf_K of that atmosphere"
-    return [f"{found[0]}: is {found[1]:.3g} of the standard atmosphere's; {hint}"]
+    return [f"{outside[0]}: is {outside[1]:.3g} of the standard atmosphere's; {hint}"]
 
 
 def feet_problems(table: CsvTable) -> list[str]:
-    """Altitudes in ft: pressure and density are those of the standard atmosphere at 0.3048 of the altitude."""
+    """Altitudes in ft: pressure [Pa] and density [kg/m3] are those of the standard atmosphere at 0.3048 of the
+    altitude."""
     z, names = table["altitude_m"], [n for n in ("p_inf_Pa", "rho_kg_m3") if n in table.columns]
     used = (z >= FEET_FROM_M) & (z <= HIGHEST_M) & (FOOT_M * z <= STANDARD_BELOW_M)
     used &= np.all([table[n] > 0.0 for n in names], axis=0)
@@ -331,8 +333,8 @@ def clock_problems(table: CsvTable) -> list[str]:
         if alone := _standing_out(table, "altitude_m"):  # a sample, not the clock
             return alone
         a, b = ends[steep[0]], ends[steep[0] + 1]
-        found = f"altitude changes by {abs(z[b] - z[a]):.4g} m over a path of {path[b] - path[a]:.4g} m"
-        return [f"{where}: from {t[a]:g} to {t[b]:g} {found}; the time is not in s"]
+        change = f"altitude changes by {abs(z[b] - z[a]):.4g} m over a path of {path[b] - path[a]:.4g} m"
+        return [f"{where}: from {t[a]:g} to {t[b]:g} {change}; the time is not in s"]
     ballistic = _ballistic_kg_m2(table, LOST_ENERGY)
     if ballistic is None or BALLISTIC_KG_M2[0] <= ballistic <= BALLISTIC_KG_M2[1]:
         return []
@@ -349,9 +351,9 @@ def _around_problems(table: CsvTable) -> list[str]:
     around = float(np.sum((0.5 * (V[1:] + V[:-1]) * np.diff(t))[fast[1:] & fast[:-1]]))
     if around <= AROUND_M:
         return []
-    found = f"the path faster than {HIGH_SPEED_M_S:g} m/s and below {AROUND_BELOW_M:g} m is {around:.3g} m long"
+    length = f"the path faster than {HIGH_SPEED_M_S:g} m/s and below {AROUND_BELOW_M:g} m is {around:.3g} m long"
     where = f"{display_path(table.path)}, column time_s"
-    return [f"{where}: {found}, {around / 4e7:.3g} times around the Earth; the time is not in s"]
+    return [f"{where}: {length}, {around / 4e7:.3g} times around the Earth; the time is not in s"]
 
 
 def _ballistic_kg_m2(table: CsvTable, least_lost: float) -> float | None:
@@ -371,14 +373,14 @@ def _ballistic_kg_m2(table: CsvTable, least_lost: float) -> float | None:
 
 
 def lift_problems(table: CsvTable) -> list[str]:
-    """A path high up that falls less than its speed and the thin air around it let it: the speed is too low.
+    """A path high up that falls less than its speed and the thin air around it let it: the speed [m/s] is too low.
 
     As of a speed that was multiplied by pi/180: 130 m/s at 80 km, where the air carries 0.02 m/s2.
     """
-    found = _least_carried(table)
-    if found is None or found[1] >= CARRIED_KG_M2:
+    least = _least_carried(table)
+    if least is None or least[1] >= CARRIED_KG_M2:
         return []
-    k, _, needed = found
+    k, _, needed = least
     where = f"{display_path(table.path)}, row {table.lines[k]}, column velocity_m_s"
     at = f"{table['velocity_m_s'][k]:.4g} m/s at {table['altitude_m'][k]:.4g} m"
     return [f"{where}: {at} need {needed:.3g} m/s2 of lift, which no wing has there; check speed, altitude and time"]
@@ -399,27 +401,30 @@ def _least_carried(table: CsvTable) -> tuple[int, float, float] | None:
     while begin + WINDOW_SAMPLES <= len(t):
         end = max(begin + WINDOW_SAMPLES, int(np.searchsorted(t, t[begin] + WINDOW_S)))
         end = min(end, len(t))
-        part = slice(begin, end)
+        window = slice(begin, end)
         begin = end
-        if np.min(z[part]) < CARRIED_ABOVE_M or t[end - 1] - t[part.start] <= 1.0:
+        if np.min(z[window]) < CARRIED_ABOVE_M or t[end - 1] - t[window.start] <= 1.0:
             continue
-        x = t[part] - t[part.start]
-        bend, rise = 2.0 * np.polyfit(x, z[part], 2)[0], np.polyfit(x, V[part], 1)[0]
-        needed = float(np.mean(weight[part]) + bend) - LIFT_SLACK_M_S2
+        x = t[window] - t[window.start]
+        bend, rise = 2.0 * np.polyfit(x, z[window], 2)[0], np.polyfit(x, V[window], 1)[0]
+        needed = float(np.mean(weight[window]) + bend) - LIFT_SLACK_M_S2
         if needed <= 0.0 or rise > THRUST_M_S2:
             continue
-        carried = float(np.max(q[part])) / needed
+        carried = float(np.max(q[window])) / needed
         if worst is None or carried < worst[1]:
-            worst = part.start, carried, needed
+            worst = window.start, carried, needed
     return worst
 
 
 def enthalpy_problems(table: CsvTable) -> list[str]:
-    """A recovery enthalpy, a film coefficient or a dynamic pressure that the flight cannot have."""
+    """A recovery enthalpy [J/kg], a film coefficient [kg/(m2 s)] or a dynamic pressure [Pa] that the flight cannot
+    have."""
     problems: list[str] = []
     for column, _, ratio, used, limits, text in _flight_ratios(table):
-        found = None if limits is None else _mostly_outside(table, column, ratio, used, limits)
-        problems += [] if found is None else [f"{found[0]}: {text.format(found[1])}; check its unit and its place"]
+        outside = None if limits is None else _mostly_outside(table, column, ratio, used, limits)
+        problems += (
+            [] if outside is None else [f"{outside[0]}: {text.format(outside[1])}; check its unit and its place"]
+        )
     return problems
 
 
@@ -474,7 +479,7 @@ def implied_radius_m(table: CsvTable) -> float | None:
 
 
 def swapped_problems(table: CsvTable) -> list[str]:
-    """Angles of attack and of sideslip in each other's place."""
+    """Angles of attack and of sideslip [deg] in each other's place."""
     if not _has(table, "alpha_deg", "beta_deg"):
         return []
     alpha, beta = np.median(np.abs(table["alpha_deg"])), np.median(np.abs(table["beta_deg"]))
@@ -543,26 +548,26 @@ def unusual_values(table: CsvTable) -> list[str]:
     for name in table.columns:
         remarks += _beyond_usual(table, name) or _radians(table, name) or _standing_out(table, name)
     for column, usual, ratio, used, text in _usual_ratios(table):
-        found = _mostly_outside(table, column, ratio, used, usual)
-        if found is not None:
-            ratio_text = text.format(found[1])
-            remarks.append(f"{found[0]}: {ratio_text} ({usual[0]:g} to {usual[1]:g} is usual); check its unit")
+        outside = _mostly_outside(table, column, ratio, used, usual)
+        if outside is not None:
+            ratio_text = text.format(outside[1])
+            remarks.append(f"{outside[0]}: {ratio_text} ({usual[0]:g} to {usual[1]:g} is usual); check its unit")
     return remarks + _path_remarks(table)
 
 
 def _beyond_usual(table: CsvTable, name: str) -> list[str]:
     """The first value of a column beyond its usual range."""
-    known = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
-    if known is None or (name == "H_r_J_kg" and np.max(table["velocity_m_s"]) < STILL_M_S):
+    usual = USUAL.get(name) or (None if name in LIMITS else QUANTITIES.get(name))
+    if usual is None or (name == "H_r_J_kg" and np.max(table["velocity_m_s"]) < STILL_M_S):
         return []
-    if isinstance(known, Quantity):
+    if isinstance(usual, Quantity):
         return table.problems_where_not(
-            name, (table[name] >= known.lowest) & (table[name] <= known.highest), known.rule
+            name, (table[name] >= usual.lowest) & (table[name] <= usual.highest), usual.rule
         )
-    rule = f"is unusual ({known.lowest:g} to {known.highest:g}: {known.source}); check its unit"
+    rule = f"is unusual ({usual.lowest:g} to {usual.highest:g}: {usual.source}); check its unit"
     values = table[name]
     # NaN is a lost sample; a column of zeros says nothing.
-    return table.problems_where_not(name, ~(values < known.lowest) & ~(values > known.highest) | (values == 0.0), rule)
+    return table.problems_where_not(name, ~(values < usual.lowest) & ~(values > usual.highest) | (values == 0.0), rule)
 
 
 def _radians(table: CsvTable, name: str) -> list[str]:
@@ -570,14 +575,14 @@ def _radians(table: CsvTable, name: str) -> list[str]:
     largest = RADIANS.get(name)
     if largest is None or np.max(table["velocity_m_s"]) < 1000.0 or not 0.0 < np.max(np.abs(table[name])) < largest:
         return []
-    found = f"is {np.max(np.abs(table[name])):.3g} deg at most; is it in radians?"
-    return [f"{display_path(table.path)}, column {name}: {found}"]
+    remark = f"is {np.max(np.abs(table[name])):.3g} deg at most; is it in radians?"
+    return [f"{display_path(table.path)}, column {name}: {remark}"]
 
 
 def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor: bool = False) -> BoolArray:
     """Samples that are off the line through those before and after them, beyond what the column changes and scatters.
 
-    time_s, values : (sample,) s, and any unit
+    time_s, values : (sample,) [s], and any unit
     step           : least difference that stands out, or factor
     is_factor      : the values are positive, and differ by factors
 
@@ -592,8 +597,8 @@ def standing_out(time_s: FloatArray, values: FloatArray, step: float, is_factor:
     before[0], after[0], before[-1], after[-1] = 1, 2, len(x) - 3, len(x) - 2
     span = time_s[after] - time_s[before]
     off = np.abs(x - x[before] - (x[after] - x[before]) * (time_s - time_s[before]) / span)
-    for end, beside in ((0, 1), (-1, -2)):  # a lamp that is yet to be switched on holds its value
-        off[end] = min(off[end], abs(x[end] - x[beside]))
+    for end, inner in ((0, 1), (-1, -2)):  # a lamp that is yet to be switched on holds its value
+        off[end] = min(off[end], abs(x[end] - x[inner]))
     allowed = np.log(step) if is_factor else step
     change = np.abs(x[after] - x[before])
     return off > allowed + CHANGE * (change + 4.0 * float(np.median(off)))
@@ -625,11 +630,17 @@ def _usual_ratios(table: CsvTable) -> Iterator[tuple[str, tuple[float, float], F
     if _has(table, "p_inf_Pa", "T_inf_K"):
         yield "p_inf_Pa", GASES, *_gas_ratio(table), "is {:.3g} of rho R T of air"
     if _has(table, "mach"):
-        own = _has(table, "T_inf_K")
-        sound = np.sqrt(GAMMA * R_AIR * np.maximum(table["T_inf_K"] if own else T_0, 1.0))
+        has_temperature = _has(table, "T_inf_K")
+        sound = np.sqrt(GAMMA * R_AIR * np.maximum(table["T_inf_K"] if has_temperature else T_0, 1.0))
         used = (V > 50.0) & (table["mach"] > 0.0)
         ratio = np.where(used, table["mach"] * sound / np.where(used, V, 1.0), 1.0)
-        yield "mach", MACHS if own else MACHS_STANDARD, ratio, used, "is {:.3g} of velocity_m_s over the speed of sound"
+        yield (
+            "mach",
+            MACHS if has_temperature else MACHS_STANDARD,
+            ratio,
+            used,
+            "is {:.3g} of velocity_m_s over the speed of sound",
+        )
     if _has(table, "log10_re", "T_inf_K"):
         unit, used = _unit_reynolds(table)
         length = np.where(used, 10.0 ** table["log10_re"] / np.where(used, unit, 1.0), 1.0)
@@ -651,21 +662,21 @@ def _path_remarks(table: CsvTable) -> list[str]:
     ballistic = _ballistic_kg_m2(table, LOST_A_LITTLE)
     low, high = BALLISTIC_USUAL_KG_M2
     if ballistic is not None and not low <= ballistic <= high:
-        found = f"the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area ({low:g} to {high:g} is usual)"
-        remarks.append(f"{where}, column time_s: {found}; check time, density and speed")
+        remark = f"the flight slows as with {ballistic:.3g} kg/m2 of mass over drag area ({low:g} to {high:g} is usual)"
+        remarks.append(f"{where}, column time_s: {remark}; check time, density and speed")
     carried = _least_carried(table)
     if carried is not None and carried[1] < CARRIED_USUAL_KG_M2:
-        found = (
+        remark = (
             f"{carried[1]:.3g} kg/m2 of mass over lifting area would fly so ({CARRIED_USUAL_KG_M2:g} or more is usual)"
         )
         rows = f"row {table.lines[carried[0]]}, column velocity_m_s"
-        remarks.append(f"{where}, {rows}: {found}; check speed, altitude, time and density")
+        remarks.append(f"{where}, {rows}: {remark}; check speed, altitude, time and density")
     energy = 0.5 * V**2 + G0_M_S2 * z
     gained = energy / np.maximum(np.minimum.accumulate(energy), 1.0) - 1.0
     k = int(np.argmax(gained))
     if np.max(energy) >= 0.5 * HIGH_SPEED_M_S**2 and gained[k] > GAINED:
-        found = f"the energy V^2 / 2 + g h has risen by {100.0 * gained[k]:.3g} % here, and drag lets it fall"
-        remarks.append(f"{where}, row {table.lines[k]}, column velocity_m_s: {found}; was there thrust?")
+        remark = f"the energy V^2 / 2 + g h has risen by {100.0 * gained[k]:.3g} % here, and drag lets it fall"
+        remarks.append(f"{where}, row {table.lines[k]}, column velocity_m_s: {remark}; was there thrust?")
     remarks += _track_remarks(table)
     if _has(table, "gamma_deg"):
         climb = np.gradient(z, t)
@@ -677,9 +688,9 @@ def _path_remarks(table: CsvTable) -> list[str]:
             slope = float(np.sum(path * stated) / max(np.sum(path**2), 1e-9))
             is_scaled = np.sqrt(np.mean(path**2)) > STEEP_DEG and not GAMMA_SLOPES[0] <= slope <= GAMMA_SLOPES[1]
             if off > GAMMA_DEG or is_scaled:
-                found = f"differs by {off:.3g} deg" if off > GAMMA_DEG else f"is {slope:.3g}"
-                of = f"{'from' if off > GAMMA_DEG else 'of'} the path that altitude, time and speed describe"
-                remarks.append(f"{where}, column gamma_deg: {found} {of}; check its unit")
+                remark = f"differs by {off:.3g} deg" if off > GAMMA_DEG else f"is {slope:.3g}"
+                relation = f"{'from' if off > GAMMA_DEG else 'of'} the path that altitude, time and speed describe"
+                remarks.append(f"{where}, column gamma_deg: {remark} {relation}; check its unit")
     return remarks
 
 
@@ -699,10 +710,12 @@ def _track_remarks(table: CsvTable) -> list[str]:
         turned = np.degrees(np.arctan2(east, north)) - table["heading_deg"][1:]
         off = float(np.median(np.abs((turned[used] + 180.0) % 360.0 - 180.0)))
         if off > HEADING_DEG:
-            found = f"differs by {off:.3g} deg from the path over ground; check its unit"
-            return [f"{display_path(table.path)}, column heading_deg: {found}"]
+            remark = f"differs by {off:.3g} deg from the path over ground; check its unit"
+            return [f"{display_path(table.path)}, column heading_deg: {remark}"]
     ratio = float(np.median(EARTH_RADIUS_M * np.hypot(north, east)[used] / flown[used]))
     if TRACK[0] <= ratio <= TRACK[1]:
         return []
-    found = f"move over ground by {ratio:.3g} of what speed and time give; check their unit, and that of time and speed"
-    return [f"{display_path(table.path)}, columns latitude_deg and longitude_deg: {found}"]
+    remark = (
+        f"move over ground by {ratio:.3g} of what speed and time give; check their unit, and that of time and speed"
+    )
+    return [f"{display_path(table.path)}, columns latitude_deg and longitude_deg: {remark}"]

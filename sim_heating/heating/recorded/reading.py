@@ -1,7 +1,7 @@
 """Flight conditions of a file, whole: read by names and units, what follows from them derived, the rest asked for.
 
 Everything that a file lacks is asked for in one message, with the option or the key that states it. What is derived is
-told; the air of the standard atmosphere in place of that of the day lowers the confidence of the conditions.
+told; the air of the US Standard Atmosphere 1976 in place of that of the day lowers the confidence of the conditions.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import SURFACES, Conditions
 from sim_heating.base.errors import InputError
 from sim_heating.base.files import CsvTable, display_path, nearest_name, raise_problems
+from sim_heating.base.files.text import and_more_rows
 from sim_heating.heating.recorded.derive import derived_conditions
 from sim_heating.heating.recorded.fields import ConditionField, FlightField, column_unit, field_of_name
 from sim_heating.heating.recorded.layout import DERIVABLE, FlightFields, read_fields
@@ -73,15 +74,16 @@ class Statement:
     constant: str
     joint: str
 
-    def of(self, asked: Mapping[str, tuple[str, str]], absent: Sequence[str]) -> str:
+    def of(self, fields_without_unit: Mapping[str, tuple[str, str]], absent: Sequence[str]) -> str:
         """The statements of fields without unit, (name, a unit that may fit) by column, and of absent columns."""
         stated = [
-            self.field.format(column=c, name=n, unit=u, quote='"' if " " in n else "") for c, (n, u) in asked.items()
+            self.field.format(column=c, name=n, unit=u, quote='"' if " " in n else "")
+            for c, (n, u) in fields_without_unit.items()
         ]
         stated += [PRESSURE if c == "p_surface_Pa" and self is OPTION else self.column.format(column=c) for c in absent]
         angle = next((c for c in absent if c.endswith("_deg")), None)
-        more = "" if angle is None else self.constant.format(column=angle)
-        return f"{self.lead} {self.joint.join(stated)}{more}"
+        constant = "" if angle is None else self.constant.format(column=angle)
+        return f"{self.lead} {self.joint.join(stated)}{constant}"
 
 
 OPTION = Statement(
@@ -130,34 +132,34 @@ def read_flight(
     pressure : model of the surface pressure where it is required and absent
     raises   : InputError, one line, with everything that the file lacks; or the first cell without a number
     """
-    found = read_fields(path, fields)
-    found, assumed = _with_time(found)
-    raise_problems([*_misspelt(found, required), *_empty_cells(found, found.columns)])
-    wanted = {*required, "rho_kg_m3"}
+    flight = read_fields(path, fields)
+    flight, assumed = _with_time(flight)
+    raise_problems([*_misspelt(flight, required), *_empty_cells(flight, flight.columns)])
+    needed = {*required, "rho_kg_m3"}
     try:
-        derived = derived_conditions(found.columns, length_m=length_m, sounding=sounding, wanted=wanted)
+        derived = derived_conditions(flight.columns, length_m=length_m, sounding=sounding, requested=needed)
     except InputError as error:
-        raise InputError(*(_of_row(found, line) for line in error.problems)) from None
+        raise InputError(*(_of_row(flight, line) for line in error.problems)) from None
     columns, of_pressure = with_pressure(derived.columns, required, pressure)
-    _refuse_lacking(found, columns, required, statement, has_pressure=pressure is not None)
+    _refuse_lacking(flight, columns, required, statement, has_pressure=pressure is not None)
     columns = {name: columns[name] for name in (*required, *(n for n in columns if n not in required))}
-    notes = [*found.notes, *assumed, *derived.notes, *of_pressure]
-    if found.empty:
-        notes.append(f"no numbers in {', '.join(f'`{n}`' for n in found.empty)}")
-    if found.unused:
-        notes.append(f"not used: {', '.join(f'`{n}`' for n in found.unused)}")
-    of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(found.columns)
-    fields_of = {column: f.name for column, f in found.fields.items()}
-    return FlightTable(found.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
+    notes = [*flight.notes, *assumed, *derived.notes, *of_pressure]
+    if flight.empty:
+        notes.append(f"no numbers in {', '.join(f'`{n}`' for n in flight.empty)}")
+    if flight.unused:
+        notes.append(f"not used: {', '.join(f'`{n}`' for n in flight.unused)}")
+    of_model = bool(derived.of_model) and not {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(flight.columns)
+    fields_of = {column: f.name for column, f in flight.fields.items()}
+    return FlightTable(flight.table(columns), tuple(notes), tuple(assumed), of_model, fields_of)
 
 
-def _of_row(found: FlightFields, line: str) -> str:
+def _of_row(flight: FlightFields, line: str) -> str:
     """A line about a sample of a column, with the row and the field of the file."""
-    part = re.fullmatch(r"(\w+), sample (\d+): (.*)", line)
-    if part is None:
-        return f"{display_path(found.path)}: {line}"
-    name = found.fields[part[1]].name if part[1] in found.fields else part[1]
-    return f"{display_path(found.path)}, row {found.lines[int(part[2]) - 1]}, column {name}: {part[3]}"
+    match = re.fullmatch(r"(\w+), sample (\d+): (.*)", line)
+    if match is None:
+        return f"{display_path(flight.path)}: {line}"
+    name = flight.fields[match[1]].name if match[1] in flight.fields else match[1]
+    return f"{display_path(flight.path)}, row {flight.lines[int(match[2]) - 1]}, column {name}: {match[3]}"
 
 
 def local_pressure(local_angle_deg: float | None) -> PressureModel:
@@ -169,7 +171,7 @@ def local_pressure(local_angle_deg: float | None) -> PressureModel:
 
 
 def implied_pressure(flown: Conditions) -> PressureModel | None:
-    """Model of the surface pressure that the columns of a flight imply: the median part of the rise at a stagnation
+    """Model of the surface pressure that the columns of a flight imply: the median part [-] of the rise at a stagnation
     point; None where there is no such column, or nothing flies. Source: docs/theory/equations.md, equation 31."""
     if not {"p_surface_Pa", "p_inf_Pa", "rho_kg_m3", "velocity_m_s", "T_inf_K"} <= set(flown.names):
         return None
@@ -177,8 +179,8 @@ def implied_pressure(flown: Conditions) -> PressureModel | None:
     if not np.any(used):
         return None
     rise = surface_pressure(local_pressure(None), flown) - flown["p_inf_Pa"]
-    part = float(np.median(((flown["p_surface_Pa"] - flown["p_inf_Pa"]) / rise)[used]))
-    return FractionOfStagnation(model="fraction-of-stagnation", fraction=min(max(part, 0.0), 1.0))
+    fraction = float(np.median(((flown["p_surface_Pa"] - flown["p_inf_Pa"]) / rise)[used]))
+    return FractionOfStagnation(model="fraction-of-stagnation", fraction=min(max(fraction, 0.0), 1.0))
 
 
 def with_pressure(
@@ -210,21 +212,21 @@ def with_pressure(
     return {**columns, "p_surface_Pa": surface_pressure(model, flown)}, [note]
 
 
-def _with_time(found: FlightFields) -> tuple[FlightFields, list[str]]:
+def _with_time(flight: FlightFields) -> tuple[FlightFields, list[str]]:
     """The fields with a time that states no unit taken for seconds, and a note of it; its steps are checked later."""
-    time = found.asked.get("time_s")
-    if time is None or "time_s" in found.columns:
-        return found, []
+    time = flight.fields_without_unit.get("time_s")
+    if time is None or "time_s" in flight.columns:
+        return flight, []
     renamed = FlightField(time.name, "time_s", "", time.convert)
-    asked = {c: f for c, f in found.asked.items() if c != "time_s"}
-    columns = {"time_s": found.numbers[time.name], **found.columns}
-    return found.replaced(columns, {"time_s": renamed, **found.fields}, asked), [
+    fields_without_unit = {c: f for c, f in flight.fields_without_unit.items() if c != "time_s"}
+    columns = {"time_s": flight.numbers[time.name], **flight.columns}
+    return flight.replaced(columns, {"time_s": renamed, **flight.fields}, fields_without_unit), [
         f"`{time.name}` states no unit: s assumed, as its steps and the change of altitude allow"
     ]
 
 
 def _refuse_lacking(
-    found: FlightFields,
+    flight: FlightFields,
     columns: Mapping[str, FloatArray],
     required: Collection[str],
     statement: Statement,
@@ -236,27 +238,33 @@ def _refuse_lacking(
     has_pressure : whether the surface pressure follows from the others
     raises       : InputError where anything is absent
     """
-    needed = [name for name in required if name not in columns or name in found.asked]
+    needed = [name for name in required if name not in columns or name in flight.fields_without_unit]
     if not needed:
         return
-    of = {c: f for c, f in found.asked.items() if c in (*required, "rho_kg_m3")}
-    asked = {c: (f.name, _example(c, found.numbers[f.name])) for c, f in of.items()}
+    concerned = {c: f for c, f in flight.fields_without_unit.items() if c in (*required, "rho_kg_m3")}
+    named_units = {c: (f.name, _example(c, flight.numbers[f.name])) for c, f in concerned.items()}
     # what would follow from a column that is asked for is not asked for itself
     follows = {*DERIVABLE} - (set() if has_pressure else {"p_surface_Pa"})
-    absent = [column for column in needed if column not in asked and column not in follows]
-    units = f"the unit{'s' * (len(asked) > 1)} of {', '.join(f'`{n}`' for n, _ in asked.values())}" if asked else ""
-    empty = {f.column: name for name in found.empty if (f := field_of_name(name)) is not None}
+    absent = [column for column in needed if column not in named_units and column not in follows]
+    units = (
+        f"the unit{'s' * (len(named_units) > 1)} of {', '.join(f'`{n}`' for n, _ in named_units.values())}"
+        if named_units
+        else ""
+    )
+    empty = {f.column: name for name in flight.empty if (f := field_of_name(name)) is not None}
     named = [f"{c} (`{empty[c]}` holds no numbers)" if c in empty else c for c in absent]
-    what = " and ".join(text for text in (units, ", ".join(named)) if text)
-    raise InputError(f"{display_path(found.path)}: needs {what or ', '.join(needed)}; {statement.of(asked, absent)}")
+    lacking = " and ".join(text for text in (units, ", ".join(named)) if text)
+    raise InputError(
+        f"{display_path(flight.path)}: needs {lacking or ', '.join(needed)}; {statement.of(named_units, absent)}"
+    )
 
 
-def _misspelt(found: FlightFields, required: Sequence[str]) -> list[str]:
+def _misspelt(flight: FlightFields, required: Sequence[str]) -> list[str]:
     """Required columns that are absent, and whose name is nearly that of a field which is no condition."""
-    absent = [name for name in required if name not in found.columns and name not in found.asked]
-    near = {name: nearest_name(name, found.unused, cutoff=NEARLY) for name in absent}
+    absent = [name for name in required if name not in flight.columns and name not in flight.fields_without_unit]
+    near = {name: nearest_name(name, flight.unused, cutoff=NEARLY) for name in absent}
     return [
-        f"{display_path(found.path)}: there is no column `{name}`; nearest in the file: `{close}`"
+        f"{display_path(flight.path)}: there is no column `{name}`; nearest in the file: `{close}`"
         for name, close in near.items()
         if close
     ]
@@ -272,13 +280,12 @@ def _example(column: str, values: FloatArray) -> str:
     return column_unit(column) or "1"
 
 
-def _empty_cells(found: FlightFields, columns: Mapping[str, FloatArray]) -> list[str]:
+def _empty_cells(flight: FlightFields, columns: Mapping[str, FloatArray]) -> list[str]:
     """The first cell of each column that holds no number."""
     problems = []
     for name, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size and name in found.fields:
-            more = f" (and {bad.size - 1} more rows)" if bad.size > 1 else ""
-            place = f"{display_path(found.path)}, row {found.lines[bad[0]]}, column {found.fields[name].name}"
-            problems.append(f"{place}: the cell holds no number; give one, or remove the row{more}")
+        if bad.size and name in flight.fields:
+            cell = f"{display_path(flight.path)}, row {flight.lines[bad[0]]}, column {flight.fields[name].name}"
+            problems.append(f"{cell}: the cell holds no number; give one, or remove the row{and_more_rows(bad.size)}")
     return problems

@@ -61,7 +61,7 @@ class Sounding:
         Source: US Standard Atmosphere 1976, eq. 42.
         """
         z, inside = np.asarray(altitude_m, dtype=float), self.reaches(altitude_m)
-        own = {
+        measured = {
             "T_inf_K": np.interp(z, self.altitude_m, self.T_inf_K),
             "p_inf_Pa": np.exp(np.interp(z, self.altitude_m, np.log(self.p_inf_Pa))),
             "rho_kg_m3": np.exp(np.interp(z, self.altitude_m, np.log(self.rho_kg_m3))),
@@ -73,11 +73,11 @@ class Sounding:
                 f"air above and below the sounding ({z[~inside].min() / 1e3:.3g} to {z[~inside].max() / 1e3:.3g} km) "
                 f"of the standard atmosphere; at its highest level the sounding has {top:.3f} of its density"
             )
-        return {name: np.where(inside, values, standard[name]) for name, values in own.items()}, notes
+        return {name: np.where(inside, values, standard[name]) for name, values in measured.items()}, notes
 
 
 def read_sounding(path: Path) -> Sounding:
-    """Read a sounding: an altitude, and two of temperature, pressure and density, with their units.
+    """Read a sounding: an altitude, and two of temperature [K], pressure [Pa] and density [kg/m3], with their units.
 
     Read are CSV files with units in the names or in a row below them, and lists of fixed columns as of the University
     of Wyoming; PRES, HGHT (geopotential height) and TEMP are their names.
@@ -88,7 +88,9 @@ def read_sounding(path: Path) -> Sounding:
     if GEOPOTENTIAL in c and "altitude_m" not in c:
         c["altitude_m"] = np.array([geometric(float(h)) for h in c[GEOPOTENTIAL]])
     problems = [f"the unit of `{name}`" for name in fields.without_unit]
-    problems += ["an altitude"] * ("altitude_m" not in c and not any(n in fields.asked for n in ("altitude_m",)))
+    problems += ["an altitude"] * (
+        "altitude_m" not in c and not any(n in fields.fields_without_unit for n in ("altitude_m",))
+    )
     if len({"T_inf_K", "p_inf_Pa", "rho_kg_m3"} & set(c)) < 2 and not fields.without_unit:
         problems.append("two of temperature, pressure and density")
     if problems:
@@ -97,8 +99,8 @@ def read_sounding(path: Path) -> Sounding:
             "`Altitude (km)`, `Temperature (K)`, `Pressure (hPa)`"
         )
     names = [n for n in ("altitude_m", "T_inf_K", "p_inf_Pa", "rho_kg_m3") if n in c]
-    whole = np.all([np.isfinite(c[n]) for n in names], axis=0)
-    c = {n: c[n][whole] for n in names}
+    is_complete = np.all([np.isfinite(c[n]) for n in names], axis=0)
+    c = {n: c[n][is_complete] for n in names}
     order = np.argsort(c["altitude_m"], kind="stable")
     keep = order[np.concatenate(([True], np.diff(c["altitude_m"][order]) > 0.0))] if len(order) else order
     c = {n: values[keep] for n, values in c.items()}

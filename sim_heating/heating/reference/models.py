@@ -2,7 +2,7 @@
 
 One compiled kernel evaluates a frame of a host and, in a loop, a whole flight. A heating ratio is defined over one of
 these models and reduced with one recovery enthalpy; the header of its table names both.
-Equations: docs/theory/equations_reference_heating.md, sections 3 and 5.
+Equations: docs/theory/equations_reference_heating.md, section 3 and section 5.
 """
 
 from __future__ import annotations
@@ -186,16 +186,16 @@ def reference_film_kernel(
         return eckert_kernel(rho_kg_m3, V, T_inf_K, alpha_deg, running_length_m, wall_temperature_K, turbulent, False)
     if code == SWEPT_CYLINDER:
         return swept_cylinder_film(rho_kg_m3, V, T_inf_K, alpha_deg, sweep_deg, nose_radius_m, wall_temperature_K)
-    share = 0.0 if code == FAY_RIDDELL else correlation_share(V)
+    weight = 0.0 if code == FAY_RIDDELL else correlation_share(V)
     film = 0.0
-    if share < 1.0:
+    if weight < 1.0:
         film = fay_riddell_of_state(state, V, T_inf_K, nose_radius_m, wall_temperature_K, NO_LEWIS)
-    if share > 0.0:
+    if weight > 0.0:
         if code == SUTTON_GRAVES:
             correlation = sutton_graves_kernel(rho_kg_m3, V, T_inf_K, nose_radius_m)
         else:
             correlation = detra_kemp_riddell_kernel(rho_kg_m3, V, T_inf_K, nose_radius_m)
-        film += share * (correlation - film)
+        film += weight * (correlation - film)
     return film
 
 
@@ -297,12 +297,12 @@ def _bridge_loop(
 
 
 def _check_geometry(model: ReferenceModel, nose_radius_m: float, running_length_m: float | None, T_w_K: float) -> None:
-    given = {"heating.nose_radius_m": nose_radius_m, "wall_temperature_K": T_w_K}
+    lengths = {"heating.nose_radius_m": nose_radius_m, "wall_temperature_K": T_w_K}
     if model.on_plate:
         if running_length_m is None:
             raise InputError(f"heating.running_length_m: `{model.name}` needs a length from the leading edge")
-        given["heating.running_length_m"] = running_length_m
-    bad = {key: value for key, value in given.items() if not 0.0 < value < np.inf}
+        lengths["heating.running_length_m"] = running_length_m
+    bad = {key: value for key, value in lengths.items() if not 0.0 < value < np.inf}
     problems = [f"{key}: {value} (must be finite and above 0)" for key, value in bad.items()]
     if problems:
         raise InputError(*problems)
@@ -384,7 +384,7 @@ def reference_heating(
 
 
 def beyond_range(name: str, conditions: Conditions) -> str | None:
-    """One line on the part of a flight that is faster than a reference heating holds; None where there is none.
+    """One line on the part of a flight that is faster [m/s] than a reference heating holds; None where there is none.
 
     name       : a key of REFERENCE_MODELS
     conditions : of the flight, with velocity_m_s

@@ -205,14 +205,14 @@ def velocity_gradient(
     Source: docs/theory/equations_reference_heating.md, equations 14 and 31 (Fay and Riddell 1958; White 1991).
     """
     K, a, b, low, high = body
-    share = smooth_share(mach, low, high)
+    weight = smooth_share(mach, low, high)
     slow = fast = 0.0
-    if share < 1.0:
+    if weight < 1.0:
         m2 = mach * mach
         slow = velocity_m_s * K * (1.0 - m2 * (a + b * m2))
-    if share > 0.0:
+    if weight > 0.0:
         fast = math.sqrt(2.0 * (p_0 - p_inf) / rho_0)
-    return (slow + share * (fast - slow)) / radius_m
+    return (slow + weight * (fast - slow)) / radius_m
 
 
 @njit

@@ -271,7 +271,7 @@ class ConditionFields:
         """The columns of one time with those that follow from them, as of a row of a file."""
         held = {n: v for n, v in self._of_record.items() if n in wanted}
         row = {name: np.array([value]) for name, value in {**held, **known, **self._constants}.items()}
-        found = derived_conditions(row, length_m=self._length_m, wanted={*wanted, "rho_kg_m3"})
+        found = derived_conditions(row, length_m=self._length_m, requested={*wanted, "rho_kg_m3"})
         columns, of_pressure = with_pressure(found.columns, wanted, self._pressure)
         of_record = [f"{', '.join(held)} as in the whole record"] if held else []
         return DerivedConditions(columns, (*of_record, *found.notes, *of_pressure), found.of_model)

@@ -113,7 +113,7 @@ class LaneMarch:
         )  # fmt: skip
         self._initial_state = self.ensemble.snapshot()
         self._groups = [self.ensemble.lane_offsets[p * LANES].group for p in range(len(points))]
-        self._lanes = [self.ensemble.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in range(len(points))]
+        self._lanes = [self.ensemble.writer.lanes_of(range(p * LANES, (p + 1) * LANES)) for p in range(len(points))]
         self._declared = tuple(
             [np.repeat(values(m)[np.newaxis], LANES, axis=0) for m in self.models]
             for values in (stack_values, heating_vector)
@@ -126,7 +126,7 @@ class LaneMarch:
         self._memory = np.empty(0)
 
     def _ratio_nodes(self, p: int) -> _RatioNodes:
-        ratio, J = self.models[p].ratio, self.ensemble.integers(self._groups[p])
+        ratio, J = self.models[p].ratio, self.ensemble.memory.integers(self._groups[p])
         if ratio is None:
             return _RatioNodes(np.zeros(0), J[RATIO_TABLE : RATIO_TABLE + LANES].copy())
         behind_axes = VARIABLES + sum(len(a) for a in ratio.axes)
@@ -186,7 +186,7 @@ class LaneMarch:
         for out, peaks in zip(marched, hottest, strict=True):
             peak_kernel(out, counts, peaks)
         surface, bondline = (hottest[:, :, k].T.copy() for k in range(len(QUANTITIES)))
-        by_point = self.ensemble.failures, self.ensemble.steps_of_negative_ratio
+        by_point = self.ensemble.counters.failures, self.ensemble.counters.steps_of_negative_ratio
         failed, negative = (steps.reshape(-1, LANES).T[own] > 0.0 for steps in by_point)
         # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
         unknown = failed | (flown.outcome[lane[own]] != COMPLETED)[:, np.newaxis]
@@ -238,7 +238,7 @@ class LaneMarch:
             vectors = stacks if place.vector == "stack" else heating
             vectors[place.point][:, place.index] += deviation[lane]
         for p in range(len(self.points)):
-            self.ensemble.write_lanes(self.ensemble.state, self._lanes[p], stacks[p], heating[p])
+            self.ensemble.writer.write_lanes(self.ensemble.state, self._lanes[p], stacks[p], heating[p])
 
     def _write_ratio_tables(self, factors: Sequence[FloatArray | None], lane: IntArray) -> None:
         table = self.ensemble.table

@@ -166,23 +166,23 @@ class _EntryPacker(ImagePacker):
 
     def _pack_initial(self) -> None:
         assert self.spec.initial is not None
-        place = self.image.add_numbers(initial_numbers(self.spec.initial))
+        offset = self.image.add_numbers(initial_numbers(self.spec.initial))
         for i, (name, lower, upper) in enumerate(INITIAL):
             text = f"{words_of(name)} at the start, relative to the air"
-            self.add_number(f"initial.{name}", Role.FIXED, place + i, text, unit_of(name), lower, upper)
+            self.add_number(f"initial.{name}", Role.FIXED, offset + i, text, unit_of(name), lower, upper)
         options = self.image.add_numbers([self.entry.dt_s])
         text = "longest frame; a longer communication step is divided"
         self.add_number("frame_s", Role.FIXED, options, text, "s", 1e-3, 10.0)
-        self.head |= {k.INITIAL: place, k.OPTIONS: options}
+        self.head |= {k.INITIAL: offset, k.OPTIONS: options}
 
     def _pack_blocks(self) -> None:
         image, entry = self.image, self.entry
         flight = image.add_numbers(self._without_stop(entry.flight), aligned=True)
         block = image.add_numbers(entry.block, aligned=True)
         for first, named in ((flight, VEHICLE), (block, GUIDANCE)):
-            for name, place, lower, upper, unit in named:
+            for name, offset, lower, upper, unit in named:
                 text = words_of(name.split(".")[1]) + ", see docs/theory/equations.md"
-                self.add_number(name, Role.FIXED, first + place, text, unit, lower, upper)
+                self.add_number(name, Role.FIXED, first + offset, text, unit, lower, upper)
         self.head |= {k.FLIGHT: flight, k.GUIDANCE: block, k.AERO: image.add_tables(entry.tables)}
 
     @staticmethod
@@ -211,23 +211,25 @@ class _EntryPacker(ImagePacker):
             plan += [*entry[: mv.PITCH_MODE + 1], first, first + 2 * (points - 1)]
             choices += [entry[mv.TRIGGER] + 1, entry[mv.CHANNEL] + 1, entry[mv.PITCH_MODE] + 1]
             numbers += [x for point in shape for x in point]
-        place, chosen = self.image.add_numbers([*plan, *numbers]), self.image.add_integers(choices)
-        self.head |= {k.SCRIPT: place, k.CHOICES: chosen, k.MANOEUVRES: n}
+        offset, chosen = self.image.add_numbers([*plan, *numbers]), self.image.add_integers(choices)
+        self.head |= {k.SCRIPT: offset, k.CHOICES: chosen, k.MANOEUVRES: n}
         for m in range(n):
-            self._name_manoeuvre(m, place, chosen + k.CHOICES_EACH * m, mv.PLAN + mv.ENTRY * n + 2 * points * m, points)
+            self._name_manoeuvre(
+                m, offset, chosen + k.CHOICES_EACH * m, mv.PLAN + mv.ENTRY * n + 2 * points * m, points
+            )
 
     def _name_manoeuvre(self, m: int, script: int, chosen: int, first: int, points: int) -> None:
         manoeuvre = f"manoeuvre[{m + 1}]"
         kinds = (("trigger", TRIGGERS, "what triggers it"), ("moves", CHANNELS, "what it varies"),
                  ("pitch", PITCHES, "pitch axis meanwhile"))  # fmt: skip
-        for i, (name, known, text) in enumerate(kinds):
-            self.add_choice(f"{manoeuvre}.{name}", Role.FIXED, chosen + i, text, known)
+        for i, (name, choices, text) in enumerate(kinds):
+            self.add_choice(f"{manoeuvre}.{name}", Role.FIXED, chosen + i, text, choices)
         text = "time [s], speed [m/s] or Mach number at which it begins"
         self.add_number(f"{manoeuvre}.at", Role.FIXED, script + mv.PLAN + mv.ENTRY * m + mv.VALUE, text, lower=0.0)
         for i in range(points):
-            place, at = script + first + 2 * i, f"{manoeuvre}.point[{i + 1}]"
-            self.add_number(f"{at}.after_s", Role.FIXED, place, "time since its beginning", "s", lower=0.0)
-            self.add_number(f"{at}.offset", Role.FIXED, place + 1, "offset then, in the unit of what it varies")
+            offset, at = script + first + 2 * i, f"{manoeuvre}.point[{i + 1}]"
+            self.add_number(f"{at}.after_s", Role.FIXED, offset, "time since its beginning", "s", lower=0.0)
+            self.add_number(f"{at}.offset", Role.FIXED, offset + 1, "offset then, in the unit of what it varies")
 
     def _pack_outputs(self) -> None:
         image, n = self.image, self.head[k.MANOEUVRES]
@@ -238,8 +240,8 @@ class _EntryPacker(ImagePacker):
             text = f"{words_of(name)}, as in a frame" if i < len(FRAME) else "of the flight"
             lower, upper, _ = LIMITS.get(name, (-np.inf, np.inf, ""))
             self.add_number(name, Role.OUTPUT, row + i, text, unit_of(name), lower, upper, NOMINAL.get(name))
-        for name, place, unit in GUIDANCE_OUTPUTS:
-            self.add_number(name, Role.OUTPUT, work + place, "as guidance uses it", unit)
+        for name, offset, unit in GUIDANCE_OUTPUTS:
+            self.add_number(name, Role.OUTPUT, work + offset, "as guidance uses it", unit)
         for m in range(n):
             text = "when it began; -1 before"
             self.add_number(f"manoeuvre[{m + 1}].began_s", Role.OUTPUT, state + pm.STARTED + m, text, "s")

@@ -83,16 +83,16 @@ def _observe(R, N, tables) -> int:  # type: ignore[no-untyped-def]
 
 
 @njit
-def _follow_inputs(R, N, tables, share: float, dt: float) -> None:  # type: ignore[no-untyped-def]
+def _follow_inputs(R, N, tables, fraction: float, dt: float) -> None:  # type: ignore[no-untyped-def]
     """One frame with the commands of the inputs, a share of the way through the communication step at its end."""
     state, before, after = at(R, N[STATE]), at(R, N[INPUTS_NOW]), at(R, N[INPUTS_NEXT])
-    alpha = before[IN_ALPHA] + share * (after[IN_ALPHA] - before[IN_ALPHA])
-    bank = before[IN_BANK] + share * (after[IN_BANK] - before[IN_BANK])
-    beta = before[IN_BETA] + share * (after[IN_BETA] - before[IN_BETA])
-    elevon = before[IN_ELEVON] + share * (after[IN_ELEVON] - before[IN_ELEVON])
-    flap = before[IN_BODYFLAP] + share * (after[IN_BODYFLAP] - before[IN_BODYFLAP])
+    alpha = before[IN_ALPHA] + fraction * (after[IN_ALPHA] - before[IN_ALPHA])
+    bank = before[IN_BANK] + fraction * (after[IN_BANK] - before[IN_BANK])
+    beta = before[IN_BETA] + fraction * (after[IN_BETA] - before[IN_BETA])
+    elevon = before[IN_ELEVON] + fraction * (after[IN_ELEVON] - before[IN_ELEVON])
+    flap = before[IN_BODYFLAP] + fraction * (after[IN_BODYFLAP] - before[IN_BODYFLAP])
     # The inputs themselves: before + (after - before) may differ from them in the last bit.
-    if share == 1.0:
+    if fraction == 1.0:
         alpha, bank, beta = after[IN_ALPHA], after[IN_BANK], after[IN_BETA]
         elevon, flap = after[IN_ELEVON], after[IN_BODYFLAP]
     state[JETS] = min(max(after[IN_JETS], 0.0), 1.0)

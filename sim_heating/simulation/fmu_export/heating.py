@@ -158,10 +158,10 @@ def heating_image(vehicle: Vehicle, control_points: Sequence[str] | None = None,
     upstream = {p.name: p for p in walls_upstream(vehicle, [vehicle.control_point(name) for name in names])}
     vehicle, names = replace(vehicle, control_points=vehicle.control_points | upstream), [*names, *upstream]
     plugin = HeatingPlugin(vehicle, names, nodes=nodes)
-    known = _library_effects(plugin.ensemble.models)
+    library = _library_effects(plugin.ensemble.models)
     image = Image(f"{identifier(vehicle.name)}_heating", f"Heating of {vehicle.title}", 1.0)
-    _HeatingPacker(image, vehicle, plugin, known, columns, known_timings.index(input_timing) + 1).pack()
-    return HeatingModel(image, known)
+    _HeatingPacker(image, vehicle, plugin, library, columns, known_timings.index(input_timing) + 1).pack()
+    return HeatingModel(image, library)
 
 
 def _library_effects(models: Sequence[PointModel]) -> tuple[Effect, ...]:
@@ -260,10 +260,10 @@ def _compile_objects(units: Sequence[CompilationUnit], targets: Sequence[Target]
             object_files(unit, target)
 
 
-def quoted(part: str) -> str:
+def quoted(name: str) -> str:
     """A part of a structured name: unchanged where it is an identifier, else in quotes and escaped."""
-    plain = re.fullmatch(r"[A-Za-z_]\w*", part, flags=re.ASCII)
-    return part if plain else "'" + re.sub(r"(['\\])", r"\\\1", part) + "'"
+    plain = re.fullmatch(r"[A-Za-z_]\w*", name, flags=re.ASCII)
+    return name if plain else "'" + re.sub(r"(['\\])", r"\\\1", name) + "'"
 
 
 def _range(name: str) -> tuple[float, float]:
@@ -275,10 +275,10 @@ def _range(name: str) -> tuple[float, float]:
 class _HeatingPacker(ImagePacker):
     """Packs the arrays of a plug-in into an image."""
 
-    def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, known: tuple[Effect, ...], columns: bool,
-                 timing: int):  # fmt: skip
+    def __init__(self, image: Image, vehicle: Vehicle, plugin: HeatingPlugin, library: tuple[Effect, ...],
+                 columns: bool, timing: int):  # fmt: skip
         super().__init__(image, k.N_MODEL)
-        self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, known, columns, timing
+        self.vehicle, self.plugin, self.known, self.columns, self.timing = vehicle, plugin, library, columns, timing
         self.ensemble: Ensemble = plugin.ensemble
         added = ("q_add_W_m2", "T_surroundings_K")
         self.inputs = [*FRAME[1:], *added, *(("h_ref_kg_m2_s", "H_r_J_kg") if columns else ())]
@@ -312,18 +312,18 @@ class _HeatingPacker(ImagePacker):
 
     def _name_reynolds_number(self) -> None:
         """Add the one variable of the ratio tables that is no input; all points have the same one."""
-        place = self.head[k.VECTORS] + LOG10_RE
+        offset = self.head[k.VECTORS] + LOG10_RE
         # Computed in a step, like all vectors, but read between two steps: another instance may have used them then.
-        self.image.kept_numbers.append((place, 1))
+        self.image.kept_numbers.append((offset, 1))
         text = "base-10 logarithm of the freestream Reynolds number on the vehicle's length, at the end of a step"
-        self.add_number(REYNOLDS, Role.OUTPUT, place, text, depends=("altitude_m", "velocity_m_s", "rho_kg_m3"))
+        self.add_number(REYNOLDS, Role.OUTPUT, offset, text, depends=("altitude_m", "velocity_m_s", "rho_kg_m3"))
 
     def _keep_blocks(self) -> None:
         """Declare the rows of the blocks, and the flags of the groups, that are the state of an instance."""
         image, e = self.image, self.ensemble
         for g, (first, _, ints, _) in enumerate(e.groups):
             state, integers = self.head[k.STATE] + int(first), self.head[k.INTS] + int(ints)
-            n = int(e.integers(g)[N_NODES])
+            n = int(e.memory.integers(g)[N_NODES])
             points = len(np.unique(e.lanes[g * LANES : (g + 1) * LANES]))
             image.kept_numbers += [(state + row * LANES, points) for row in k.KEPT_ROWS]
             image.kept_numbers.append((state + conditions_at(END, 0), points * N_CONDITIONS))
@@ -384,45 +384,45 @@ class _HeatingPacker(ImagePacker):
         numbers = image.add_numbers(np.zeros(k.POINT_WIDTH * len(e.models)))
         written = image.add_numbers(np.zeros(k.PARAMETERS_WIDTH * len(e.models)))
         R, rows, sensors = np.zeros(k.POINT_WIDTH * len(e.models)), [], []
-        for i, (point, model, mesh, place) in enumerate(
+        for i, (point, model, mesh, lane) in enumerate(
             zip(self.plugin.points, e.models, e.meshes, e.lane_offsets, strict=True)
         ):
             row = R[k.POINT_WIDTH * i : k.POINT_WIDTH * (i + 1)]
-            block = e.block(place.group)
-            p = parameters_at(place.lane)
+            block = e.memory.block(lane.group)
+            p = parameters_at(lane.lane)
             row[:N_PARAMETERS] = block[p : p + N_PARAMETERS]
             row[k.P_STACK : k.P_STACK + k.STACK_WIDTH] = stack_values(model)
             limits = point.limits
             row[k.P_SURFACE_LIMIT] = NO_LIMIT_K if limits.surface_K is None else limits.surface_K
             row[k.P_BONDLINE_LIMIT] = NO_LIMIT_K if limits.bondline_K is None else limits.bondline_K
-            row[k.P_OUT + k.SURFACE] = e.state[place.temperature(0)]
-            row[k.P_OUT + k.BONDLINE] = e.state[place.temperature(mesh.bondline)]
+            row[k.P_OUT + k.SURFACE] = e.state[lane.temperature(0)]
+            row[k.P_OUT + k.BONDLINE] = e.state[lane.temperature(mesh.bondline)]
             # A point that fills up its group has several lanes; parameters that a host sets go to all of them.
-            of_point = e.lanes[place.group * LANES : (place.group + 1) * LANES] == i
+            of_point = e.lanes[lane.group * LANES : (lane.group + 1) * LANES] == i
             elements = elements_of(model.construction, mesh)
             rows.append([
-                place.group, int(np.argmax(of_point)), int(np.sum(of_point)), len(mesh.layer),
+                lane.group, int(np.argmax(of_point)), int(np.sum(of_point)), len(mesh.layer),
                 image.add_integers(elements.layer), image.add_numbers(elements.length_m),
                 image.add_numbers(elements.density_kg_m3),
-                place.temperature(mesh.bondline), elements.insulation, elements.bondline,
+                lane.temperature(mesh.bondline), elements.insulation, elements.bondline,
                 image.add_integers(elements.slot), image.add_numbers(elements.stretch),
             ])  # fmt: skip
             named = len(image.variables)
             self._name_point(point, model, numbers + k.POINT_WIDTH * i)
-            sensors += self._pack_sensors(point, mesh, place)
-            self._pack_ratio_table(point, place)
+            sensors += self._pack_sensors(point, mesh, lane)
+            self._pack_ratio_table(point, lane)
             self._declare_direct_outputs(named, any(u.effect.mode == "emittance" for u in kernel_effects(model)))
         # No host changes a number without a name, such as the parameters of effects that a point does not have.
         image.kept_numbers += [
-            (v.place, v.count)
+            (v.offset, v.count)
             for v in image.variables
-            if v.kind is Kind.NUMBER and numbers <= v.place < numbers + len(R)
+            if v.kind is Kind.NUMBER and numbers <= v.offset < numbers + len(R)
         ]
-        whole = image.R
-        whole[numbers : numbers + len(R)] = R
-        own = R.reshape(-1, k.POINT_WIDTH)[:, : k.PARAMETERS_WIDTH]
-        whole[written : written + own.size] = own.ravel()
-        image.set_numbers(whole)
+        all_numbers = image.R
+        all_numbers[numbers : numbers + len(R)] = R
+        parameters = R.reshape(-1, k.POINT_WIDTH)[:, : k.PARAMETERS_WIDTH]
+        all_numbers[written : written + parameters.size] = parameters.ravel()
+        image.set_numbers(all_numbers)
         self.head |= {
             k.POINT_NUMBERS: numbers, k.POINT_INTS: image.add_integers(rows), k.N_SENSORS: len(sensors),
             k.SENSOR_INTS: image.add_integers(sensors) if sensors else 0, k.WRITTEN: written,
@@ -433,11 +433,11 @@ class _HeatingPacker(ImagePacker):
         name = quoted(point.name)
         declared = point.limits
         limits = {"limit.surface_margin_K": declared.surface_K, "limit.bondline_margin_K": declared.bondline_K}
-        for i, (what, unit, lower, nominal, text) in enumerate(OUTPUTS):
-            if what not in limits or limits[what] is not None:
-                compared = (f"{name}.{what.replace('_margin', '')}",) if what in limits else ()
+        for i, (output, unit, lower, nominal, text) in enumerate(OUTPUTS):
+            if output not in limits or limits[output] is not None:
+                compared = (f"{name}.{output.replace('_margin', '')}",) if output in limits else ()
                 self.add_number(
-                    f"{name}.{what}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal,
+                    f"{name}.{output}", Role.OUTPUT, numbers + k.P_OUT + i, text, unit, lower, nominal=nominal,
                     parameters=compared,
                 )  # fmt: skip
         for i, p in enumerate(RATIO):
@@ -445,21 +445,23 @@ class _HeatingPacker(ImagePacker):
         for i, p in enumerate(STACK):
             self._name_parameter(f"{name}.{p.name}", p, numbers + k.P_STACK + i)
         # A host sets each number under one name: what a role names has no second one.
-        for layer, own in model.layer_parameters:
-            place = numbers + k.P_STACK + model.places[own.name] - len(RATIO)
-            self._name_parameter(f"{name}.{STACK_PREFIX}{quoted(layer)}.{own.name.rpartition('.')[2]}", own, place)
+        for layer, parameter in model.layer_parameters:
+            offset = numbers + k.P_STACK + model.places[parameter.name] - len(RATIO)
+            self._name_parameter(
+                f"{name}.{STACK_PREFIX}{quoted(layer)}.{parameter.name.rpartition('.')[2]}", parameter, offset
+            )
         for i, (variable, unit) in enumerate(zip(RATIO_VARIABLES, UNITS, strict=True)):
             text = "reference condition of the derivatives of the ratio"
             lower, upper, _ = LIMITS[variable]
             self.add_number(
                 f"{name}.reference.{variable}", Role.TUNABLE, numbers + REFERENCE + i, text, unit, lower, upper
             )
-        for what, limit, place in (
+        for output, limit, offset in (
             ("surface", declared.surface_K, k.P_SURFACE_LIMIT), ("bondline", declared.bondline_K, k.P_BONDLINE_LIMIT)
         ):  # fmt: skip
             if limit is not None:
-                text = f"highest temperature of the {what}"
-                self.add_number(f"{name}.limit.{what}_K", Role.TUNABLE, numbers + place, text, "K", 0.0, NO_LIMIT_K)
+                text = f"highest temperature of the {output}"
+                self.add_number(f"{name}.limit.{output}_K", Role.TUNABLE, numbers + offset, text, "K", 0.0, NO_LIMIT_K)
         uses = kernel_effects(model)
         for slot, used in enumerate(uses):
             self._name_effect(name, used, uses[:slot], numbers + EFFECT_PARAMETERS + slot * EFFECT_WIDTH)
@@ -471,8 +473,8 @@ class _HeatingPacker(ImagePacker):
         """
         variables = self.image.variables
         after = {name for v in variables[first:] for name in v.parameters}  # limits and sensors change no heating
-        own = [v.name for v in variables[first:] if v.role in (Role.TUNABLE, Role.FIXED)]
-        parameters = tuple(name for name in own if name not in after)
+        settable = [v.name for v in variables[first:] if v.role in (Role.TUNABLE, Role.FIXED)]
+        parameters = tuple(name for name in settable if name not in after)
         for i, v in enumerate(variables[first:], start=first):
             if v.role is Role.OUTPUT and ".heating." in v.name:
                 inside = v.name.endswith(".radiated_W_m2") and not emitting
@@ -481,25 +483,25 @@ class _HeatingPacker(ImagePacker):
                 inputs = (*around, "T_surroundings_K") if inside else ("time", *self.inputs)
                 variables[i] = replace(v, depends=inputs, parameters=parameters)
 
-    def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], place: int) -> None:
+    def _name_effect(self, name: str, used: EffectUse, before: Sequence[EffectUse], offset: int) -> None:
         earlier = sum(u.effect.name == used.effect.name for u in before)
         which = quoted(used.effect.name) + (f"[{earlier + 1}]" if earlier else "")
         for i, p in enumerate(used.effect.parameters):
-            self._name_parameter(f"{name}.effect.{which}.{p.name}", p, place + i)
+            self._name_parameter(f"{name}.effect.{which}.{p.name}", p, offset + i)
 
-    def _name_parameter(self, name: str, p: Parameter, place: int) -> None:
-        self.add_number(name, Role.TUNABLE, place, p.text, p.unit, p.lower, p.upper)
+    def _name_parameter(self, name: str, p: Parameter, offset: int) -> None:
+        self.add_number(name, Role.TUNABLE, offset, p.text, p.unit, p.lower, p.upper)
 
-    def _pack_sensors(self, point: ControlPoint, mesh: Mesh, place: Any) -> list[list[int]]:
+    def _pack_sensors(self, point: ControlPoint, mesh: Mesh, lane: Any) -> list[list[int]]:
         """Add the variables of a point's thermocouples; their rows of SENSOR_INTS."""
         rows = []
         for sensor, node in zip(point.sensors, mesh.sensors, strict=True):
             name = f"{quoted(point.name)}.sensor.{quoted(sensor.name)}"
-            start = self.ensemble.state[place.temperature(node)]
+            start = self.ensemble.state[lane.temperature(node)]
             coefficients = calibration_coefficients(sensor)
             numbers = self.image.keep_numbers([1.0, 0.0, start, sensor.tau_s, start])
             calibration, before = self.image.add_numbers(coefficients), self.image.add_numbers([start])
-            rows.append([place.temperature(node), numbers, calibration, len(coefficients), before])
+            rows.append([lane.temperature(node), numbers, calibration, len(coefficients), before])
             about = f"thermocouple at {1e3 * sensor.depth_m:.4g} mm"
             text = f"{about}, without noise and quantisation"
             self.add_number(
@@ -512,16 +514,16 @@ class _HeatingPacker(ImagePacker):
             self._name_parameter(f"{name}.tau_s", lag, numbers + k.S_TAU)
         return rows
 
-    def _pack_ratio_table(self, point: ControlPoint, place: Any) -> None:
+    def _pack_ratio_table(self, point: ControlPoint, lane: Any) -> None:
         """Add the variables of a point's ratio table, and the integers by which a table from a file replaces it."""
         e, name = self.ensemble, f"{quoted(point.name)}.ratio_table"
         i = self.plugin.points.index(point)
-        lanes = np.flatnonzero(e.lanes[place.group * LANES : (place.group + 1) * LANES] == i)
-        places = self.head[k.INTS] + e.groups[place.group, 2] + RATIO_TABLE + lanes
+        lanes = np.flatnonzero(e.lanes[lane.group * LANES : (lane.group + 1) * LANES] == i)
+        entries = self.head[k.INTS] + e.groups[lane.group, 2] + RATIO_TABLE + lanes
         reference = self.vehicle.heating.reference
         basis = [self.image.add_text(t) for t in (reference, point.recovery.kind, recovery_name(None, reference))]
-        inside = int(e.integers(place.group)[RATIO_TABLE + lanes[0]])
-        about = [*basis, inside, len(places), *places]
+        inside = int(e.memory.integers(lane.group)[RATIO_TABLE + lanes[0]])
+        about = [*basis, inside, len(entries), *entries]
         first = self.image.add_integers(about)
         text = "path of a ratio table (CSV) in place of the one inside"
         self.image.variables.append(Variable(f"{name}.file", Kind.TABLE, Role.FIXED, first, text, integers=len(about)))

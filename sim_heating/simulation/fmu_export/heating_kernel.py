@@ -278,10 +278,10 @@ def _advance_through(R, N, A, T, now, then) -> None:  # type: ignore[no-untyped-
         for i in range(width - 1):
             first[1 + i], last[1 + i] = now[i], then[i]
         first[F_TIME], last[F_TIME] = R[NOW], R[NEXT]
-        share = k / parts
-        write_frame_between(first, last, share, between)
+        fraction = k / parts
+        write_frame_between(first, last, fraction, between)
         for i in range(width - 1, n):
-            inputs[i] = now[i] + share * (then[i] - now[i])
+            inputs[i] = now[i] + fraction * (then[i] - now[i])
         # Surroundings of 0 K stand for declared ones, to which no line leads.
         if now[F_AROUND - 1] == 0.0 or then[F_AROUND - 1] == 0.0:
             inputs[F_AROUND - 1] = then[F_AROUND - 1]
@@ -373,16 +373,16 @@ def _start(R, N, A, T) -> int:  # type: ignore[no-untyped-def]
     n = N[N_INPUTS]
     for k in range(n):
         R[N[INPUTS_NEXT] + k] = R[N[INPUTS] + k]
-    given = at(R, N[INPUTS_NEXT])
-    outside = _first_out_of_range(given, at(R, N[RANGES]), n)
+    inputs = at(R, N[INPUTS_NEXT])
+    outside = _first_out_of_range(inputs, at(R, N[RANGES]), n)
     if outside != GOOD:
         return outside
     _write_parameters(R, N, True)
     _follow_ratio_tables(R, N, T)
     _clear_counts(R, N)
-    _begin(R, N, A, T, given, R[NOW])
+    _begin(R, N, A, T, inputs, R[NOW])
     for k in range(n):
-        R[N[INPUTS_AT_STATE] + k] = given[k]
+        R[N[INPUTS_AT_STATE] + k] = inputs[k]
     _lag_sensors(R, N, 0.0)
     outcome = _write_outputs(R, N, A, T)
     return GOOD if outcome == GOOD else 2 * n + outcome

@@ -129,8 +129,8 @@ def export_ssp(
         (TRAJECTORY, trajectory, ENTRY_UNITS, None),
         (HEATING, model.image, heating_units(model.effects), lambda: about().files()),
     )
-    for name, image, units, more in parts:
-        files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress, more)
+    for name, image, units, extra_files in parts:
+        files[f"resources/{name}.fmu"] = fmu_bytes(image, units, FMI, platforms, progress, extra_files)
         files[f"resources/{name}.ssv"] = _parameter_values(image)
     heating = files[f"resources/{HEATING}.fmu"]
     files[f"resources/{HEATING}.srmd"] = about().of_file(f"{HEATING}.fmu", heating)
@@ -146,8 +146,8 @@ def _state_timing(heating: Image) -> None:
 
 def _connections(trajectory: Image, heating: Image) -> tuple[str, ...]:
     """Names of the inputs of the heating that are outputs of the trajectory in the same unit."""
-    given = {(v.name, v.unit) for v in trajectory.variables if v.role is Role.OUTPUT}
-    return tuple(v.name for v in heating.variables if v.role is Role.INPUT and (v.name, v.unit) in given)
+    outputs = {(v.name, v.unit) for v in trajectory.variables if v.role is Role.OUTPUT}
+    return tuple(v.name for v in heating.variables if v.role is Role.INPUT and (v.name, v.unit) in outputs)
 
 
 def _tag(prefix: str, element: str) -> str:

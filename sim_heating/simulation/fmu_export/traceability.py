@@ -108,11 +108,11 @@ class Traceability:
 
     def files(self) -> dict[str, bytes]:
         """Content of the files inside the FMU, by name."""
-        found = {
+        contents = {
             f"{FOLDER}/heating.srmd": srmd_bytes(self.title, self.classes),
             f"{FOLDER}/credibility.json": (json.dumps(self.credibility, indent=1) + "\n").encode(),
         }
-        return found | ({f"{FOLDER}/reference.csv": self.reference.encode()} if self.reference else {})
+        return contents | ({f"{FOLDER}/reference.csv": self.reference.encode()} if self.reference else {})
 
     def of_file(self, data: str, content: bytes) -> bytes:
         """A document of SRMD beside the file that it is about; what it links to lies in the archive of that file."""
@@ -136,21 +136,21 @@ def _descent(plugin: HeatingPlugin, vehicle: Vehicle) -> Conditions:
     z, V = (np.interp(t, (0.0, DURATION_S), ends) for ends in (ALTITUDES_M, SPEEDS_M_S))
     rho = us76(z)[2]
     axis = plugin.points[0].ratio.axes[0]
-    given = {n: np.zeros(len(t)) for n in FRAME} | {"time_s": t, "altitude_m": z, "velocity_m_s": V, "rho_kg_m3": rho}
-    given["alpha_deg"] = np.full(len(t), round(0.5 * float(axis[0] + axis[-1]), 3))
-    return Conditions(given | free_stream(z, V, rho, vehicle.reference_length_m))
+    columns = {n: np.zeros(len(t)) for n in FRAME} | {"time_s": t, "altitude_m": z, "velocity_m_s": V, "rho_kg_m3": rho}
+    columns["alpha_deg"] = np.full(len(t), round(0.5 * float(axis[0] + axis[-1]), 3))
+    return Conditions(columns | free_stream(z, V, rho, vehicle.reference_length_m))
 
 
 def _temperatures(plugin: HeatingPlugin, frames: Conditions) -> tuple[np.ndarray, np.ndarray]:
     """(time, point) temperatures of the surface and the bondline [K]."""
     rows = [{n: float(frames[n][i]) for n in FRAME} for i in range(len(frames))]
     plugin.reset(rows[0])
-    found = []
+    rows_K = []
     for i, row in enumerate(rows):
         if i:
             plugin.step(row)
-        found.append([[d[name] for name in plugin.names] for d in (plugin.surface_K, plugin.bondline_K)])
-    both = np.array(found)
+        rows_K.append([[d[name] for name in plugin.names] for d in (plugin.surface_K, plugin.bondline_K)])
+    both = np.array(rows_K)
     return both[:, 0], both[:, 1]
 
 

@@ -48,8 +48,8 @@ def with_rmse(name: str, residual_K: FloatArray, fitted: NDArray[np.bool_]) -> s
 
     residual_K : (sample,) measured minus predicted [K];  fitted : (sample,) whether it is fitted
     """
-    found = pooled_rmse_K(residual_K, fitted)
-    return name if found is None else f"{name}, RMSE {found['rmse_K']:.2f} K"
+    errors = pooled_rmse_K(residual_K, fitted)
+    return name if errors is None else f"{name}, RMSE {errors['rmse_K']:.2f} K"
 
 
 def shown_span(record: Record) -> tuple[float, float]:
@@ -113,8 +113,8 @@ def record_chart(
         panels.append(Panel(f"{name}, measured minus predicted, K", residuals, 0.6, zero=True, limits=limits))
     view = shown_span(record)
     panels += flown_panels(record.conditions)
-    what = "Measured and predicted, residuals below" if temperatures else "Measured minus predicted"
-    caption = f"{record.declared.title or record.declared.control_point}. {what}. {shades(record)}".rstrip()
+    curves_text = "Measured and predicted, residuals below" if temperatures else "Measured minus predicted"
+    caption = f"{record.declared.title or record.declared.control_point}. {curves_text}. {shades(record)}".rstrip()
     return Chart(record.name, panels, caption, view, record_spans(record), picture)
 
 

@@ -61,7 +61,7 @@ class MeasuredCurve:
 
 
 def run_page(
-    found: Mapping[str, Any],
+    summary: Mapping[str, Any],
     peaks: Table,
     flown: Conditions,
     points: Sequence[PointHistory],
@@ -72,28 +72,28 @@ def run_page(
 ) -> Page:
     """The report of a flown scenario as a page.
 
-    found : contents of summary.json;  peaks : peak temperatures, a row a control point
+    summary : contents of summary.json;  peaks : peak temperatures, a row a control point
     """
-    end = found["end"]
+    end = summary["end"]
     subtitle = (
-        f"{found['vehicle']}, revision {found['revision']}; {found['duration_s']:.0f} s, "
+        f"{summary['vehicle']}, revision {summary['revision']}; {summary['duration_s']:.0f} s, "
         f"to {end['altitude_m'] / 1e3:.1f} km at Mach {end['mach']:.1f}"
     )
     margins = [k for k, column in enumerate(peaks.layout) if column.head == "margin"]
     beyond = [i for i, row in enumerate(peaks.rows) if any((row[k] or 0.0) < 0.0 for k in margins)]
     table = replace(peaks, title="Bold: a limit is exceeded." if beyond else "", strong=beyond, sortable=_long(peaks))
     temperatures = temperature_chart(points, windows, limits, SavedPicture(pictures.temperatures))
-    lines = [*_range_lines(found["control_points"]), *rising_bondlines(found["control_points"])]
+    lines = [*_range_lines(summary["control_points"]), *rising_bondlines(summary["control_points"])]
     sections = [
         Section("Peak temperatures", points=lines, tables=[table]),
         Section("Temperatures", charts=[temperatures]),
         *_compared_section(compared, pictures.compared),
         Section("Heat at the surface", charts=[heat_chart(points, windows, SavedPicture(pictures.heating))]),
         Section("Trajectory", charts=[trajectory_chart(flown, windows, SavedPicture(pictures.trajectory))]),
-        *_manoeuvres_section(windows, pictures.manoeuvres), _events_section(found),
-        credibility_section(found["credibility"]),
+        *_manoeuvres_section(windows, pictures.manoeuvres), _events_section(summary),
+        credibility_section(summary["credibility"]),
     ]  # fmt: skip
-    return Page(found["scenario"], subtitle, sections, warnings=list(filter(None, [found["beyond_reference"]])))
+    return Page(summary["scenario"], subtitle, sections, warnings=list(filter(None, [summary["beyond_reference"]])))
 
 
 def _long(table: Table) -> bool:
@@ -144,35 +144,35 @@ def _manoeuvres_section(windows: Sequence[Window], pictures: Sequence[Path]) -> 
     return [Section("Manoeuvres", tables=[Table("", columns, rows)], pictures=shown)]
 
 
-def _events_section(found: Mapping[str, Any]) -> Section:
-    rows = [[e["what"], e["time_s"]] for e in found["events"]]
+def _events_section(summary: Mapping[str, Any]) -> Section:
+    rows = [[e["what"], e["time_s"]] for e in summary["events"]]
     columns = [Column("event"), Column("time", format=".1f", unit="s")]
     return Section("Events", tables=[Table("", columns, rows, sortable=len(rows) > SORTABLE)])
 
 
 def prediction_page(
-    found: Mapping[str, Any], record: Record, history: PointHistory, predicted: ModelCurve, picture: Path
+    summary: Mapping[str, Any], record: Record, history: PointHistory, predicted: ModelCurve, picture: Path
 ) -> Page:
     """The report of a prediction along a flight record as a page.
 
-    found     : contents of summary.json;  history : at the samples of the record
+    summary   : contents of summary.json;  history : at the samples of the record
     predicted : indications of the sensors;  picture : of both, in place of the chart
     """
     kind = "measured" if record.declared.measured else "synthetic"
     subtitle = f"Record {record.name}, control point {record.declared.control_point}, {kind} data; nothing fitted"
-    warnings = [*_range_lines({record.name: found}), *filter(None, [found["beyond_reference"]])]
+    warnings = [*_range_lines({record.name: summary}), *filter(None, [summary["beyond_reference"]])]
     sections = [
-        _prediction_errors(found),
+        _prediction_errors(summary),
         Section("Measured against predicted", charts=[record_chart(record, [predicted], SavedPicture(picture))]),
         Section("Wall", charts=[_wall_chart(history, record)]),
-        credibility_section(found["credibility"]),
+        credibility_section(summary["credibility"]),
     ]
-    return Page(record.declared.title or record.declared.control_point, subtitle, sections, _outcome(found), warnings)
+    return Page(record.declared.title or record.declared.control_point, subtitle, sections, _outcome(summary), warnings)
 
 
-def _outcome(found: Mapping[str, Any]) -> tuple[str, str]:
+def _outcome(summary: Mapping[str, Any]) -> tuple[str, str]:
     """RMSE over the fit segments, and over those held out."""
-    fit, holdout, floor = found["fit"], found["holdout"], found["noise_floor_K"]
+    fit, holdout, floor = summary["fit"], summary["holdout"], summary["noise_floor_K"]
     head = "No sample in the fit segments" if fit is None else f"RMSE {fit['rmse_K']:.2f} K"
     parts = [] if holdout is None else [f"held out {holdout['rmse_K']:.2f} K"]
     parts += [] if floor is None else [f"noise floor {floor:.2f} K"]
@@ -180,9 +180,9 @@ def _outcome(found: Mapping[str, Any]) -> tuple[str, str]:
     return head, f"{line[0].upper()}{line[1:]}." if line else ""
 
 
-def _prediction_errors(found: Mapping[str, Any]) -> Section:
-    errors = {"fit segments": found["fit"], "held out": found["holdout"]}
-    errors |= {f"sensor {name}, fit segments": e for name, e in found["sensors"].items()}
+def _prediction_errors(summary: Mapping[str, Any]) -> Section:
+    errors = {"fit segments": summary["fit"], "held out": summary["holdout"]}
+    errors |= {f"sensor {name}, fit segments": e for name, e in summary["sensors"].items()}
     rows = [[name, e["rmse_K"], e["max_abs_K"], e["n"]] for name, e in errors.items() if e is not None]
     columns = [
         Column(""), Column("RMSE", format=".2f", unit="K"), Column("largest", format=".1f", unit="K"),

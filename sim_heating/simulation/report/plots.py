@@ -48,10 +48,10 @@ def _shade(axes: Axes, windows: Sequence[Window]) -> None:
 def _name_windows(axes: Axes, windows: Sequence[Window]) -> None:
     """Name the manoeuvre of each shaded span above it."""
     for window in windows:
-        place = (0.5 * (window.start_s + window.end_s), 1.02)
+        position = (0.5 * (window.start_s + window.end_s), 1.02)
         axes.annotate(
             MANOEUVRE_NAMES.get(window.kind, window.kind),
-            place,
+            position,
             xycoords=("data", "axes fraction"),
             rotation=30,
             fontsize=7.5,
@@ -290,8 +290,8 @@ def _manoeuvre_title(flown: Conditions, window: Window) -> str:
     """Name and speed of a manoeuvre, with both definitions of Mach number."""
     begin = flown.at([window.start_s])
     V, mach = float(begin["velocity_m_s"][0]), float(begin["mach"][0])
-    what = MANOEUVRE_NAMES.get(window.kind, window.kind)
-    return f"{what[0].upper()}{what[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
+    name = MANOEUVRE_NAMES.get(window.kind, window.kind)
+    return f"{name[0].upper()}{name[1:]} at {V:.0f} m/s (Shuttle 'Mach' {V / SHUTTLE_MACH_M_S:.1f}, V/a {mach:.1f})"
 
 
 @replaced_if_undrawable

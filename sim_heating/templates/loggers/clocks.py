@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,10 @@ from sim_heating.base.errors import InputError
 DAY_S = 86400.0
 ORDERS = {"day-first": "day first", "month-first": "month first", "year-first": "year first"}
 """Value of the option --dates -> in words."""
+GROUPS_OF_ORDER = {"year-first": "abc", "day-first": "cba", "month-first": "cab"}
+"""Groups of DATE that hold year, month and day."""
+DIGITS_OF_BASIC = (slice(0, 4), slice(4, 6), slice(6, 8))
+"""Year, month and day in yyyymmdd."""
 ANY_ORDER = "in any order"
 """Of dates whose order changes no time between rows."""
 CLOCKS = ("hh:mm", "mm:ss", "hh:mm:ss", "hh:mm:ss:ms", "dd:hh:mm:ss", "hhmmss")
@@ -73,13 +78,13 @@ class Clock:
     layout: str
 
 
-def clock_of(cells: Sequence[str], place: str, dates: str | None = None, unit: str | None = None) -> Clock | None:
+def clock_of(cells: Sequence[str], location: str, dates: str | None = None, unit: str | None = None) -> Clock | None:
     """Times that the cells of a column state; None where most of them are no clock in any layout that is known.
 
-    place  : `file, column x`, for messages
-    dates  : order of dates as in ORDERS, where it is stated
-    unit   : layout of the time of day as in CLOCKS, where it is stated
-    raises : InputError, one line with a cell and the option that decides, where several layouts fit
+    location : `file, column x`, for messages
+    dates    : order of dates as in ORDERS, where it is stated
+    unit     : layout of the time of day as in CLOCKS, where it is stated
+    raises   : InputError, one line with a cell and the option that decides, where several layouts fit
     """
     series = pd.Series(list(cells), dtype=object)
     full = series != ""
@@ -89,204 +94,273 @@ def clock_of(cells: Sequence[str], place: str, dates: str | None = None, unit: s
     if joined.map(lambda c: ALL_BASIC.fullmatch(c) is not None).all():
         series = series.map(lambda c: f"{c[:8]}T{c[8:]}" if c else c)
     for pattern in (STAMP, OF_DAY):
-        found = series.map(pattern.fullmatch)
-        hit = found.notna()
+        matches = series.map(pattern.fullmatch)
+        hit = matches.notna()
         if hit.sum() > 0.5 * full.sum():
-            parts = {
-                name: [m[name] if m is not None else None for m in found.where(hit, None)]
+            groups = {
+                name: [m[name] if m is not None else None for m in matches.where(hit, None)]
                 for name in pattern.groupindex
             }
-            return _clock(parts, np.asarray(hit), series, place, dates, unit)
+            return _clock(_Cells(groups, np.flatnonzero(np.asarray(hit)), series, location), dates, unit)
     return None
 
 
-def _clock(
-    parts: dict[str, list[str | None]],
-    hit: np.ndarray,
-    cells: pd.Series,
-    place: str,
-    dates: str | None,
-    unit: str | None,
-) -> Clock:
-    rows = np.flatnonzero(hit)
-    time_s, has_time, words = _time_of_day(parts, rows, cells, place, unit)
-    seconds = np.full(len(cells), np.nan)
-    offset_s, zoned = _offsets(parts, rows)
-    if "a" not in parts:
+class _Cells(NamedTuple):
+    """Cells of a column in which a pattern finds a time.
+
+    groups   : group of the pattern -> its text in each cell; None where the cell has none
+    rows     : those whose cells match
+    texts    : of all cells;  location : `file, column x`, for messages
+    """
+
+    groups: dict[str, list[str | None]]
+    rows: np.ndarray
+    texts: pd.Series
+    location: str
+
+    def strings(self, group: str) -> list[str]:
+        """Text of a group in each row; empty where there is none."""
+        return [self.groups[group][i] or "" for i in self.rows]
+
+    def numbers(self, group: str) -> FloatArray:
+        """Number of a group in each row; 0 where there is none."""
+        return np.array([float(text or 0.0) for text in self.strings(group)])
+
+    def fractions(self, group: str) -> FloatArray:
+        """Decimals that a group holds, as a number below 1."""
+        return np.array([float(f"0.{text or 0}") for text in self.strings(group)])
+
+    def is_there(self, group: str) -> list[bool]:
+        """Whether each row has a group, which may be empty."""
+        return [self.groups[group][i] is not None for i in self.rows]
+
+    @property
+    def have_dates(self) -> bool:
+        """Whether the pattern is one of dates."""
+        return "a" in self.groups
+
+    def problem(self, rule: str, k: int = 0) -> InputError:
+        """An error about the cell of the row number k of `rows`."""
+        return InputError(f"{self.location}: `{self.texts[self.rows[k]]}` {rule}")
+
+
+class _Fields(NamedTuple):
+    """Numbers of times of day, (row,) each: days, hours, minutes, seconds, fraction of a second."""
+
+    days: FloatArray
+    hours: FloatArray
+    minutes: FloatArray
+    seconds: FloatArray
+    fraction: FloatArray
+
+
+def _clock(cells: _Cells, dates: str | None, unit: str | None) -> Clock:
+    rows = cells.rows
+    time_s, has_time, layout = _time_of_day(cells, unit)
+    seconds = np.full(len(cells.texts), np.nan)
+    offset_s, zoned = _offsets(cells)
+    if not cells.have_dates:
         if np.any(np.diff(offset_s) != 0.0):
             time_s = time_s - offset_s
         seconds[rows] = time_s
-        return Clock(seconds, None, True, words)
-    day, order = _days(parts, rows, time_s - offset_s, cells, place, dates)
+        return Clock(seconds, None, True, layout)
+    day, order = _days(cells, time_s - offset_s, dates)
     first = float(day[0])
     seconds[rows] = (day - first) * DAY_S + time_s - (offset_s if zoned else 0.0)
-    return Clock(seconds, first * DAY_S, has_time, f"dates {order}{', ' + words if has_time else ''}")
+    return Clock(seconds, first * DAY_S, has_time, f"dates {order}{', ' + layout if has_time else ''}")
 
 
-def _numbers(texts: list[str | None], rows: np.ndarray, default: float = 0.0) -> FloatArray:
-    return np.array([float(texts[i] or default) for i in rows])
-
-
-def _time_of_day(
-    parts: dict[str, list[str | None]], rows: np.ndarray, cells: pd.Series, place: str, unit: str | None
-) -> tuple[FloatArray, bool, str]:
+def _time_of_day(cells: _Cells, unit: str | None) -> tuple[FloatArray, bool, str]:
     """Seconds of the day, whether there are any, and their layout in words."""
-    if "bt" in parts and any(parts["bt"][i] for i in rows):
-        texts = [(parts["bt"][i] or "000000").ljust(6, "0") for i in rows]
-        fraction = np.array([float(f"0.{parts['bf'][i] or 0}") for i in rows])
-        found = np.array([3600.0 * int(t[:2]) + 60.0 * int(t[2:4]) + int(t[4:6]) for t in texts]) + fraction
-        return found, True, "clock hhmmss"
-    if not any(parts["h"][i] for i in rows):
-        return np.zeros(len(rows)), False, ""
-    a, b, c = (_numbers(parts[n], rows) for n in "hms")
-    fraction = np.array([float(f"0.{parts['f'][i] or 0}") for i in rows])
-    days = _numbers(parts["days"], rows)
-    third = np.array([parts["s"][i] is not None for i in rows])
-    fourth = np.array([parts["x"][i] is not None for i in rows])
-    half = np.array([(parts["half"][i] or "").lower() for i in rows])
-    has_date = "a" in parts
-    if np.any(third != third[0]) or np.any(fourth != fourth[0]):
-        mixed = next(
-            i for i, k in zip(rows, third if np.any(third != third[0]) else fourth, strict=True) if k != third[0]
+    if "bt" in cells.groups and any(cells.strings("bt")):
+        texts = [(text or "000000").ljust(6, "0") for text in cells.strings("bt")]
+        whole_s = np.array([3600.0 * int(t[:2]) + 60.0 * int(t[2:4]) + int(t[4:6]) for t in texts])
+        return whole_s + cells.fractions("bf"), True, "clock hhmmss"
+    if not any(cells.strings("h")):
+        return np.zeros(len(cells.rows)), False, ""
+    _require_one_layout(cells)
+    time, layout = _fields(cells, unit)
+    if np.any(time.minutes > 59.0) and layout != "clock mm:ss":
+        raise cells.problem(
+            "is no time of day; mend the cell, or state --time-unit mm:ss", int(np.argmax(time.minutes > 59.0))
         )
-        raise InputError(
-            f"{place}: `{cells[mixed]}` has another layout than `{cells[rows[0]]}`; one file has one layout "
-            "of its clock"
-        )
-    words = "clock hh:mm:ss"
-    if fourth[0]:
-        x = _numbers(parts["x"], rows)
-        digits = {len(parts["x"][i] or "") for i in rows}
-        is_ms = unit == "hh:mm:ss:ms" or (unit != "dd:hh:mm:ss" and (3 in digits or x.max() > 59.0))
-        is_days = unit == "dd:hh:mm:ss" or (
-            not is_ms
-            and not has_date
-            and (any(parts["f"][i] for i in rows) or any(len(parts["h"][i] or "") == 3 for i in rows))
-        )
-        if not is_ms and not is_days:
-            raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be hh:mm:ss:ms or dd:hh:mm:ss; state --time-unit hh:mm:ss:ms or "
-                "--time-unit dd:hh:mm:ss"
-            )
-        if is_ms:
-            fraction = x / 1000.0
-            words = "clock hh:mm:ss:ms"
-        else:
-            days, a, b, c = a, b, c, x
-            words = "clock dd:hh:mm:ss"
-    elif not third[0]:
-        minutes_first = any(parts["f"][i] for i in rows) or (a.max() > 23.0 and not has_date)
-        if unit == "mm:ss" or (unit is None and minutes_first and not has_date):
-            a, b, c = np.zeros(len(a)), a, b
-            words = "clock mm:ss"
-        elif unit == "hh:mm" or has_date or any(half):
-            words = "clock hh:mm"
-        elif unit in (None, *CLOCKS):
-            raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be hours and minutes or minutes and seconds; state "
-                "--time-unit hh:mm or "
-                "--time-unit mm:ss"
-            )
-    if np.any(b > 59.0) and words != "clock mm:ss":
-        i = rows[int(np.argmax(b > 59.0))]
-        raise InputError(f"{place}: `{cells[i]}` is no time of day; mend the cell, or state --time-unit mm:ss")
-    if np.any(c >= 61.0):
-        raise InputError(f"{place}: `{cells[rows[int(np.argmax(c >= 61.0))]]}` is no time of day; mend the cell")
-    if any(half):
-        if np.any(a > 12.0) or not all(half):
-            i = rows[int(np.argmax((a > 12.0) | (half == "")))]
-            raise InputError(f"{place}: `{cells[i]}` is no time of day with AM or PM; mend the cell")
-        a = np.where(a == 12.0, 0.0, a) + np.where(half == "p", 12.0, 0.0)
-        words += ", AM and PM"
-    return days * DAY_S + 3600.0 * a + 60.0 * b + c + fraction, True, words
+    if np.any(time.seconds >= 61.0):
+        raise cells.problem("is no time of day; mend the cell", int(np.argmax(time.seconds >= 61.0)))
+    if any(cells.strings("half")):
+        time, layout = time._replace(hours=_hours_of_halves(cells, time.hours)), f"{layout}, AM and PM"
+    seconds = time.days * DAY_S + 3600.0 * time.hours + 60.0 * time.minutes + time.seconds + time.fraction
+    return seconds, True, layout
 
 
-def _offsets(parts: dict[str, list[str | None]], rows: np.ndarray) -> tuple[FloatArray, bool]:
+def _require_one_layout(cells: _Cells) -> None:
+    """raises : InputError where some times have a third or a fourth number and others have none"""
+    for group in ("s", "x"):
+        is_there = cells.is_there(group)
+        if True in is_there and False in is_there:
+            mixed = is_there.index(not is_there[0])
+            rule = f"has another layout than `{cells.texts[cells.rows[0]]}`; one file has one layout of its clock"
+            raise cells.problem(rule, mixed)
+
+
+def _fields(cells: _Cells, unit: str | None) -> tuple[_Fields, str]:
+    """Numbers of the times, and their layout in words."""
+    days, hours, minutes, seconds = (cells.numbers(group) for group in ("days", "h", "m", "s"))
+    time = _Fields(days, hours, minutes, seconds, cells.fractions("f"))
+    if cells.is_there("x")[0]:
+        return _of_four_numbers(cells, unit, time)
+    return (time, "clock hh:mm:ss") if cells.is_there("s")[0] else _of_two_numbers(cells, unit, time)
+
+
+def _of_four_numbers(cells: _Cells, unit: str | None, time: _Fields) -> tuple[_Fields, str]:
+    """Times of four numbers, which end in milliseconds or begin with days."""
+    last, digits = cells.numbers("x"), {len(text) for text in cells.strings("x")}
+    is_ms = unit == "hh:mm:ss:ms" or (unit != "dd:hh:mm:ss" and (3 in digits or last.max() > 59.0))
+    if is_ms:
+        return time._replace(fraction=last / 1000.0), "clock hh:mm:ss:ms"
+    counts_days = any(cells.strings("f")) or any(len(text) == 3 for text in cells.strings("h"))
+    if unit == "dd:hh:mm:ss" or (not cells.have_dates and counts_days):
+        return _Fields(time.hours, time.minutes, time.seconds, last, time.fraction), "clock dd:hh:mm:ss"
+    rule = "may be hh:mm:ss:ms or dd:hh:mm:ss; state --time-unit hh:mm:ss:ms or --time-unit dd:hh:mm:ss"
+    raise cells.problem(rule)
+
+
+def _of_two_numbers(cells: _Cells, unit: str | None, time: _Fields) -> tuple[_Fields, str]:
+    """Times of two numbers: hours and minutes, or minutes and seconds."""
+    minutes_first = not cells.have_dates and (any(cells.strings("f")) or time.hours.max() > 23.0)
+    if unit == "mm:ss" or (unit is None and minutes_first):
+        shifted = time._replace(hours=np.zeros(len(time.hours)), minutes=time.hours, seconds=time.minutes)
+        return shifted, "clock mm:ss"
+    if unit == "hh:mm" or cells.have_dates or any(cells.strings("half")):
+        return time, "clock hh:mm"
+    if unit in (None, *CLOCKS):
+        rule = "may be hours and minutes or minutes and seconds; state --time-unit hh:mm or --time-unit mm:ss"
+        raise cells.problem(rule)
+    return time, "clock hh:mm:ss"
+
+
+def _hours_of_halves(cells: _Cells, hours: FloatArray) -> FloatArray:
+    """Hours of the day from those of AM and PM.
+
+    raises : InputError where an hour is beyond 12, or has neither
+    """
+    half = np.array([text.lower() for text in cells.strings("half")])
+    bad = (hours > 12.0) | (half == "")
+    if np.any(bad):
+        raise cells.problem("is no time of day with AM or PM; mend the cell", int(np.argmax(bad)))
+    return np.where(hours == 12.0, 0.0, hours) + np.where(half == "p", 12.0, 0.0)
+
+
+def _offsets(cells: _Cells) -> tuple[FloatArray, bool]:
     """Offsets from UTC [s], and whether they are stated."""
-    found = np.zeros(len(rows))
+    offset_s = np.zeros(len(cells.rows))
     stated = False
-    for k, i in enumerate(rows):
-        text, zone = parts["offset"][i], (parts["zone"][i] or "").lower()
+    for k, (text, zone) in enumerate(zip(cells.strings("offset"), cells.strings("zone"), strict=True)):
         if text:
             digits = re.sub(r"\D", "", text).ljust(4, "0")
-            found[k] = (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])) * (-1.0 if text[0] != "+" else 1.0)
+            offset_s[k] = (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])) * (-1.0 if text[0] != "+" else 1.0)
             stated = True
-        elif zone in ZONES:
-            found[k] = 3600.0 * ZONES[zone]
+        elif zone.lower() in ZONES:
+            offset_s[k] = 3600.0 * ZONES[zone.lower()]
             stated = True
-    return found, stated
+    return offset_s, stated
 
 
-def _days(
-    parts: dict[str, list[str | None]],
-    rows: np.ndarray,
-    time_s: FloatArray,
-    cells: pd.Series,
-    place: str,
-    dates: str | None,
-) -> tuple[FloatArray, str]:
+def _days(cells: _Cells, time_s: FloatArray, dates: str | None) -> tuple[FloatArray, str]:
     """Days since 1970, and the order of the dates in words."""
-    if parts["basic"][rows[0]]:
-        texts = [parts["basic"][i] or "00000000" for i in rows]
-        split = [np.array([float(t[p]) for t in texts]) for p in (slice(0, 4), slice(4, 6), slice(6, 8))]
-        return _checked(_day(*split), rows, cells, place), "yyyymmdd"
-    if parts["named"][rows[0]]:
-        month = np.array([float(MONTHS.get((parts["named"][i] or "")[:3].lower(), 0)) for i in rows])
-        day, year = _numbers(parts["nd"], rows), _numbers(parts["ny"], rows)
-        return _checked(_day(year, month, day), rows, cells, place), "with names of months"
-    a, c = _numbers(parts["a"], rows), _numbers(parts["c"], rows)
-    middle = [parts["b"][i] or "" for i in rows]
-    long_a, long_c = (any(len(parts[n][i] or "") > 2 for i in rows) for n in "ac")
-    if not middle[0].isdigit():
-        month = np.array([float(MONTHS.get(text[:3].lower(), 0)) for text in middle])
-        day, year = (c, a) if long_a else (a, c)
-        return _checked(_day(year, month, day), rows, cells, place), "with names of months"
-    b = np.array([float(text) if text.isdigit() else np.nan for text in middle])
-    readings = {"year-first": (a, b, c), "day-first": (c, b, a), "month-first": (c, a, b)}
-    if long_a:
-        readings = {"year-first": readings["year-first"]}
-    elif long_c:
-        readings.pop("year-first")
-    if parts["mark"][rows[0]] == "." and not long_a:
-        readings = {"day-first": readings["day-first"]}
-    if dates is not None:
-        if dates not in readings:
-            raise InputError(f"{place}: `{cells[rows[0]]}` is not a date with the {ORDERS[dates]}; correct --dates")
-        readings = {dates: readings[dates]}
-    days = {order: _day(*numbers) for order, numbers in readings.items()}
+    plain = _unambiguous_days(cells)
+    if plain is not None:
+        return _checked(plain[0], cells), plain[1]
+    numbers = _date_numbers(cells)
+    orders = _possible_orders(cells, dates)
+    days = {order: _day(*(numbers[group] for group in GROUPS_OF_ORDER[order])) for order in orders}
     if len(days) == 1:
         order, day = next(iter(days.items()))
-        return _checked(day, rows, cells, place), ORDERS[order]
+        return _checked(day, cells), ORDERS[order]
     valid = {order: day for order, day in days.items() if not np.any(np.isnan(day))}
     if not valid:
-        raise InputError(
-            f"{place}: `{_odd_date(a, b, rows, cells)}` has no order of day and month that all dates have; "
-            "mend the dates"
-        )
-    # readings between which the times do not tell are one, as where all rows are of one day
-    distinct: list[str] = []
+        rule = "has no order of day and month that all dates have; mend the dates"
+        raise cells.problem(rule, _odd_date(numbers["a"]))
+    distinct = _distinct_orders(valid, time_s)
+    if len(distinct) > 1:
+        order = _usual_order(cells, valid, distinct, time_s)
+        return valid[order], ORDERS[order]
+    return valid[distinct[0]], ORDERS[distinct[0]] if len(valid) == 1 else ANY_ORDER
+
+
+def _months(names: Sequence[str]) -> FloatArray:
+    return np.array([float(MONTHS.get(name[:3].lower(), 0)) for name in names])
+
+
+def _unambiguous_days(cells: _Cells) -> tuple[FloatArray, str] | None:
+    """Days since 1970 of dates with names of months, or in eight digits, and their layout in words; else None."""
+    first = int(cells.rows[0])
+    if cells.groups["basic"][first]:
+        texts = [text or "00000000" for text in cells.strings("basic")]
+        return _day(*(np.array([float(t[p]) for t in texts]) for p in DIGITS_OF_BASIC)), "yyyymmdd"
+    if cells.groups["named"][first]:
+        year, day = cells.numbers("ny"), cells.numbers("nd")
+        return _day(year, _months(cells.strings("named")), day), "with names of months"
+    if not (cells.groups["b"][first] or "").isdigit():
+        first_number, last_number = cells.numbers("a"), cells.numbers("c")
+        year, day = (first_number, last_number) if _is_year(cells, "a") else (last_number, first_number)
+        return _day(year, _months(cells.strings("b")), day), "with names of months"
+    return None
+
+
+def _is_year(cells: _Cells, group: str) -> bool:
+    return any(len(text) > 2 for text in cells.strings(group))
+
+
+def _date_numbers(cells: _Cells) -> dict[str, FloatArray]:
+    """The three numbers of dates, by group; NaN where the second is none."""
+    middle = np.array([float(text) if text.isdigit() else np.nan for text in cells.strings("b")])
+    return {"a": cells.numbers("a"), "b": middle, "c": cells.numbers("c")}
+
+
+def _possible_orders(cells: _Cells, dates: str | None) -> list[str]:
+    """Orders that dates of three numbers may have: by a year of four digits, a point between them, or as stated.
+
+    dates  : order that is stated; None where none is
+    raises : InputError where that is impossible
+    """
+    year_first = _is_year(cells, "a")
+    orders = ["year-first"] if year_first else ["day-first", "month-first"]
+    if not year_first and not _is_year(cells, "c"):
+        orders.insert(0, "year-first")
+    if cells.groups["mark"][int(cells.rows[0])] == "." and not year_first:
+        orders = ["day-first"]
+    if dates is not None and dates not in orders:
+        raise cells.problem(f"is not a date with the {ORDERS[dates]}; correct --dates")
+    return orders if dates is None else [dates]
+
+
+def _distinct_orders(valid: dict[str, FloatArray], time_s: FloatArray) -> list[str]:
+    """Orders between which the times tell; those of equal times, as where all rows are of one day, count as one."""
+    distinct: dict[str, FloatArray] = {}
     for order, day in valid.items():
         span = (day - day[0]) * DAY_S + time_s
-        if not any(np.array_equal(span, (valid[o] - valid[o][0]) * DAY_S + time_s) for o in distinct):
-            distinct.append(order)
-    told = len(valid) == 1
-    if len(distinct) > 1:
-        told = True
-        steps = {o: np.diff(valid[o] * DAY_S + time_s) for o in distinct}
-        usual = [o for o, step in steps.items() if np.all(step > -DAY_S / 24.0) and np.all(step <= LONGEST_STEP_S)]
-        if len(usual) != 1:
-            options = " or ".join(f"--dates {o}" for o in distinct)
-            raise InputError(
-                f"{place}: `{cells[rows[0]]}` may be read with the {ORDERS[distinct[0]]} or not; state {options}"
-            )
-        distinct = usual
-    return valid[distinct[0]], ORDERS[distinct[0]] if told else ANY_ORDER
+        if not any(np.array_equal(span, other) for other in distinct.values()):
+            distinct[order] = span
+    return list(distinct)
 
 
-def _odd_date(a: FloatArray, b: FloatArray, rows: np.ndarray, cells: pd.Series) -> str:
-    """A date that contradicts the order of the first one."""
-    odd = np.flatnonzero((a > 12.0) != (a[0] > 12.0))
-    return str(cells[rows[int(odd[0]) if len(odd) else 0]])
+def _usual_order(cells: _Cells, valid: dict[str, FloatArray], distinct: list[str], time_s: FloatArray) -> str:
+    """The order whose times go on as those of a recorder do.
+
+    raises : InputError where several do, or none
+    """
+    steps = {o: np.diff(valid[o] * DAY_S + time_s) for o in distinct}
+    usual = [o for o, step in steps.items() if np.all(step > -DAY_S / 24.0) and np.all(step <= LONGEST_STEP_S)]
+    if len(usual) != 1:
+        options = " or ".join(f"--dates {o}" for o in distinct)
+        raise cells.problem(f"may be read with the {ORDERS[distinct[0]]} or not; state {options}")
+    return usual[0]
+
+
+def _odd_date(first_number: FloatArray) -> int:
+    """Row number of a date that contradicts the order of the first one."""
+    odd = np.flatnonzero((first_number > 12.0) != (first_number[0] > 12.0))
+    return int(odd[0]) if len(odd) else 0
 
 
 def _day(year: FloatArray, month: FloatArray, day: FloatArray) -> FloatArray:
@@ -301,21 +375,21 @@ def _day(year: FloatArray, month: FloatArray, day: FloatArray) -> FloatArray:
     return np.where(good, first.astype(np.int64) + d - 1.0, np.nan)
 
 
-def _checked(day: FloatArray, rows: np.ndarray, cells: pd.Series, place: str) -> FloatArray:
+def _checked(day: FloatArray, cells: _Cells) -> FloatArray:
     bad = np.flatnonzero(np.isnan(day))
     if len(bad):
-        raise InputError(f"{place}: `{cells[rows[bad[0]]]}` is no date; mend the cell, or state --dates")
+        raise cells.problem("is no date; mend the cell, or state --dates", int(bad[0]))
     return day
 
 
 def with_colons(cells: Sequence[str]) -> list[str]:
     """Times of day as hhmmss, such as 94502 or 104500.5, with their colons; other cells as they are."""
-    found = []
+    written = []
     for cell in cells:
-        whole = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
-        padded = whole[1].zfill(6) if whole else ""
-        found.append(f"{padded[:2]}:{padded[2:4]}:{padded[4:]}{whole[2] or ''}" if whole else cell)
-    return found
+        match = re.fullmatch(r"(\d{1,6})([.,]\d+)?", cell)
+        padded = match[1].zfill(6) if match else ""
+        written.append(f"{padded[:2]}:{padded[2:4]}:{padded[4:]}{match[2] or ''}" if match else cell)
+    return written
 
 
 def may_be_hhmmss(values: FloatArray) -> bool:
@@ -333,8 +407,8 @@ def may_be_hhmmss(values: FloatArray) -> bool:
 
 def over_midnight(seconds: FloatArray) -> tuple[FloatArray, int]:
     """Times of day with a day added at each midnight, which is a step back of more than half a day; and how many."""
-    found = seconds.copy()
-    known = np.flatnonzero(np.isfinite(seconds))
-    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[known]) < -0.5 * DAY_S)))
-    found[known] += DAY_S * wraps
-    return found, int(wraps[-1]) if len(wraps) else 0
+    unwrapped = seconds.copy()
+    finite = np.flatnonzero(np.isfinite(seconds))
+    wraps = np.concatenate(([0], np.cumsum(np.diff(seconds[finite]) < -0.5 * DAY_S)))
+    unwrapped[finite] += DAY_S * wraps
+    return unwrapped, int(wraps[-1]) if len(wraps) else 0

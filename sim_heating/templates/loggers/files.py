@@ -88,16 +88,16 @@ def _tdms(path: Path, group: str | None) -> Block:
     return of_frame(path, pd.DataFrame(columns), units, "TDMS", 1)
 
 
-def chosen_name(path: Path, what: str, names: list[str], chosen: str | None) -> str:
-    """The name that was chosen, or the only one; `what` it is a name of, such as a sheet, in words.
+def chosen_name(path: Path, kind: str, names: list[str], chosen: str | None) -> str:
+    """The name that was chosen, or the only one; `kind` it is a name of, such as a sheet, in words.
 
     raises : InputError, one line with the names, where there is no such name, or none was chosen of several
     """
     if chosen is not None and chosen not in names:
         raise InputError(
-            f"--sheet {chosen}: there is no such {what} in {display_path(path)}; it has {', '.join(names)}"
+            f"--sheet {chosen}: there is no such {kind} in {display_path(path)}; it has {', '.join(names)}"
         )
     if chosen is None and len(names) != 1:
-        known = ", ".join(names) or "none with cells"
-        raise InputError(f"{display_path(path)}: has {len(names)} {what}s ({known}); choose one, --sheet NAME")
+        listed = ", ".join(names) or "none with cells"
+        raise InputError(f"{display_path(path)}: has {len(names)} {kind}s ({listed}); choose one, --sheet NAME")
     return chosen if chosen is not None else names[0]

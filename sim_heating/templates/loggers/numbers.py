@@ -39,15 +39,15 @@ class Signs:
     def words(self) -> str:
         """As in `decimal comma, thousands point`."""
         name = {".": "point", ",": "comma", "": ""}
-        more = f", thousands {name.get(self.thousands, 'blank')}" if self.thousands else ""
-        return f"decimal {name[self.decimal]}{more}"
+        thousands = f", thousands {name.get(self.thousands, 'blank')}" if self.thousands else ""
+        return f"decimal {name[self.decimal]}{thousands}"
 
     @property
     def pattern(self) -> re.Pattern[str]:
         """Of a number that is written with these signs."""
         point, comma = re.escape(self.decimal), re.escape(self.thousands)
-        whole = rf"(?:\d+|[1-9]\d{{0,2}}(?:{comma}\d{{3}})+)" if self.thousands else r"\d+"
-        return re.compile(rf"[+-]?(?:{whole}(?:{point}\d*)?|{point}\d+){EXPONENT}")
+        integer = rf"(?:\d+|[1-9]\d{{0,2}}(?:{comma}\d{{3}})+)" if self.thousands else r"\d+"
+        return re.compile(rf"[+-]?(?:{integer}(?:{point}\d*)?|{point}\d+){EXPONENT}")
 
 
 def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> Signs:
@@ -93,19 +93,19 @@ def number_signs(block: Block, columns: Sequence[int], decimal: str | None) -> S
         if sign == "," or _may_be_thousands(block, columns):
             cell = block.cells[k][row]
             point = "." if sign == "," else ","
-            whole = re.sub(r"[.,]", "", cell)
+            integer = re.sub(r"[.,]", "", cell)
             raise InputError(
-                f"{block.at(row, block.names[k])}: `{cell}` may be {whole} or {cell.replace(',', '.')}; "
+                f"{block.at(row, block.names[k])}: `{cell}` may be {integer} or {cell.replace(',', '.')}; "
                 "state the decimal "
-                f"sign, --decimal {point} for {whole}, --decimal {sign} for {cell.replace(',', '.')}"
+                f"sign, --decimal {point} for {integer}, --decimal {sign} for {cell.replace(',', '.')}"
             )
     return Signs(".", blank)
 
 
 def _sign_of(cell: str) -> tuple[bool, str] | None:
     """Whether a cell decides the decimal sign, and the sign; None where it has no sign."""
-    found = WITH_UNIT.fullmatch(cell)
-    text = (found[1] if found else cell).translate(str.maketrans("", "", BLANKS))
+    match = WITH_UNIT.fullmatch(cell)
+    text = (match[1] if match else cell).translate(str.maketrans("", "", BLANKS))
     if not re.fullmatch(rf"[+-]?[\d.,]*\d[.,]?{EXPONENT}|[+-]?[.,]\d+{EXPONENT}", text):
         return None
     text = re.sub(r"[eE].*", "", text)
@@ -133,8 +133,8 @@ def _thousands(block: Block, columns: Sequence[int], decimal: str) -> str:
 
 
 def _bare(cell: str) -> str:
-    found = WITH_UNIT.fullmatch(cell)
-    return (found[1] if found else cell).strip()
+    match = WITH_UNIT.fullmatch(cell)
+    return (match[1] if match else cell).strip()
 
 
 def _shows_thousands(block: Block, columns: Sequence[int], sign: str) -> bool:
@@ -142,8 +142,8 @@ def _shows_thousands(block: Block, columns: Sequence[int], sign: str) -> bool:
     fixed number of decimals, as the zero at an end shows, none would be written without them."""
     for k in columns:
         cells = {c for c in map(_bare, block.column(k)) if c}
-        whole = sum(re.fullmatch(r"[+-]?[1-9]\d\d", c) is not None for c in cells)
-        if whole >= LEAST_WHOLE and any(sign in c and c.endswith("0") for c in cells):
+        hundreds = sum(re.fullmatch(r"[+-]?[1-9]\d\d", c) is not None for c in cells)
+        if hundreds >= LEAST_WHOLE and any(sign in c and c.endswith("0") for c in cells):
             return True
     return False
 
@@ -154,9 +154,9 @@ def _may_be_thousands(block: Block, columns: Sequence[int]) -> bool:
     for k in columns:
         cells = [c for c in map(_bare, block.column(k)) if c]
         pointed = [c for c in cells if "." in c]
-        whole = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
+        integers = [abs(float(c)) for c in cells if re.fullmatch(r"[+-]?\d{1,9}", c)]
         if pointed and (
-            max(whole, default=0.0) >= 100.0
+            max(integers, default=0.0) >= 100.0
             or (block.separator != "," and all(re.fullmatch(r"[+-]?[1-9]\.\d{3}", c) for c in pointed))
         ):
             return True
@@ -169,13 +169,13 @@ class Numbers:
 
     values : (row,) NaN where the cell holds none
     unit   : that stands in the cells; empty where none does
-    words  : texts in place of numbers, each once; empty cells aside
+    texts  : in place of numbers, each once; empty cells aside
     torn   : row of the first cell that is neither a number in this layout nor a word; -1 where there is none
     """
 
     values: FloatArray
     unit: str
-    words: tuple[str, ...]
+    texts: tuple[str, ...]
     torn: int
 
 
@@ -190,17 +190,17 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     pattern, drop = signs.pattern, str.maketrans("", "", (signs.thousands or "") + BLANKS)
     values = np.full(len(cells), math.nan)
     units: set[str] = set()
-    words: dict[str, None] = {}
+    texts: dict[str, None] = {}
     torn = -1
-    known: dict[str, tuple[float, str]] = {}
+    by_cell: dict[str, tuple[float, str]] = {}
     for i, cell in enumerate(cells):
         if not cell:
             continue
-        if cell not in known:
-            known[cell] = _read(cell, pattern, drop, signs.decimal)
-        value, unit = known[cell]
+        if cell not in by_cell:
+            by_cell[cell] = _read(cell, pattern, drop, signs.decimal)
+        value, unit = by_cell[cell]
         if math.isnan(value):
-            words[cell] = None
+            texts[cell] = None
             if torn < 0 and TORN.match(cell):
                 torn = i
         else:
@@ -209,13 +209,15 @@ def numbers_of(cells: Sequence[str], signs: Signs) -> Numbers:
     if (
         len(units) == 2
         and "" in units
-        and all(_is_code(values[i]) for i, c in enumerate(cells) if c and not known[c][1])
+        and all(_is_code(values[i]) for i, c in enumerate(cells) if c and not by_cell[c][1])
     ):
         units.discard("")  # the code of a lost sample states no unit
     if len(units) > 1:
-        torn = torn if torn >= 0 else next(i for i, c in enumerate(cells) if c and known[c][1] != known[cells[0]][1])
+        torn = (
+            torn if torn >= 0 else next(i for i, c in enumerate(cells) if c and by_cell[c][1] != by_cell[cells[0]][1])
+        )
     unit = next(iter(units)) if len(units) == 1 else ""
-    return Numbers(values, unit, tuple(words), torn)
+    return Numbers(values, unit, tuple(texts), torn)
 
 
 def _is_code(value: float) -> bool:
@@ -228,10 +230,10 @@ def _read(cell: str, pattern: re.Pattern[str], drop: dict[int, int | None], deci
     text, unit = cell, ""
     plain = text.replace("\u2212", "-").translate({ord(b): None for b in BLANKS})
     if pattern.fullmatch(plain) is None:
-        found = WITH_UNIT.fullmatch(cell)
-        if found is None or known_unit(found[2]) is None:
+        match = WITH_UNIT.fullmatch(cell)
+        if match is None or known_unit(match[2]) is None:
             return math.nan, ""
-        plain, unit = found[1].translate({ord(b): None for b in BLANKS}), found[2]
+        plain, unit = match[1].translate({ord(b): None for b in BLANKS}), match[2]
         if pattern.fullmatch(plain) is None:
             return math.nan, ""
     value = float(plain.translate(drop).replace(decimal, "."))

@@ -31,10 +31,10 @@ SIDE = 3
 
 def lost_codes(values: FloatArray, codes: Sequence[float]) -> BoolArray:
     """(row,) whether a reading is one of the codes, or an overload."""
-    found: BoolArray = np.abs(values) >= OVERLOAD
+    is_lost: BoolArray = np.abs(values) >= OVERLOAD
     for code in codes:
-        found |= np.isclose(values, code, rtol=1e-6, atol=1e-9)
-    return found
+        is_lost |= np.isclose(values, code, rtol=1e-6, atol=1e-9)
+    return is_lost
 
 
 def fault_codes(values: FloatArray) -> BoolArray:
@@ -43,7 +43,7 @@ def fault_codes(values: FloatArray) -> BoolArray:
     A run of a code is compared with the readings on both sides; one at an end, of an open input alone, with that of one
     side.
     """
-    found = np.zeros(len(values), dtype=bool)
+    is_fault = np.zeros(len(values), dtype=bool)
     for code in (*OPEN, *DROPPED):
         is_code = np.isclose(values, code, rtol=0.0, atol=1e-9)
         others = np.flatnonzero(np.isfinite(values) & ~is_code)
@@ -56,17 +56,17 @@ def fault_codes(values: FloatArray) -> BoolArray:
             if len(sides) < 2 and code in DROPPED:
                 continue
             apart = abs(sides[0] - sides[-1])
-            found[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
-    return found
+            is_fault[i] = min(abs(x - code) for x in sides) > max(SIGMAS * scale, LEAST * apart, 10.0 * SMALLEST)
+    return is_fault
 
 
 def far_off(values: FloatArray) -> BoolArray:
     """(row,) whether a reading is far off its neighbours. Lost ones, NaN, have none."""
-    found = np.zeros(len(values), dtype=bool)
-    known = np.flatnonzero(np.isfinite(values))
-    if len(known) < 2 * SIDE + 3:
-        return found
-    v = values[known]
+    is_far = np.zeros(len(values), dtype=bool)
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) < 2 * SIDE + 3:
+        return is_far
+    v = values[finite]
     around = np.stack([_shifted(v, k) for k in (*range(-SIDE, 0), *range(1, SIDE + 1))])
     middle = np.nanmedian(around, axis=0)
     ordered = np.sort(around, axis=0)  # NaN beyond the ends last
@@ -79,15 +79,15 @@ def far_off(values: FloatArray) -> BoolArray:
     distance = np.abs(v - middle)
     scale = 1.4826 * float(np.median(distance))
     outside = np.maximum(low - v, v - high)
-    found[known] = (outside > np.maximum(SIGMAS * scale, SMALLEST)) & (outside > LEAST * (high - low))
-    return found
+    is_far[finite] = (outside > np.maximum(SIGMAS * scale, SMALLEST)) & (outside > LEAST * (high - low))
+    return is_far
 
 
 def _shifted(values: FloatArray, by: int) -> FloatArray:
     """Values so many places on, NaN beyond the ends."""
-    found = np.full(len(values), np.nan)
+    shifted = np.full(len(values), np.nan)
     if by > 0:
-        found[:-by] = values[by:]
+        shifted[:-by] = values[by:]
     else:
-        found[-by:] = values[:by]
-    return found
+        shifted[-by:] = values[:by]
+    return shifted

@@ -96,20 +96,20 @@ def _recorder(lines: Sequence[tuple[int, str]]) -> str:
 def _without_arrows(lines: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], bool]:
     """Lines of the serial monitor of an Arduino, `10:45:00.512 -> 20.06,20.46`, with a separator for the arrow."""
     arrow = re.compile(r"(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> (.*)")
-    found = [(i, arrow.fullmatch(line.strip())) for i, line in lines]
-    if sum(m is not None for _, m in found) < 0.9 * len(lines):
+    matches = [(i, arrow.fullmatch(line.strip())) for i, line in lines]
+    if sum(m is not None for _, m in matches) < 0.9 * len(lines):
         return lines, False
-    rest = [(i, m[2]) for i, m in found if m is not None]
+    rest = [(i, m[2]) for i, m in matches if m is not None]
     labelled = [re.findall(r"([A-Za-z][\w ]*?)\s*[:=]\s*([+-]?\d[^,;\t]*?)\s*(?=[,;\t]|$)", text) for _, text in rest]
     if all(labelled) and len({tuple(n for n, _ in pairs) for pairs in labelled}) == 1:
         head = ";".join(["time", *(name.strip() for name, _ in labelled[0])])
         rows = [
             (i, ";".join([m[1], *(value for _, value in pairs)]))
-            for (i, m), pairs in zip(((i, m) for i, m in found if m is not None), labelled, strict=True)
+            for (i, m), pairs in zip(((i, m) for i, m in matches if m is not None), labelled, strict=True)
         ]
         return [(0, head), *rows], True
     sign = _separator(rest) if any(s in text for _, text in rest[:50] for s in ",;\t ") else ";"
-    return [(i, m[1] + sign + m[2]) for i, m in found if m is not None], True
+    return [(i, m[1] + sign + m[2]) for i, m in matches if m is not None], True
 
 
 def split_lines(lines: Sequence[tuple[int, str]], sign: str) -> list[Row]:
@@ -140,9 +140,9 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str:
         if width < 2:
             continue
         wrong = sum(any(_is_torn(c, sign) for c in row) for row in rows)
-        share = (often - wrong) / len(rows)
-        if share > most + 0.05:
-            best, most = sign, share
+        agreement = (often - wrong) / len(rows)
+        if agreement > most + 0.05:
+            best, most = sign, agreement
     return best
 
 
@@ -218,11 +218,11 @@ def rows_block(
         columns.pop()  # a separator ends each line
         width -= 1
     names, units, names_line = _head(file, split, first, width, recorder, lines)
-    words = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
-    said = [recorder, f"cells separated by {words}" if words else ""]
+    sign_text = SEPARATORS.get(sign, f"`{sign}`") if sign else ""
+    remarks = [recorder, f"cells separated by {sign_text}" if sign_text else ""]
     return Block(
         path, tuple(names), tuple(units), tuple(columns), tuple(split[k][0] for k in body), sign, "", names_line,
-        ", ".join(part for part in said if part), tuple(notes),
+        ", ".join(remark for remark in remarks if remark), tuple(notes),
     )  # fmt: skip
 
 
@@ -342,9 +342,11 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     if not full or any(is_number(c) and c != "1" for c in full):
         return False
     usable = [any(converted(c, si) is not None for si in ("s", "K", "W/m2")) for c in full]
-    known = [u or known_unit(c) is not None or _is_clock_word(c) for u, c in zip(usable, full, strict=True)]
+    is_unit = [u or known_unit(c) is not None or _is_clock_word(c) for u, c in zip(usable, full, strict=True)]
     return (
-        any(usable) and sum(known) >= 0.5 * len(full) and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
+        any(usable)
+        and sum(is_unit) >= 0.5 * len(full)
+        and not any(re.search(r"(?i)^(time|zeit|temp)", c) for c in full)
     )
 
 

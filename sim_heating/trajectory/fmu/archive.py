@@ -3,6 +3,8 @@
 Rejected are entries outside the archive's folder, links and devices, names that do not print, two entries for one file,
 encrypted entries, and archives that would fill a disk. Names of all platforms are checked: an archive made elsewhere is
 unpacked here.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations
@@ -40,12 +42,12 @@ class Archive:
 
     def libraries(self) -> dict[str, list[str]]:
         """Names of the compiled libraries in each folder of `binaries`."""
-        found: dict[str, list[str]] = {}
+        by_platform: dict[str, list[str]] = {}
         for name in sorted(self.files):
             top, *rest = PurePosixPath(name).parts
             if top == "binaries" and len(rest) == 2 and PurePosixPath(name).suffix in (".so", ".dll", ".dylib"):
-                found.setdefault(rest[0], []).append(rest[1])
-        return found
+                by_platform.setdefault(rest[0], []).append(rest[1])
+        return by_platform
 
 
 def read_archive(path: Path) -> Archive:
@@ -73,14 +75,14 @@ def read_archive(path: Path) -> Archive:
     return Archive(files)
 
 
-def unpack(path: Path, place: Path) -> None:
+def unpack(path: Path, folder: Path) -> None:
     """Unpack an FMU into a new folder, checked once more: the file may have changed since it was read.
 
     raises : InputError where it must not be unpacked or is damaged; OSError where there is no room
     """
     read_archive(path)
     try:
-        fmpy.extract(path, place)
+        fmpy.extract(path, folder)
     except OSError:
         raise
     except Exception as error:  # FMPy raises plain Exceptions, zipfile and zlib their own
@@ -119,7 +121,7 @@ def _entry_fault(entry: zipfile.ZipInfo) -> str | None:
         return "a name with characters that do not print"
     if any(".." in PurePosixPath(n).parts or n.startswith("/") or "\\" in n or ":" in n for n in names):
         return "a path outside the archive"
-    if any(len(part.encode()) > LONGEST_PART for part in PurePosixPath(entry.filename).parts):
+    if any(len(segment.encode()) > LONGEST_PART for segment in PurePosixPath(entry.filename).parts):
         return "a name too long for a file"
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):

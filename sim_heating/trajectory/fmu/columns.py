@@ -7,7 +7,7 @@ Columns that an FMU does not provide are derived where physics allows it, in thi
     path, heading  sin(gamma) = -u_D / V or altitude rate / V,  heading = atan2(u_E, u_N)
     attitude       body axes from roll, pitch, yaw (z, y, x), u in them:  alpha = atan2(w, u),  beta = asin(v / V),
                    bank about the velocity from the body's y and z axes
-    density        US76 times [trajectory.dispersions].density_factor
+    density        US Standard Atmosphere 1976 times [trajectory.dispersions].density_factor
     body flap      the schedule of the 3-DOF entry;  elevon: in trim, by the vehicle's tables
     jets           0
 """
@@ -126,20 +126,20 @@ class ColumnsOfFmu:
         self.available = self._derive.available
 
     def _map_columns(self, model: FmuModel, spec: TrajectorySpec) -> list[Reading]:
-        found: list[Reading] = []
+        readings: list[Reading] = []
         problems: list[str] = []
-        for column, given in spec.fmu.columns.items():
+        for column, declared in spec.fmu.columns.items():
             where = f"[trajectory.fmu.columns], `{column}`"
             if column not in COLUMNS:
                 problems.append(f"{where}: unknown column{suggestion(column, COLUMNS)}")
-            elif isinstance(given, float):
-                self._constants[column] = given
+            elif isinstance(declared, float):
+                self._constants[column] = declared
             else:
-                named = given if isinstance(given, FmuVariable) else FmuVariable(variable=given)
+                named = declared if isinstance(declared, FmuVariable) else FmuVariable(variable=declared)
                 try:
                     variable = model.number(named.variable, where)
                     convert = model.conversion(variable, named.unit, unit_of(column), where)
-                    found.append(Reading(column, variable.name, convert))
+                    readings.append(Reading(column, variable.name, convert))
                 except InputError as error:
                     problems += error.problems
         if "mach" in spec.fmu.columns:
@@ -149,23 +149,23 @@ class ColumnsOfFmu:
             ]
         if problems:
             raise InputError(*problems)
-        mapped = {r.column for r in found} | set(self._constants)
-        return found + self._by_usual_name(model, mapped, {r.variable for r in found})
+        mapped = {r.column for r in readings} | set(self._constants)
+        return readings + self._by_usual_name(model, mapped, {r.variable for r in readings})
 
-    def _by_usual_name(self, model: FmuModel, mapped: set[str], taken: set[str]) -> list[Reading]:
+    def _by_usual_name(self, model: FmuModel, mapped: set[str], read: set[str]) -> list[Reading]:
         """Outputs with unambiguous names: that of the column, or a usual one that only one output has.
 
         Columns that the mapping contains, or that follow from it, are not searched for.
         """
         # A column that follows from mapped ones is not looked for by name: two sources of one quantity may disagree.
-        mapped = mapped.union(*(made for needed, made in DERIVED_FROM if needed <= mapped))
+        mapped = mapped.union(*(derived for needed, derived in DERIVED_FROM if needed <= mapped))
         exact: set[str] = set()
         usual: dict[str, list[str]] = {}
         for v in model.description.modelVariables:
-            if v.causality == "output" and v.name not in taken:
+            if v.causality == "output" and v.name not in read:
                 exact.add(v.name)
                 usual.setdefault(NOT_A_LETTER.sub("", v.name.lower()), []).append(v.name)
-        found = []
+        readings = []
         for column in COLUMNS:
             if column in mapped:
                 continue
@@ -180,10 +180,10 @@ class ColumnsOfFmu:
             except InputError:
                 self._note_unused(model, name, column)
                 continue
-            found.append(Reading(column, name, convert))
+            readings.append(Reading(column, name, convert))
             if name != column:
                 self.notes.append(f"{column} is read from `{name}`, a usual name")
-        return found
+        return readings
 
     def _note_unused(self, model: FmuModel, name: str, column: str) -> None:
         """Note that an output with a usual name is not used because its unit is unknown."""
@@ -194,7 +194,7 @@ class ColumnsOfFmu:
             self.notes.append(f"`{name}` is not used because its unit is unknown; if it is {column}, write {written}")
 
     def frame(self, time_s: float, values: list[float]) -> Frame:
-        """All columns at a time from the FMU's outputs."""
+        """All columns at a time [s] from the FMU's outputs, in the units of the contract ([m], [m/s], [deg] ...)."""
         frame: Frame = {"time_s": time_s, **self._constants}
         for reading, value in zip(self._readings, values, strict=True):
             frame[reading.column] = reading.convert(value)
@@ -213,8 +213,8 @@ class Derivation:
     raises    : InputError, one line, naming the columns that remain unknown and from which the others follow
     """
 
-    def __init__(self, given: set[str], spec: TrajectorySpec, vehicle_dir: Path) -> None:
-        self.available = {"time_s", *given}
+    def __init__(self, columns: set[str], spec: TrajectorySpec, vehicle_dir: Path) -> None:
+        self.available = {"time_s", *columns}
         self.notes: list[str] = []
         self._steps: list[Step] = []
         self._air = dispersion_block(spec.dispersions)
@@ -233,12 +233,12 @@ class Derivation:
         for step in self._steps:
             step(frame)
 
-    def _choose(self, needed: set[str], made: tuple[str, ...], step: Step, note: str) -> None:
+    def _choose(self, needed: set[str], outputs: tuple[str, ...], step: Step, note: str) -> None:
         """Add a step if its inputs are available and an output is not; columns that are available stay unchanged."""
-        if needed <= self.available and not set(made) <= self.available:
-            keep = [name for name in made if name in self.available]
+        if needed <= self.available and not set(outputs) <= self.available:
+            keep = [name for name in outputs if name in self.available]
             self._steps.append(_preserving(step, keep) if keep else step)
-            self.available |= set(made)
+            self.available |= set(outputs)
             if note:
                 self.notes.append(note)
 
@@ -329,10 +329,10 @@ def aerodynamic_angles(
     body_x = (cp * cy, cp * sy, -sp)
     body_y = (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp)
     body_z = (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp)
-    along = (math.cos(g) * math.cos(h), math.cos(g) * math.sin(h), -math.sin(g))
+    forward = (math.cos(g) * math.cos(h), math.cos(g) * math.sin(h), -math.sin(g))
     level = (-math.sin(h), math.cos(h), 0.0)
     below = (math.sin(g) * math.cos(h), math.sin(g) * math.sin(h), math.cos(g))
-    u, v, w = pm.dot(along, body_x), pm.dot(along, body_y), pm.dot(along, body_z)
+    u, v, w = pm.dot(forward, body_x), pm.dot(forward, body_y), pm.dot(forward, body_z)
     alpha, beta = math.atan2(w, u), math.asin(clip(v, -1.0, 1.0))
     # The wind axes' z: body_z turned back by alpha, which lies across the velocity.
     s, c = math.sin(alpha), math.cos(alpha)

@@ -55,7 +55,7 @@ class FmuFlight:
         self.frames: list[FloatArray] = []
 
     def fly(self, on_frame: OnFrame | None, progress: Progress | None) -> Flight:
-        """Step the FMU until the flight ends."""
+        """Step the FMU by its communication step [s] until the flight ends."""
         spec, step_s = self.spec, 1.0 / self.spec.rate_hz
         events = [(0.0, note) for note in self.columns.notes]
         with FmuSession(self.model.path, spec.fmu.timeout_s) as session:
@@ -92,19 +92,19 @@ class FmuFlight:
 
     def _start_by_mode(self) -> dict[str, list[tuple[str, int, Value]]]:
         """Start values by the mode of the FMU in which they are set, and in the second the scheduled inputs at 0 s."""
-        found: dict[str, list[tuple[str, int, Value]]] = {"instantiated": [], "initialization": []}
+        by_mode: dict[str, list[tuple[str, int, Value]]] = {"instantiated": [], "initialization": []}
         for name, value in self.start.items():
             variable = self.model.variables[name]
             # Some variables may be set in one mode only.
             mode = "instantiated" if settable_in_instantiated(variable) else "initialization"
-            found[mode].append((*self.model.access(variable), value))
+            by_mode[mode].append((*self.model.access(variable), value))
         for name, first in self.inputs.at_start.items():
             # A start value that the scenario gives for an input holds until the first step.
             if name not in self.start:
                 kind, reference = self.model.access(self.model.variables[name])
                 value = first if kind.startswith(("Real", "Float")) else round(first)
-                found["initialization"].append((kind, reference, value))
-        return found
+                by_mode["initialization"].append((kind, reference, value))
+        return by_mode
 
     def _frame(self, time_s: float, answer: Answer) -> Frame:
         """The columns of one answer.
@@ -146,8 +146,8 @@ class FmuFlight:
 
     def _conditions(self) -> Conditions:
         """The samples without the columns that cannot be determined."""
-        whole = self.sampler.conditions()
-        return Conditions({n: v for n, v in whole.columns.items() if n not in self.columns.missing})
+        sampled = self.sampler.conditions()
+        return Conditions({n: v for n, v in sampled.columns.items() if n not in self.columns.missing})
 
 
 def fly(
@@ -193,7 +193,7 @@ class Pilot:
         self._before = (0.0, 0.0)
 
     def commands(self, f: Frame, step_s: float) -> Frame:
-        """Commands to be reached at the end of the step that begins with a frame."""
+        """Commands [deg] to be reached at the end of the step that begins with a frame."""
         speed = f["velocity_m_s"]
         mach = speed / standard_sound_kernel(f["altitude_m"])
         if self._memory is None:
@@ -242,8 +242,8 @@ class InputsOfFmu:
         self.at_start: dict[str, float] = {}
         self._values: list[Callable[[Frame, Frame], float]] = []
         problems: list[str] = []
-        for name, given in spec.fmu.inputs.items():
-            source = given if isinstance(given, FmuInput) else FmuInput(command=given)
+        for name, declared in spec.fmu.inputs.items():
+            source = declared if isinstance(declared, FmuInput) else FmuInput(command=declared)
             try:
                 self._values.append(_input_value(model, name, source))
                 self.access.append(model.access(model.variables[name]))
@@ -262,7 +262,7 @@ class InputsOfFmu:
         return [value(frame, commands) for value in self._values]
 
     def windows(self, end_s: float) -> list[Window]:
-        """Manoeuvres flown."""
+        """Windows [s] of the manoeuvres flown."""
         return [] if self.pilot is None else self.pilot.script.windows(end_s)
 
     def events(self, end_s: float) -> list[tuple[float, str]]:
@@ -298,20 +298,20 @@ def _uncommanded_manoeuvres(model: FmuModel, spec: TrajectorySpec) -> list[str]:
     ]
 
 
-def _input_value(model: FmuModel, name: str, given: FmuInput) -> Callable[[Frame, Frame], float]:
+def _input_value(model: FmuModel, name: str, source: FmuInput) -> Callable[[Frame, Frame], float]:
     """A function that gives one input from a frame and the commands, in the FMU's unit."""
     where = f"[trajectory.fmu.inputs], `{name}`"
     variable = model.number(name, where)
     if variable.causality != "input":
         raise InputError(f"{where}: it is a {variable.causality} of {model}, not an input")
-    if given.command is None:
+    if source.command is None:
         with error_context(where):
-            for _, value in given.schedule or ():
+            for _, value in source.schedule or ():
                 accepted_value(variable, value)
-        block = pack((), [given.schedule or ()])
-        if given.unit is not None:
-            model.scale(variable, given.unit, where)
+        block = pack((), [source.schedule or ()])
+        if source.unit is not None:
+            model.scale(variable, source.unit, where)
         return lambda frame, _: scheduled(block, 0, frame["time_s"])
-    command = given.command
-    to_command = model.conversion(variable, given.unit, unit_of(command), where)
+    command = source.command
+    to_command = model.conversion(variable, source.unit, unit_of(command), where)
     return lambda _, commands: to_command.inverse(commands[command])

@@ -1,6 +1,8 @@
 """The description of an FMU: interfaces, variables, units and allowed values, read without running any of its code.
 
 A variable takes, by its type, any number, whole numbers within a range, items of an enumeration, or true and false.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations
@@ -77,8 +79,8 @@ class FmuModel:
         """
         variable = self.variables.get(name)
         if variable is None:
-            known = [n for n, v in self.variables.items() if v.causality in ("output", "input", "parameter")]
-            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, known)}")
+            names = [n for n, v in self.variables.items() if v.causality in ("output", "input", "parameter")]
+            raise InputError(f"{where}: {self} has no variable `{name}`{suggestion(name, names)}")
         if not str(variable.type).startswith(NUMBERS) or variable.shape:
             kind = "an array" if variable.shape else f"a {variable.type}"
             raise InputError(f"{where}: `{name}` of {self} is {kind}; name a variable that is one number")
@@ -93,22 +95,22 @@ class FmuModel:
         raises : InputError where the unit is unknown, declared nowhere, or declared differently
         """
         name = self.unit_name(variable)
-        given = None if unit is None else known_unit(unit)
-        if unit is not None and given is None:
+        stated = None if unit is None else known_unit(unit)
+        if unit is not None and stated is None:
             raise InputError(f"{where}: `{unit}` is not a unit; write it like m, ft/s, kg/m3, deg")
         if name is None:
-            if given is None:
+            if stated is None:
                 raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give `unit`")
-            return given
+            return stated
         try:
-            own = unit_of_fmu(name, self.units.get(name))
+            declared = unit_of_fmu(name, self.units.get(name))
         except InputError as error:
-            if given is None:
+            if stated is None:
                 raise InputError(f"{where}: `{variable.name}` of {self}: {error}") from None
-            return given
-        if given is not None and conversion(given, own) != Conversion(1.0, 0.0):
+            return stated
+        if stated is not None and conversion(stated, declared) != Conversion(1.0, 0.0):
             raise InputError(f"{where}: `{variable.name}` is in `{name}` in {self}, not in `{unit}`; remove `unit`")
-        return own
+        return declared
 
     @staticmethod
     def unit_name(variable: ModelVariable) -> str | None:
@@ -125,30 +127,30 @@ class FmuModel:
             return Conversion(1.0, 0.0)
         scale, target = self.scale(variable, unit, where), known_unit(required)
         assert target is not None
-        found = conversion(scale, target)
-        if found is None:
+        result = conversion(scale, target)
+        if result is None:
             name = self.unit_name(variable) if unit is None else unit or "1"
             raise InputError(
                 f"{where}: `{variable.name}` of {self} is in `{name}`, which does not convert to `{required}`"
             )
-        return found
+        return result
 
     def start_values(self, source: FmuSource) -> dict[str, Value]:
         """The scenario's start values in the FMU's units, in the order of the FMU's variables.
 
         raises : InputError, all problems at once
         """
-        found: dict[str, Value] = {}
+        values: dict[str, Value] = {}
         problems: list[str] = []
         for name, value in source.start.items():
             try:
-                variable, own = self._start_value(name, value, f"[trajectory.fmu.start], `{name}`")
-                found[variable.name] = own
+                variable, start = self._start_value(name, value, f"[trajectory.fmu.start], `{name}`")
+                values[variable.name] = start
             except InputError as error:
                 problems += error.problems
         if problems:
             raise InputError(*problems)
-        return {name: found[name] for name in self.variables if name in found}
+        return {name: values[name] for name in self.variables if name in values}
 
     def _start_value(self, name: str, value: Value | FmuValue, where: str) -> tuple[ModelVariable, Value]:
         variable = self.variables.get(name)
@@ -166,16 +168,16 @@ class FmuModel:
         with error_context(where):
             return variable, accepted_value(variable, value)
 
-    def _converted(self, variable: ModelVariable, given: FmuValue, where: str) -> float:
+    def _converted(self, variable: ModelVariable, stated: FmuValue, where: str) -> float:
         """A start value with a unit, converted to the FMU's unit."""
         unit = self.unit_name(variable)
         if unit is None:
             raise InputError(f"{where}: `{variable.name}` of {self} has no unit; give a plain number")
-        scale, known = self.scale(variable, None, where), known_unit(given.unit)
-        convert = None if known is None else conversion(known, scale)
+        scale, source = self.scale(variable, None, where), known_unit(stated.unit)
+        convert = None if source is None else conversion(source, scale)
         if convert is None:
-            raise InputError(f"{where}: `{given.unit}` does not convert to its unit `{unit}`")
-        return convert(given.value)
+            raise InputError(f"{where}: `{stated.unit}` does not convert to its unit `{unit}`")
+        return convert(stated.value)
 
     def __str__(self) -> str:
         return display_path(self.path)
@@ -194,9 +196,9 @@ def read_fmu(path: Path, interface: str | None = None) -> FmuModel:
     if not str(description.fmiVersion).startswith(VERSIONS):
         raise InputError(f"{name}: uses FMI {description.fmiVersion}; FMI 2.0 and 3.0 are supported")
     interfaces = {CO_SIMULATION: description.coSimulation, MODEL_EXCHANGE: description.modelExchange}
-    for one in interfaces.values():
-        _check_identifier(name, one)
-    has = [kind for kind, one in interfaces.items() if one is not None]
+    for declared in interfaces.values():
+        _check_identifier(name, declared)
+    has = [kind for kind, declared in interfaces.items() if declared is not None]
     chosen = interface or (has[0] if has else CO_SIMULATION)
     if chosen not in has:
         raise InputError(f"{name}: has no {chosen} interface" + (f"; it has {', '.join(has)}" if has else ""))
@@ -222,12 +224,12 @@ def _check_identifier(name: str, interface: Any) -> None:
 
 def _check_library(name: str, libraries: dict[str, list[str]], identifier: str, version: str) -> None:
     folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
-    own = f"{identifier}{fmpy.sharedLibraryExtension}"
+    library = f"{identifier}{fmpy.sharedLibraryExtension}"
     if folder not in libraries:
-        found = ", ".join(libraries) or "none"
-        raise InputError(f"{name}: has no library for this platform ({folder}); platforms in it: {found}")
-    if own not in libraries[folder]:
-        raise InputError(f"{name}: has no binaries/{folder}/{own}, the library of its modelIdentifier")
+        platforms = ", ".join(libraries) or "none"
+        raise InputError(f"{name}: has no library for this platform ({folder}); platforms in it: {platforms}")
+    if library not in libraries[folder]:
+        raise InputError(f"{name}: has no binaries/{folder}/{library}, the library of its modelIdentifier")
 
 
 @lru_cache(maxsize=1)
@@ -286,7 +288,7 @@ def accepted_value(variable: ModelVariable, value: Value) -> bool | int | float:
 
 def item_named(variable: ModelVariable, name: str) -> int | None:
     """The number of an enumeration's item, None without one of this name."""
-    return next((number for number, own in _items(variable).items() if own == name), None)
+    return next((number for number, item in _items(variable).items() if item == name), None)
 
 
 def _items(variable: ModelVariable) -> dict[int, str]:

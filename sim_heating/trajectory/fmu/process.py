@@ -14,6 +14,8 @@ one takes seconds.
 
 `ended` is true where the FMU itself asks to end; time_s is then the time that it reached. The process is the first of
 its group and has its parent's id as its argument: when the parent ends it kills the group, whatever the FMU is doing.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations
@@ -50,12 +52,12 @@ class Refusal(Exception):
 
 def _accessors(verb: str, variables: list[tuple[str, int]]) -> list[tuple[str, list[int], list[int]]]:
     """(method, value references, places in the list) of variables, one entry a type."""
-    found: dict[str, tuple[list[int], list[int]]] = {}
-    for place, (kind, reference) in enumerate(variables):
-        references, places = found.setdefault(verb + kind, ([], []))
+    by_method: dict[str, tuple[list[int], list[int]]] = {}
+    for index, (kind, reference) in enumerate(variables):
+        references, indices = by_method.setdefault(verb + kind, ([], []))
         references.append(reference)
-        places.append(place)
-    return [(method, references, places) for method, (references, places) in found.items()]
+        indices.append(index)
+    return [(method, references, indices) for method, (references, indices) in by_method.items()]
 
 
 class Instance:
@@ -97,17 +99,17 @@ class Instance:
 
     def values(self) -> list[float]:
         """The outputs as numbers, in the order asked for."""
-        found = [0.0] * sum(len(places) for _, _, places in self.read)
-        for method, references, places in self.read:
-            for place, value in zip(places, getattr(self.fmu, method)(references), strict=True):
-                found[place] = float(value)
-        return found
+        outputs = [0.0] * sum(len(indices) for _, _, indices in self.read)
+        for method, references, indices in self.read:
+            for index, value in zip(indices, getattr(self.fmu, method)(references), strict=True):
+                outputs[index] = float(value)
+        return outputs
 
     def put(self, values: list[float]) -> None:
         """Set the inputs, in the order given."""
-        for method, references, places in self.inputs:
-            whole = "Float" not in method and "Real" not in method
-            chosen = [round(values[p]) if whole else values[p] for p in places]
+        for method, references, indices in self.inputs:
+            is_integer = "Float" not in method and "Real" not in method
+            chosen = [round(values[p]) if is_integer else values[p] for p in indices]
             getattr(self.fmu, method)(references, chosen)
 
     def step(self, time_s: float, step_s: float) -> tuple[float, bool]:

@@ -4,6 +4,8 @@ The FMU is unpacked into a temporary folder, which is also the working directory
 the session ends, for whatever reason. So are processes that the FMU started: where the platform supports it, the
 process has its own session and group, and the group is killed. An interrupt from the terminal therefore does not reach
 it.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations
@@ -135,7 +137,7 @@ class FmuSession:
         self, model: Mapping[str, Any], start: Mapping[str, Sequence[Access]], inputs: Sequence[Access],
         outputs: Sequence[Access], *, stop_s: float, tolerance: float | None,
     ) -> Answer:  # fmt: skip
-        """Instantiate and initialise at 0 s, and give the outputs at 0 s.
+        """Instantiate and initialise, and give the outputs at time 0 [s].
 
         model           : FmuModel.process_description
         start           : (type, value reference, value) to be set when "instantiated", and in "initialization" mode
@@ -148,7 +150,7 @@ class FmuSession:
         return self._request(request, "while it was instantiated and initialised")
 
     def step(self, time_s: float, step_s: float, inputs: Sequence[float]) -> Answer:
-        """One communication step from time_s with inputs held at the given values."""
+        """One communication step from time_s [s] with inputs held at the given values."""
         request = {"time_s": time_s, "step_s": step_s, "inputs": list(inputs)}
         return self._request(request, f"in its step at {time_s:.9g} s")
 
@@ -170,8 +172,8 @@ class FmuSession:
         self._deadline = None
         if line.endswith(NO_ANSWER):
             raise RunError(f"{display_path(self.path)}: {self._end_reason(when)}{self._last_output()}")
-        found: dict[str, Any] = json.loads(line)
-        return found
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
     def _end_reason(self, when: str) -> str:
         status = self._process.wait()

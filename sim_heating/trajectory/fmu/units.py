@@ -5,6 +5,8 @@ An FMU defines a unit by exponents of the seven SI base units and rad, a factor 
     value in base units = factor * value + offset        FMI 3.0.2, 2.4.4 (FMI 2.0.4, 2.2.2)
 
 and pint provides the same for a name. rad counts as a base unit in both, so an angle is not a plain number.
+
+Source: Modelica Association (2022), "Functional Mock-up Interface Specification 3.0".
 """
 
 from __future__ import annotations
@@ -36,23 +38,23 @@ def unit_of_fmu(name: str, definition: BaseUnit | None) -> Scale:
 
     raises : InputError where the unit is unknown, or its definition is unusable or contradicts the name
     """
-    known = known_unit(name)
+    usual = known_unit(name)
     if definition is None:
-        if known is None:
+        if usual is None:
             raise InputError(f"unit `{name}` is defined neither by the FMU nor by pint; give `unit`")
-        return known
-    own = defined_unit(definition)
-    if not is_usable(own):
+        return usual
+    defined = defined_unit(definition)
+    if not is_usable(defined):
         raise InputError(
-            f"the FMU defines `{name}` by factor {own.factor:g} and offset {own.offset:g}, which is not a unit; "
-            "give `unit`"
+            f"the FMU defines `{name}` by factor {defined.factor:g} and offset {defined.offset:g}, which is not a "
+            "unit; give `unit`"
         )
     # a letter means a temperature to a logger, and may well be a charge to a tool: its definition decides
-    if known is not None and name not in LETTERS and not _agree(own, known):
+    if usual is not None and name not in LETTERS and not _agree(defined, usual):
         raise InputError(
-            f"the FMU defines `{name}` as {_scale_text(own)}, but the name means {_scale_text(known)}; give `unit`"
+            f"the FMU defines `{name}` as {_scale_text(defined)}, but the name means {_scale_text(usual)}; give `unit`"
         )
-    return own
+    return defined
 
 
 def _agree(a: Scale, b: Scale) -> bool:

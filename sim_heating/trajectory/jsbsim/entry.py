@@ -3,6 +3,8 @@
 Each frame is one JSBSim frame. Commands are renewed COMMAND_HZ times a second: guidance, the same as the 3-DOF
 entry's, gives angle of attack and bank, the manoeuvres add their offsets, and the vehicle's attitude control follows
 them.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
 """
 
 from __future__ import annotations
@@ -150,7 +152,7 @@ class JSBSimEntry:
             self._sampler.add(self._observer.row())
 
     def done(self) -> float:
-        """Fraction of the flight done, 0 to 1."""
+        """Fraction of the flight done [-], 0 to 1."""
         first, now = self._initial.velocity_m_s, self.observed
         return self.spec.stop.fraction_done(first, now.velocity_m_s, now.time_s)
 

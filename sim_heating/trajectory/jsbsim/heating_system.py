@@ -62,7 +62,7 @@ def _square(rows: FloatArray, columns: FloatArray, values: FloatArray) -> str:
 
 
 def nd_table(axes: Sequence[FloatArray], values: FloatArray, properties: Sequence[str]) -> ET.Element:
-    """A table of JSBSim in as many variables as have several nodes; a number where none has.
+    """A table [-] of JSBSim in as many variables ([deg], [-]) as have several nodes; a number where none has.
 
     axes       : increasing nodes of each variable;  values : one axis a variable
     properties : of JSBSim, one a variable
@@ -119,8 +119,8 @@ def _of(operator: str, *arguments: Any) -> ET.Element:
     return element
 
 
-def _in_one(x: ArrayLike, y: ArrayLike, of: str) -> ET.Element:
-    return nd_table([np.asarray(x, dtype=float)], np.asarray(y, dtype=float), [of])
+def _in_one(x: ArrayLike, y: ArrayLike, variable: str) -> ET.Element:
+    return nd_table([np.asarray(x, dtype=float)], np.asarray(y, dtype=float), [variable])
 
 
 def jsbsim_system_text(

@@ -3,6 +3,8 @@
 JSBSim's own atmosphere is frozen at 187 K above 86 km and up to a quarter too thin, so density, temperature and
 pressure of US76 (times a dispersion) and the wind are written before each frame, for the altitude that the frame leads
 to. Values read after a frame belong to that frame.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
 """
 
 from __future__ import annotations
@@ -149,8 +151,8 @@ class JSBSimHost:
             source = VEHICLE_READS[column]
             if column in OTHER_READS and self.fdm.get_property_manager().get_node(source.name) is None:
                 absent, source = source.name, OTHER_READS[column]
-                taken = f"read from {source.name}" if isinstance(source, PropertyRead) else f"{source:g}"
-                self.notes.append(f"{column} is {taken}: this aircraft has no {absent}")
+                origin = f"read from {source.name}" if isinstance(source, PropertyRead) else f"{source:g}"
+                self.notes.append(f"{column} is {origin}: this aircraft has no {absent}")
         if isinstance(source, PropertyRead):
             with error_context(f"reads, `{column}`"):
                 return self.getter(source.name), source.factor
@@ -169,11 +171,11 @@ class JSBSimHost:
 
         raises : InputError with the nearest name where there is no such property
         """
-        found = self.fdm.get_property_manager().get_node(name)
-        if found is None:
-            known = [*_properties(self.fdm), *self._published]
-            raise InputError(f"{name}: this aircraft has no such JSBSim property{suggestion(name, known, cutoff=0.0)}")
-        return found
+        node = self.fdm.get_property_manager().get_node(name)
+        if node is None:
+            names = [*_properties(self.fdm), *self._published]
+            raise InputError(f"{name}: this aircraft has no such JSBSim property{suggestion(name, names, cutoff=0.0)}")
+        return node
 
     def getter(self, name: str) -> Callable[[], float]:
         """The reading function of a property; see `node`."""
@@ -191,7 +193,8 @@ class JSBSimHost:
         return created
 
     def start(self, state: InitialState) -> None:
-        """Put the vehicle at a state at time 0, without rotation; commands must have been written before."""
+        """Put the vehicle at a state ([m], [m/s], [deg]) at 0 s, without rotation; commands must have been written
+        before."""
         air = None if self._air is None else self._air.write(state.altitude_m)
         for name, value in _initial_conditions(state, (0.0, 0.0) if air is None else air).items():
             self.node(f"ic/{name}").set_double_value(value)
@@ -217,7 +220,8 @@ class JSBSimHost:
         self.frames += 1
 
     def read_frame(self, buffer: FloatArray | None = None) -> FloatArray:
-        """The columns of conditions.FRAME after the last frame, into buffer or into `frame_values`."""
+        """The columns of conditions.FRAME ([s], [m], [m/s], [deg], [kg/m3]) after the last frame, into buffer or into
+        `frame_values`."""
         out: FloatArray | memoryview[float] = self._frame_view if buffer is None else buffer
         out[0] = self.frames / self.rate_hz
         for i, get, factor in self._reads:
@@ -283,8 +287,8 @@ def open_vehicle(
                 Path(folder), model, rate_hz=rate_hz, reads=VEHICLE_READS, dispersions=dispersions or Dispersions()
             )
         except InputError as error:  # the vehicle's own file in place of the folder that is about to vanish
-            written, own = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
-            raise InputError(*(p.replace(written, own) for p in error.problems)) from error
+            written, control = display_path(Path(folder) / model), display_path(control_path(vehicle_dir))
+            raise InputError(*(p.replace(written, control) for p in error.problems)) from error
 
 
 class _Log(jsbsim.FGLogger):  # type: ignore[misc]  # untyped
@@ -333,7 +337,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     read_xml(file)
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # read when the executive is made: silences its banner
-    place = display_path(aircraft_path / model)
+    name = display_path(aircraft_path / model)
     fdm = jsbsim.FGFDMExec(None)
     log = _Log()
     try:
@@ -345,7 +349,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
     except JSBSIM_ERRORS as error:
         _keep(fdm)
         reason = " ".join(str(error).split())
-        raise InputError(f"{place}: JSBSim cannot load it{log.where()}: {reason}") from error
+        raise InputError(f"{name}: JSBSim cannot load it{log.where()}: {reason}") from error
     finally:
         if before is None:
             del os.environ["JSBSIM_DEBUG"]
@@ -353,7 +357,7 @@ def _load(aircraft_path: Path, model: str, rate_hz: float) -> jsbsim.FGFDMExec:
             os.environ["JSBSIM_DEBUG"] = before
     if not loaded:
         _keep(fdm)
-        raise InputError(f"{place}: JSBSim cannot load it{log.where()}")
+        raise InputError(f"{name}: JSBSim cannot load it{log.where()}")
     _discard_outputs(fdm)
     return fdm
 

@@ -6,6 +6,8 @@ scenario. The attitude control, logic and not data, is a JSBSim system file of t
 
 Below the lowest Mach number of the tables lift and drag become those of aero/low_speed.csv, as in the 3-DOF entry: a
 polar in trim, so that deflections have moments there and no forces; moments stay those of the lowest Mach number.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
 """
 
 from __future__ import annotations
@@ -60,13 +62,13 @@ def write_aircraft(aero: Aero, vehicle_dir: Path, folder: Path) -> str:
     systems = Path(folder) / MODEL / "Systems"
     systems.mkdir(parents=True)
     (systems / CONTROL).write_bytes(content)
-    whole = with_low_speed(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
-    (systems.parent / f"{MODEL}.xml").write_text(aircraft_xml(whole), encoding="utf-8")
+    from_rest = with_low_speed(aero, low_speed_rows(vehicle_dir, aero.basic.mach[0]))
+    (systems.parent / f"{MODEL}.xml").write_text(aircraft_xml(from_rest), encoding="utf-8")
     return MODEL
 
 
 def with_low_speed(aero: Aero, low_speed: FloatArray) -> Aero:
-    """Tables extended below their lowest Mach number by a polar in trim; unchanged without a polar.
+    """Coefficients [-] extended below their lowest Mach number by a polar in trim; unchanged without a polar.
 
     low_speed : (rows, 5) mach, CL_0, CL_alpha [1/deg], CD_0, K
     """
@@ -82,8 +84,8 @@ def _finer_in_alpha(grid: Grid) -> Grid:
     # JSBSim interpolates linearly, which would overestimate the drag between widely spaced alphas.
     alpha = np.union1d(grid.alpha_deg, np.arange(0.0, POLAR_ALPHA_DEG + 1.0, POLAR_STEP_DEG))
     i = cells_of(grid.alpha_deg, alpha)
-    share = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
-    values = (1.0 - share) * grid.values[:, i] + share * grid.values[:, i + 1]
+    fraction = ((alpha - grid.alpha_deg[i]) / np.diff(grid.alpha_deg)[i])[None, :, None, None]
+    values = (1.0 - fraction) * grid.values[:, i] + fraction * grid.values[:, i + 1]
     return Grid(grid.mach, alpha, grid.deflection_deg, values)
 
 
@@ -113,7 +115,7 @@ def _forceless_below(grid: Grid, mach: float) -> Grid:
 
 
 def aircraft_xml(aero: Aero) -> str:
-    """The JSBSim configuration of a vehicle as text.
+    """The JSBSim configuration of a vehicle as text, in [kg], [m] and [deg].
 
     raises : InputError where a table holds a value that is not finite
     """
@@ -239,8 +241,8 @@ def _product(name: str, *factors: float | str) -> Element:
     return _element("product", _property(name), *rest)
 
 
-def _sum(names: list[str], *more: Element) -> Element:
-    return _element("sum", *(_property(n) for n in names), *more)
+def _sum(names: list[str], *terms: Element) -> Element:
+    return _element("sum", *(_property(n) for n in names), *terms)
 
 
 def _pitch(names: list[str], damping: Damping) -> Element:

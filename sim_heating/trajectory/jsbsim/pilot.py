@@ -1,4 +1,7 @@
-"""Interface of guidance and JSBSim: observations of the vehicle, and commands to its attitude control."""
+"""Interface of guidance and JSBSim: observations of the vehicle, and commands to its attitude control.
+
+Source: Berndt (2004), "JSBSim: An Open Source Flight Dynamics Model in C++", AIAA 2004-4923.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ class Observer:
         self._row = np.empty(len(ROW))
 
     def observe(self) -> Observation:
-        """The observation of guidance."""
+        """The observation of guidance: time [s], position [m], speed [m/s], accelerations [m/s2], angles [deg]."""
         climb, mass = -self._down(), self._mass()
         horizontal2 = self._inertial() ** 2 - climb * climb
         return Observation(
@@ -62,7 +65,8 @@ class Observer:
         )
 
     def row(self) -> FloatArray:
-        """One sample in the order of flight.ROW; the array is reused."""
+        """One sample in the order of flight.ROW, each number in the unit of its column ([s], [m], [deg] ...); the
+        array is reused."""
         row = self._row
         self._host.read_frame(row[: len(FRAME)])
         row[len(FRAME) :] = (
@@ -76,7 +80,7 @@ class Observer:
         return row
 
     def attitude_error_deg(self) -> float:
-        """The larger of sideslip and the error of the angle of attack; NaN where either is NaN."""
+        """The larger of sideslip and the error of the angle of attack [deg]; NaN where either is NaN."""
         alpha, beta = abs(self._alpha() - self._alpha_command()), abs(self._beta())
         # max() would drop a NaN in one of its two places.
         return alpha if alpha > beta or math.isnan(alpha) else beta
@@ -107,7 +111,7 @@ class Commands:
         self._bodyflap = pack((), [state.bodyflap_deg or trimmed])
 
     def write(self, alpha_deg: float, bank_deg: float, offsets: Offsets, mach: float, velocity_m_s: float) -> None:
-        """Set the commands; the angle of attack stays within the limits of guidance."""
+        """Set the commands [deg]; the angle of attack stays within the limits of guidance."""
         setters = self._set
         setters["alpha-cmd-deg"](clip(alpha_deg + offsets.alpha_deg, *self._alpha_limits))
         setters["bank-cmd-deg"](bank_deg)

@@ -47,13 +47,13 @@ def is_unmodified_export(path: str | os.PathLike[str]) -> bool:
 
     path : any path; False for a directory, a symbolic link, a file that is no archive, and where nothing is
     """
-    place = Path(path)
+    file = Path(path)
     try:
-        status = place.lstat()
+        status = file.lstat()
         # A link names a file that somebody else put there; a pipe or a device would be waited for.
         if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_BYTES:
             return False
-        with zipfile.ZipFile(place) as archive:
+        with zipfile.ZipFile(file) as archive:
             return _is_unmodified(archive)
     except (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error):
         return False

@@ -51,8 +51,8 @@ def number_text(value: float) -> str:
 
 def generation_time() -> str:
     """Now, or the second since 1970 of SOURCE_DATE_EPOCH, with which equal models give equal files."""
-    given = os.environ.get("SOURCE_DATE_EPOCH", "")
-    time = datetime.fromtimestamp(int(given), UTC) if given.isdecimal() else datetime.now(UTC)
+    stated = os.environ.get("SOURCE_DATE_EPOCH", "")
+    time = datetime.fromtimestamp(int(stated), UTC) if stated.isdecimal() else datetime.now(UTC)
     return time.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -107,13 +107,13 @@ def _integer_limits(v: Variable) -> dict[str, str]:
     return {"min": str(int(v.lower)), "max": str(int(v.upper))}
 
 
-def _dependencies(v: Variable, known: dict[str, int], initial: bool) -> str:
+def _dependencies(v: Variable, references: dict[str, int], initial: bool) -> str:
     """Attribute `dependencies` of an output: references of the inputs, and for its initial value of the parameters.
 
-    known : reference by name; names that the version of FMI does not have are left out
+    references : reference by name; names that the version of FMI does not have are left out
     """
     names = [*v.depends, *(v.parameters if initial else ())]
-    return " ".join(str(known[name]) for name in names if name in known)
+    return " ".join(str(references[name]) for name in names if name in references)
 
 
 def _categories_and_experiment(root: ET.Element, image: Image) -> None:
@@ -165,11 +165,11 @@ def _fmi3(image: Image, token: str) -> bytes:
     for i, v in variables_of(image, 3):
         _variable3(parent, image, i, v)
     structure = ET.SubElement(root, "ModelStructure")
-    known = {v.name: i for i, v in variables_of(image, 3)}
+    references = {v.name: i for i, v in variables_of(image, 3)}
     for kind in ("Output", "InitialUnknown"):
         for i, v in variables_of(image, 3):
             if v.role is Role.OUTPUT:
-                needed = _dependencies(v, known, kind == "InitialUnknown")
+                needed = _dependencies(v, references, kind == "InitialUnknown")
                 ET.SubElement(structure, kind, valueReference=str(i), dependencies=needed)
     return xml_bytes(root)
 
@@ -226,10 +226,10 @@ def _fmi2(image: Image, token: str) -> bytes:
     for kind in ("Outputs", "InitialUnknowns"):
         unknowns = ET.SubElement(structure, kind)
         # FMI 2 refers to variables by their position in the list, counted from 1; FMI 3 by value reference.
-        known = {v.name: index for index, (_, v) in enumerate(listed, start=1)}
+        references = {v.name: index for index, (_, v) in enumerate(listed, start=1)}
         for index, (_, v) in enumerate(listed, start=1):
             if v.role is Role.OUTPUT:
-                needed = _dependencies(v, known, kind == "InitialUnknowns")
+                needed = _dependencies(v, references, kind == "InitialUnknowns")
                 ET.SubElement(unknowns, "Unknown", index=str(index), dependencies=needed)
     return xml_bytes(root)
 

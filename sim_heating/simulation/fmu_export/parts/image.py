@@ -7,15 +7,15 @@ begins.
 `model.bin`, little-endian, 8 bytes a number, no gaps:
 
     16 bytes            "sim-heating-fmu3"
-    int64[10]           numbers in R, in N and in T, variables, problems, kept runs of R and of N, bytes of text, place
+    int64[10]           numbers in R, in N and in T, variables, problems, kept runs of R and of N, bytes of text, offset
                         of the token, checksum
-    variables           int64 kind, role, place, count, place of the name; float64 lower, upper
-    problems            int64 place of the name and of the rule in the text, place of the value in R or -1
-    kept runs           int64 place and count, of R, then of N
+    variables           int64 kind, role, offset, count, offset of the name; float64 lower, upper
+    problems            int64 offset of the name and of the rule in the text, offset of the value in R or -1
+    kept runs           int64 offset and count, of R, then of N
     R, N, T             float64, int64, float64
     text                UTF-8, each piece ended by a 0, padded with zeros to a whole number of words
 
-The checksum is the sum of all words after it, each mixed with its place, modulo 2^64 (`checksum`).
+The checksum is the sum of all words after it, each mixed with its index, modulo 2^64 (`checksum`).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ LINE = 8
 class Kind(IntEnum):
     """What a variable is: a number in R, an integer in N, the path of a table, or an array in T of the last such table.
 
-    The place of a table's path is that of integers in N: place of the name of the reference heating in the text, of the
-    table in T, the number of lanes that use it, and the place in N of each lane's own.
+    The offset of a table's path is that of integers in N: offset of the name of the reference heating in the text, of
+    the table in T, the number of lanes that use it, and the offset in N of each lane's own.
     """
 
     NUMBER = 0
@@ -60,9 +60,9 @@ class Role(IntEnum):
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the FMU; its value reference is its place in the list.
+    """A variable of the FMU; its value reference is its index in the list.
 
-    place      : of its first entry in R, N or T
+    offset     : of its first entry in R, N or T
     unit       : SI or degrees, "1" for a pure number
     shape      : of an array, empty for one number
     choices    : name and text of each value 1, 2, ... of an enumeration; without any an integer is one
@@ -74,7 +74,7 @@ class Variable:
     name: str
     kind: Kind
     role: Role
-    place: int
+    offset: int
     text: str
     unit: str = "1"
     lower: float = -np.inf
@@ -94,11 +94,11 @@ class Variable:
 
 @dataclass(frozen=True)
 class Problem:
-    """Message for an outcome of the model: a name, a rule, and the place of the value in R (-1 without one)."""
+    """Message for an outcome of the model: a name, a rule, and the offset of the value in R (-1 without one)."""
 
     name: str
     rule: str
-    place: int = -1
+    offset: int = -1
 
 
 @dataclass(frozen=True)
@@ -123,13 +123,13 @@ class SampledMap:
 class Image:
     """An image, to which numbers, integers, variables and problems are added.
 
-    name      : of the model, an identifier
-    title     : one line on the model
-    step_s    : communication step recommended to hosts [s]
-    variables : in the order of their value references
-    problems  : in the order of the outcomes of the model
-    maps      : functions whose nodes and values are arrays among the variables
-    kept_numbers, kept_integers : (place, count) of the runs of R and of N that are the state of an instance
+    name                        : of the model, an identifier
+    title                       : one line on the model
+    step_s                      : communication step recommended to hosts [s]
+    variables                   : in the order of their value references
+    problems                    : in the order of the outcomes of the model
+    maps                        : functions whose nodes and values are arrays among the variables
+    kept_numbers, kept_integers : (offset, count) of the runs of R and of N that are the state of an instance
     """
 
     name: str
@@ -149,7 +149,7 @@ class Image:
     n_T: int = 0
 
     def add_numbers(self, values: ArrayLike, *, aligned: bool = False) -> int:
-        """Add numbers to R, with `aligned` at the beginning of a cache line; the place of the first."""
+        """Add numbers to R, with `aligned` at the beginning of a cache line; the offset of the first."""
         # As `aligned_zeros` of the ensemble: vectors of a block then do not cross cache lines.
         if aligned and self.n_R % LINE:
             self.add_numbers(np.zeros(LINE - self.n_R % LINE))
@@ -159,27 +159,27 @@ class Image:
         return self.n_R - len(added)
 
     def keep_numbers(self, values: ArrayLike) -> int:
-        """Add numbers to R that belong to the state of an instance; the place of the first."""
-        place = self.add_numbers(values)
-        self.kept_numbers.append((place, self.n_R - place))
-        return place
+        """Add numbers to R that belong to the state of an instance; the offset of the first."""
+        first = self.add_numbers(values)
+        self.kept_numbers.append((first, self.n_R - first))
+        return first
 
     def add_tables(self, values: ArrayLike) -> int:
-        """Add numbers to T; the place of the first."""
+        """Add numbers to T; the offset of the first."""
         added = np.array(values, dtype=np.float64).ravel()
         self._T.append(added)
         self.n_T += len(added)
         return self.n_T - len(added)
 
     def add_integers(self, values: ArrayLike) -> int:
-        """Add integers to N; the place of the first."""
+        """Add integers to N; the offset of the first."""
         added = np.array(values, dtype=np.int64).ravel()
         self._N.append(added)
         self.n_N += len(added)
         return self.n_N - len(added)
 
     def add_text(self, piece: str) -> int:
-        """Add a text to the image; its place."""
+        """Add a text to the image; its offset."""
         return _append(self._text, piece)
 
     @property
@@ -200,12 +200,12 @@ class Image:
     def set_integers(self, values: Sequence[tuple[int, int]]) -> None:
         """Set integers of N.
 
-        values : (place, value) of each
+        values : (offset, value) of each
         """
-        whole = self.N
-        for place, value in values:
-            whole[place] = value
-        self._N = [whole]
+        integers = self.N
+        for offset, value in values:
+            integers[offset] = value
+        self._N = [integers]
 
     def set_numbers(self, R: NDArray[np.float64]) -> None:
         """Replace all numbers of R by an array of equal length."""
@@ -216,24 +216,24 @@ class Image:
         if variable.kind is Kind.TABLE:
             return ""
         if variable.kind is Kind.INTEGER:
-            return int(self.N[variable.place])
+            return int(self.N[variable.offset])
         if variable.kind is Kind.SHARED:
-            return self.T[variable.place : variable.place + variable.count]
-        return self.R[variable.place : variable.place + variable.count]
+            return self.T[variable.offset : variable.offset + variable.count]
+        return self.R[variable.offset : variable.offset + variable.count]
 
     def binary(self, token: str) -> bytes:
         """The file `model.bin`."""
         text = self._text.copy()
 
-        def place(piece: str) -> int:
+        def offset(piece: str) -> int:
             return _append(text, piece)
 
-        at = place(token)
+        at = offset(token)
         variables = b"".join(
-            struct.pack("<5q2d", v.kind, v.role, v.place, v.count, place(v.name), v.lower, v.upper)
+            struct.pack("<5q2d", v.kind, v.role, v.offset, v.count, offset(v.name), v.lower, v.upper)
             for v in self.variables
         )
-        problems = b"".join(struct.pack("<3q", place(p.name), place(p.rule), p.place) for p in self.problems)
+        problems = b"".join(struct.pack("<3q", offset(p.name), offset(p.rule), p.offset) for p in self.problems)
         text.extend(b"\0" * (-len(text) % 8))
         kept = _joined(self.kept_numbers), _joined(self.kept_integers)
         runs = np.array([*kept[0], *kept[1]], dtype="<i8").tobytes()
@@ -250,16 +250,16 @@ def identifier(name: str) -> str:
 
 
 def _joined(runs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Runs in the order of their places, those that touch as one.
+    """Runs in the order of their offsets, those that touch as one.
 
-    runs : (place, count) of each
+    runs : (offset, count) of each
     """
     joined: list[tuple[int, int]] = []
-    for place, count in sorted(runs):
-        if joined and joined[-1][0] + joined[-1][1] == place:
+    for offset, count in sorted(runs):
+        if joined and joined[-1][0] + joined[-1][1] == offset:
             joined[-1] = joined[-1][0], joined[-1][1] + count
         else:
-            joined.append((place, count))
+            joined.append((offset, count))
     return joined
 
 
@@ -270,14 +270,14 @@ def _append(text: bytearray, piece: str) -> int:
 
 
 def checksum(body: bytes) -> int:
-    """Sum of the words modulo 2^64, each plus a multiple of its place and then mixed as splitmix64 does.
+    """Sum of the words modulo 2^64, each plus a multiple of its index and then mixed as splitmix64 does.
 
     A single changed or moved word changes the sum; several leave it unchanged with a probability of 2^-64 (Steele, Lea
     and Flood, 2014).
     """
     # Mixed and not only summed: two flipped high bits cancelled in a linear sum, and a damaged state was accepted.
-    words = np.frombuffer(body, dtype="<u8")
-    z = words + np.arange(1, len(words) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    integers = np.frombuffer(body, dtype="<u8")
+    z = integers + np.arange(1, len(integers) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))

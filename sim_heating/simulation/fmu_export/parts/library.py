@@ -262,8 +262,8 @@ def compiler_command(target: Target) -> list[str]:
         return [native]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig]
-    what = "a C compiler" if target.native else f"a linker for {target.fmi3}"
-    raise InputError(f"fmu: {what} was not found; install one: pip install 'sim-heating[fmu]'")
+    tool = "a C compiler" if target.native else f"a linker for {target.fmi3}"
+    raise InputError(f"fmu: {tool} was not found; install one: pip install 'sim-heating[fmu]'")
 
 
 def _function_table_source(units: Sequence[CompilationUnit], target: Target) -> str:
@@ -284,8 +284,8 @@ def _cache_folder(units: Sequence[CompilationUnit], target: Target) -> Path:
     """Folder of the cache for a library or object files, named by a digest of all that they are made of."""
     digest = hashlib.sha256()
     # Everything that the machine code depends on: an object of another version would be linked without complaint.
-    for part in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
-        digest.update(part.encode())
+    for dependency in (_package_digest(), numba.__version__, llvmlite.__version__, repr(target)):
+        digest.update(dependency.encode())
     for unit in units:
         digest.update(f"{unit.name} {unit.dependencies}".encode())
     for path in (*sorted(wrapper_folder().glob("*.[ch]")), Path(inspect.getfile(object_code))):
@@ -350,15 +350,15 @@ def wrapper_objects(target: Target) -> list[Path]:
     command = compiler_command(target)
     name = "zig" if "ziglang" in command else Path(command[0]).name
     folder = _cache_folder([], target)
-    made = [folder / f"{source.stem}_{name}.o" for source in wrapper_sources()]
+    objects = [folder / f"{source.stem}_{name}.o" for source in wrapper_sources()]
     folder.mkdir(parents=True, exist_ok=True)
-    for source, out in zip(wrapper_sources(), made, strict=True):
+    for source, out in zip(wrapper_sources(), objects, strict=True):
         if not out.is_file():
             with tempfile.TemporaryDirectory(dir=folder) as work:
                 partial = Path(work) / out.name
                 _run_compiler([*command, "-c", *_flags(target), "-o", partial, source], target, "compiling")
                 partial.replace(out)
-    return made
+    return objects
 
 
 def _flags(target: Target) -> list[str]:
@@ -375,7 +375,7 @@ def _link(units: Sequence[CompilationUnit], target: Target, command: Sequence[st
     _run_compiler([*command, "-shared", *_flags(target), "-o", out, *files, *needed], target, "linking")
 
 
-def _run_compiler(command: Sequence[str | Path], target: Target, what: str) -> None:
+def _run_compiler(command: Sequence[str | Path], target: Target, task: str) -> None:
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise RunError(f"fmu: {what} for {target.fmi3} failed: {done.stderr.strip()}")
+        raise RunError(f"fmu: {task} for {target.fmi3} failed: {done.stderr.strip()}")

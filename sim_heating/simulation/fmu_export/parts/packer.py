@@ -41,7 +41,7 @@ class ImagePacker:
     image      : empty at first
     n_integers : first integers of N that the model and the C wrapper use
 
-    Attribute `head`: values of those integers by their place, written at the end with `Image.set_integers`.
+    Attribute `head`: values of those integers by their index, written at the end with `Image.set_integers`.
     """
 
     def __init__(self, image: Image, n_integers: int) -> None:
@@ -51,47 +51,47 @@ class ImagePacker:
         first[LONGEST] = LONGEST_COMMUNICATION_S
         image.keep_numbers(first)
         image.add_integers(np.zeros(n_integers))
-        image.kept_integers += [(place, 1) for place in (CHANGED, TIMING, TIMING_INTEGER)]
+        image.kept_integers += [(offset, 1) for offset in (CHANGED, TIMING, TIMING_INTEGER)]
         self.add_number("time", Role.INDEPENDENT, 0, "time", "s")
 
     def add_number(
-        self, name: str, role: Role, place: int, text: str, unit: str = "1",
+        self, name: str, role: Role, offset: int, text: str, unit: str = "1",
         lower: float = -np.inf, upper: float = np.inf, nominal: float | None = None,
         depends: tuple[str, ...] = (), parameters: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
-        """Add a variable for a number at a place of R."""
+        """Add a variable for a number at an offset of R."""
         self.image.variables.append(
             Variable(
-                name, Kind.NUMBER, role, place, text, unit, lower, upper, nominal, depends=depends,
+                name, Kind.NUMBER, role, offset, text, unit, lower, upper, nominal, depends=depends,
                 parameters=parameters,
             )
         )  # fmt: skip
 
     def add_array(
-        self, name: str, role: Role, place: int, text: str, unit: str, shape: tuple[int, ...],
+        self, name: str, role: Role, offset: int, text: str, unit: str, shape: tuple[int, ...],
         lower: float = -np.inf, upper: float = np.inf,
     ) -> None:  # fmt: skip
-        """Add a variable for an array at a place of T, of the table whose path was added last."""
-        self.image.variables.append(Variable(name, Kind.SHARED, role, place, text, unit, lower, upper, shape=shape))
+        """Add a variable for an array at an offset of T, of the table whose path was added last."""
+        self.image.variables.append(Variable(name, Kind.SHARED, role, offset, text, unit, lower, upper, shape=shape))
 
-    def add_choice(self, name: str, role: Role, place: int, text: str, choices: tuple[tuple[str, str], ...]) -> None:
-        """Add a variable for an integer at a place of N, from 1 to the number of choices."""
+    def add_choice(self, name: str, role: Role, offset: int, text: str, choices: tuple[tuple[str, str], ...]) -> None:
+        """Add a variable for an integer at an offset of N, from 1 to the number of choices."""
         self.image.variables.append(
-            Variable(name, Kind.INTEGER, role, place, text, lower=1, upper=len(choices), choices=choices)
+            Variable(name, Kind.INTEGER, role, offset, text, lower=1, upper=len(choices), choices=choices)
         )
 
-    def add_integer(self, name: str, role: Role, place: int, text: str, lower: int, upper: int) -> None:
-        """Add a variable for an integer at a place of N."""
-        self.image.variables.append(Variable(name, Kind.INTEGER, role, place, text, lower=lower, upper=upper))
+    def add_integer(self, name: str, role: Role, offset: int, text: str, lower: int, upper: int) -> None:
+        """Add a variable for an integer at an offset of N."""
+        self.image.variables.append(Variable(name, Kind.INTEGER, role, offset, text, lower=lower, upper=upper))
 
     def add_inputs(self, inputs: Sequence[Input], starts: ArrayLike) -> None:
         """Add the inputs, and room for their values at the start and at the end of a step.
 
         starts : (input,) values before a host sets them
         """
-        place = self.image.keep_numbers(starts)
+        offset = self.image.keep_numbers(starts)
         for i, (name, unit, nominal, text, lower, upper) in enumerate(inputs):
-            self.add_number(name, Role.INPUT, place + i, text, unit, lower, upper, nominal)
-        self.head |= {INPUTS: place, N_INPUTS: len(inputs)}
+            self.add_number(name, Role.INPUT, offset + i, text, unit, lower, upper, nominal)
+        self.head |= {INPUTS: offset, N_INPUTS: len(inputs)}
         self.head[INPUT_SLOPES] = self.image.keep_numbers(np.zeros(len(inputs)))
         self.head |= {copy: self.image.keep_numbers(starts) for copy in (INPUTS_NOW, INPUTS_NEXT)}

@@ -47,12 +47,14 @@ def _terminal(parent: ET.Element, sampled: SampledMap) -> None:
     )  # fmt: skip
 
     def add_member(variable: str, member: str, kind: str) -> None:
-        what = f"{NAME}.map.{kind}"
-        ET.SubElement(terminal, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind=what)
+        full_kind = f"{NAME}.map.{kind}"
+        ET.SubElement(
+            terminal, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind=full_kind
+        )
 
     # An operating point belongs directly after its nodes.
     for axis, point in zip(sampled.axes, sampled.operating_point, strict=True):
-        own = axis.removeprefix(f"{sampled.name}.")
-        add_member(axis, own, "domain")
-        add_member(point, f"{own}_now", "domainInput")
+        axis_name = axis.removeprefix(f"{sampled.name}.")
+        add_member(axis, axis_name, "domain")
+        add_member(point, f"{axis_name}_now", "domainInput")
     add_member(sampled.values, sampled.values.removeprefix(f"{sampled.name}."), "codomain")
