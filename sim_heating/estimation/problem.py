@@ -138,15 +138,15 @@ class FitProblem:
         self.priors = {n: p for n, p in (options.priors or {}).items() if isinstance(p, Parameter)}
         self.owners = Owners(records)
         fixed = [self.owners.stated(options.fixed or {}, r) for r in records]
-        own = [self.owners.of_record(names, r) for r in records]
-        models = [self._model(r, n, f) for r, n, f in zip(records, own, fixed, strict=True)]
+        names_of = [self.owners.of_record(names, r) for r in records]
+        models = [self._model(r, n, f) for r, n, f in zip(records, names_of, fixed, strict=True)]
         # the mesh is chosen once, for the declared model: a likelihood with another mesh at each step would not be
         # smooth, and those of two models could not be compared
         meshes = [_mesh(point_of_record(r), r, options.longest_step_s) for r in records]
         begin = list(options.starts) if options.starts is not None else [None] * len(records)
         self.record_fits = [
             self._record_fit(record, model, mesh, start(record, model, mesh) if callable(start) else start, n, f)
-            for record, model, mesh, start, n, f in zip(records, models, meshes, begin, own, fixed, strict=True)
+            for record, model, mesh, start, n, f in zip(records, models, meshes, begin, names_of, fixed, strict=True)
         ]
         self.unknowns = self._index_parameters()
         for i, record_fit in enumerate(self.record_fits):
@@ -165,22 +165,24 @@ class FitProblem:
         returns : the problem; labels are `name`, or `name@owner`. Its `reference` is that of the first part alone
         """
         joint = copy(parts[0])
-        found: dict[tuple[str, str], tuple[Parameter, list[int]]] = {}
-        places = []
-        for i, (part, own) in enumerate(zip(parts, owners, strict=True)):
-            record_fit = part.record_fits[0]
-            keys = [(u.parameter.name, own.get(u.parameter.name, record_fit.record.name)) for u in part.unknowns]
-            for key, unknown in zip(keys, part.unknowns, strict=True):
-                found.setdefault(key, (unknown.parameter, []))[1].append(i)
-            places.append([keys[k] for k in record_fit.index])
-        order = list(found)
+        shared: dict[tuple[str, str], tuple[Parameter, list[int]]] = {}
+        keys_of = []
+        for i, (problem, owner_of) in enumerate(zip(parts, owners, strict=True)):
+            record_fit = problem.record_fits[0]
+            keys = [
+                (u.parameter.name, owner_of.get(u.parameter.name, record_fit.record.name)) for u in problem.unknowns
+            ]
+            for key, unknown in zip(keys, problem.unknowns, strict=True):
+                shared.setdefault(key, (unknown.parameter, []))[1].append(i)
+            keys_of.append([keys[k] for k in record_fit.index])
+        order = list(shared)
         joint.record_fits = [
-            replace(part.record_fits[0], index=np.array([order.index(key) for key in keys], dtype=np.int64))
-            for part, keys in zip(parts, places, strict=True)
+            replace(problem.record_fits[0], index=np.array([order.index(key) for key in keys], dtype=np.int64))
+            for problem, keys in zip(parts, keys_of, strict=True)
         ]
         joint.unknowns = [
             FitParameter(f"{name}{AT}{owner}" if owner else name, parameter, tuple(numbers))
-            for (name, owner), (parameter, numbers) in found.items()
+            for (name, owner), (parameter, numbers) in shared.items()
         ]
         joint._group()
         return joint
@@ -231,13 +233,13 @@ class FitProblem:
 
         Errors of flights, and slow noise of sensors, stay: s = 0 in docs/theory/model_error.md, equation 1.
         """
-        if all(part.model_error is None for part in self.record_fits):
+        if all(record_fit.model_error is None for record_fit in self.record_fits):
             return self
         other = copy(self)
         other.record_fits = [
-            part if part.model_error is None
-            else replace(part, model_error=part.model_error.of_size(0.0, part.model_error.correlation_s))
-            for part in self.record_fits
+            r if r.model_error is None
+            else replace(r, model_error=r.model_error.of_size(0.0, r.model_error.correlation_s))
+            for r in self.record_fits
         ]  # fmt: skip
         other._group()
         return other
@@ -248,15 +250,15 @@ class FitProblem:
         The problem as it is where its flight has none. Each is in standard deviations of its prior [-]: f of
         docs/theory/model_error.md, equation 1.
         """
-        part, first = self.record_fits[0], len(self.unknowns)
-        if part.model_error is None or part.model_error.flight is None or part.flight_names:
+        record_fit, first = self.record_fits[0], len(self.unknowns)
+        if record_fit.model_error is None or record_fit.model_error.flight is None or record_fit.flight_names:
             return self
-        names = part.model_error.flight_names
-        more = [FitParameter(n, Parameter(n, "1", 0.0, 1.0, text="error of the flight"), (0,)) for n in names]
+        names = record_fit.model_error.flight_names
+        of_flight = [FitParameter(n, Parameter(n, "1", 0.0, 1.0, text="error of the flight"), (0,)) for n in names]
         other = copy(self)
-        other.unknowns = [*self.unknowns, *more]
-        index = np.append(part.index, first + np.arange(len(names)))
-        other.record_fits = [replace(part, flight_names=names, index=index)]
+        other.unknowns = [*self.unknowns, *of_flight]
+        index = np.append(record_fit.index, first + np.arange(len(names)))
+        other.record_fits = [replace(record_fit, flight_names=names, index=index)]
         other._group()
         return other
 
@@ -267,8 +269,8 @@ class FitProblem:
 
         raises : InputError for a fixed value beyond the limits of its parameter
         """
-        given = (*self.options.effects, *record.declared.heating.effects)
-        implied = implied_effects((*names, *fixed), given)
+        declared = (*self.options.effects, *record.declared.heating.effects)
+        implied = implied_effects((*names, *fixed), declared)
         model = point_of_record(record, effects=(*self.options.effects, *implied))
         for problem in without_action((*names, *fixed), record, model).values():
             raise InputError(problem)
@@ -294,24 +296,24 @@ class FitProblem:
         for name in march_names:
             model.definition(name)
         conditions = conditions_of_record(record, flow_of_record(record, model.effects))
-        known = {n: v for n, v in fixed.items() if is_of_record(n)}
-        return RecordFit(record, model, mesh, start, conditions, march_names, sensor_names, fixed=known)
+        fixed_in_record = {n: v for n, v in fixed.items() if is_of_record(n)}
+        return RecordFit(record, model, mesh, start, conditions, march_names, sensor_names, fixed=fixed_in_record)
 
     def _index_parameters(self) -> list[FitParameter]:
         """Index the unknowns of every record in the parameter vector, shared where they are of one point, or tied."""
-        found: dict[str, FitParameter] = {}
+        by_label: dict[str, FitParameter] = {}
         labels = []
         for i, record_fit in enumerate(self.record_fits):
             of_start = [p.name for p in record_fit.start.unknowns] if record_fit.start else []
             labels.append([self._label(name, record_fit.record, name in of_start) for name in record_fit.names])
             for name, label in zip(record_fit.names, labels[-1], strict=True):
-                known = found.get(label) or FitParameter(label, self._parameter(record_fit, name), ())
-                found[label] = replace(known, records=(*known.records, i))
-        require_estimated(self.options, self.owners, list(found))
-        unknowns, stands_for = self._tied(found)
-        places = [u.label for u in unknowns]
-        for record_fit, own in zip(self.record_fits, labels, strict=True):
-            index = [places.index(stands_for.get(label, label)) for label in own]
+                parameter = by_label.get(label) or FitParameter(label, self._parameter(record_fit, name), ())
+                by_label[label] = replace(parameter, records=(*parameter.records, i))
+        require_estimated(self.options, self.owners, list(by_label))
+        unknowns, stands_for = self._tied(by_label)
+        order = [u.label for u in unknowns]
+        for record_fit, of_record in zip(self.record_fits, labels, strict=True):
+            index = [order.index(stands_for.get(label, label)) for label in of_record]
             record_fit.index = np.array(index, dtype=np.int64)
         return unknowns
 
@@ -320,22 +322,22 @@ class FitProblem:
             return f"{name}{AT}{record.name}" if len(self.owners.records) > 1 else name
         return self.owners.label(name, record)
 
-    def _tied(self, found: Mapping[str, FitParameter]) -> tuple[list[FitParameter], dict[str, str]]:
+    def _tied(self, by_label: Mapping[str, FitParameter]) -> tuple[list[FitParameter], dict[str, str]]:
         """The unknowns with those that are tied made one, and the label of that one for each of them.
 
         The one has the definition and the prior of the first, and the narrowest of their bounds.
         raises : InputError where a tie has one parameter only, or parameters of two units
         """
         stands_for: dict[str, str] = {}
-        groups: dict[str, list[str]] = {label: [label] for label in found}
+        groups: dict[str, list[str]] = {label: [label] for label in by_label}
         for names in self.options.ties:
-            own = [label for label in self.owners.labels(names) if label in found]
-            if len(own) < 2:
+            covered = [label for label in self.owners.labels(names) if label in by_label]
+            if len(covered) < 2:
                 raise InputError(f"{'='.join(names)}: ties one parameter only; name another one to be equal to it")
-            joined = list(dict.fromkeys(m for label in own for m in groups[stands_for.get(label, label)]))
-            units = {found[m].parameter.unit for m in joined}
+            joined = list(dict.fromkeys(m for label in covered for m in groups[stands_for.get(label, label)]))
+            units = {by_label[m].parameter.unit for m in joined}
             if len(units) > 1:
-                stated = ", ".join(f"{m} [{found[m].parameter.unit}]" for m in joined)
+                stated = ", ".join(f"{m} [{by_label[m].parameter.unit}]" for m in joined)
                 raise InputError(f"{'='.join(names)}: their units differ: {stated}; only like parameters may be tied")
             for m in joined:
                 groups.pop(stands_for.get(m, m), None)
@@ -345,21 +347,21 @@ class FitProblem:
         unknowns = []
         for label, members in groups.items():
             if label not in stands_for.values():
-                unknowns.append(found[label])
+                unknowns.append(by_label[label])
                 continue
-            every = [found[m] for m in members]
+            every = [by_label[m] for m in members]
             first, records = every[0].parameter, sorted({i for u in every for i in u.records})
             lower, upper = max(u.parameter.lower for u in every), min(u.parameter.upper for u in every)
             limited = replace(first, lower=lower, upper=upper)
             unknowns.append(FitParameter(label, limited, tuple(records), tuple(members)))
-        order = {label: i for i, label in enumerate(found)}
+        order = {label: i for i, label in enumerate(by_label)}
         return sorted(unknowns, key=lambda u: order[u.tied[0] if u.tied else u.label]), stands_for
 
     def _parameter(self, record_fit: RecordFit, name: str) -> Parameter:
         """Definition of an unknown of a record; its value is where the fit starts, and the mean of its prior."""
-        for own in record_fit.start.unknowns if record_fit.start else ():
-            if own.name == name:
-                return own
+        for of_start in record_fit.start.unknowns if record_fit.start else ():
+            if of_start.name == name:
+                return of_start
         parameter = sensor_definition(record_fit.record, name)
         if parameter is None:
             # the fit starts at what the record declares, which is also the mean of the prior
@@ -455,8 +457,8 @@ class FitProblem:
         Records on common times are marched side by side: they keep common times, with the steps that any of them needs.
         """
         for group in lane_groups(self.record_fits):
-            found = [record_fit.divided_times(self.options.tolerance_K) for record_fit in group]
-            time_s = np.unique(np.concatenate(found))
+            divided = [record_fit.divided_times(self.options.tolerance_K) for record_fit in group]
+            time_s = np.unique(np.concatenate(divided))
             for record_fit in group:
                 record_fit.time_s = time_s
 
@@ -481,7 +483,7 @@ class FitProblem:
         """
         m = len(self.unknowns)
 
-        def one(k: int) -> Evaluation:
+        def of_group(k: int) -> Evaluation:
             total = sum(record_fit.known_log_likelihood for record_fit in self.groups[k])
             gradient, information = np.zeros(m), np.zeros((m, m))
             for record_fit, samples in self._samples_of_group(k, vector):
@@ -493,14 +495,14 @@ class FitProblem:
             return Evaluation(total, gradient, information)
 
         try:
-            found = in_threads(one, len(self.groups))
+            evaluations = in_threads(of_group, len(self.groups))
         # a search goes on from a vector that cannot be marched: it takes a shorter step
         except RunError:
             return self.failed_evaluation()
         return Evaluation(
-            sum(f.log_likelihood for f in found),
-            np.sum([f.gradient for f in found], axis=0),
-            np.sum([f.information for f in found], axis=0),
+            sum(f.log_likelihood for f in evaluations),
+            np.sum([f.gradient for f in evaluations], axis=0),
+            np.sum([f.information for f in evaluations], axis=0),
         )
 
     def failed_evaluation(self) -> Evaluation:
@@ -521,8 +523,8 @@ class FitProblem:
         Source: docs/theory/estimation_statistics.md, equations 1 and 2.
         """
 
-        found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
-        return [s for group in found for _, samples in group for s in samples]
+        by_group = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
+        return [s for group in by_group for _, samples in group for s in samples]
 
     def innovations(self, vector: FloatArray) -> list[PredictedSamples]:
         """All channels at a parameter vector, each reading predicted from those before it where the model has an error.
@@ -533,8 +535,8 @@ class FitProblem:
 
         Source: docs/theory/model_error.md, equation 6.
         """
-        found = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
-        return [s for group in found for record_fit, samples in group for s in innovations(record_fit, samples)[0]]
+        by_group = in_threads(lambda k: self._samples_of_group(k, vector), len(self.groups))
+        return [s for group in by_group for record_fit, samples in group for s in innovations(record_fit, samples)[0]]
 
     def errors(self, vector: FloatArray) -> list[FloatArray]:
         """The most probable error of each record's model at a parameter vector, in standard deviations [-].
@@ -554,20 +556,20 @@ class FitProblem:
     def _samples_of_group(self, k: int, vector: FloatArray) -> list[tuple[RecordFit, list[PredictedSamples]]]:
         """All channels of each record of a group."""
         return [
-            (record_fit, self._samples_of_record(record_fit, record_fit.corrected(found, vector), vector))
-            for record_fit, found in zip(self.groups[k], self._march_group(k, vector), strict=True)
+            (record_fit, self._samples_of_record(record_fit, record_fit.corrected(marched, vector), vector))
+            for record_fit, marched in zip(self.groups[k], self._march_group(k, vector), strict=True)
         ]
 
     def _march_group(self, k: int, vector: FloatArray) -> Sequence[Linearised]:
         """A group marched at a parameter vector; the latest result of each group is cached."""
         # likelihood, bounds, pictures and residual tests ask for the same vector in turn
-        cached, found = self.last_marches[k]
+        cached, marched = self.last_marches[k]
         if cached != vector.tobytes():
             group, march = self.groups[k], self._marches[k]
             march = self._marches[k] = group_march(group) if march is None else march
-            found = march.march(*set_parameters(march, group, [vector] * len(group)))
-            self.last_marches[k] = (vector.tobytes(), found)
-        return found
+            marched = march.march(*set_parameters(march, group, [vector] * len(group)))
+            self.last_marches[k] = (vector.tobytes(), marched)
+        return marched
 
     def marched(self, vector: FloatArray) -> list[Linearised]:
         """Linearised march of each record at a parameter vector, without the correction for its mesh.
@@ -576,12 +578,12 @@ class FitProblem:
         returns : by record, temperatures [K] at its sensors, rates [K/s] and sensitivities
         raises  : RunError where a march failed
         """
-        found = {
+        by_record = {
             id(p): f
             for k, group in enumerate(self.groups)
             for p, f in zip(group, self._march_group(k, vector), strict=True)
         }
-        return [found[id(record_fit)] for record_fit in self.record_fits]
+        return [by_record[id(record_fit)] for record_fit in self.record_fits]
 
     def cache_march(self, vector: FloatArray, marched: Mapping[int, Linearised]) -> None:
         """Store results of marches made elsewhere, so that the next evaluation at that vector marches nothing.
@@ -599,17 +601,19 @@ class FitProblem:
         """Whether an evaluation at a parameter vector (parameter,) needs no march."""
         return all(cached == vector.tobytes() for cached, _ in self.last_marches)
 
-    def _samples_of_record(self, record_fit: RecordFit, found: Sensed, vector: FloatArray) -> list[PredictedSamples]:
+    def _samples_of_record(self, record_fit: RecordFit, sensed: Sensed, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record at a parameter vector."""
         values, samples = record_fit.values(vector), []
         for c in record_fit.channels:
-            mean, own = indications(c, found, record_fit.names, values, record_fit.march_columns)
-            by_flight, sensitivity = record_fit.by_flight(c, values)
+            mean, sensitivity = indications(c, sensed, record_fit.names, values, record_fit.march_columns)
+            by_flight, to_flight = record_fit.by_flight(c, values)
             mean += by_flight
-            own[:, len(record_fit.names) - len(record_fit.flight_names) :] = sensitivity
+            sensitivity[:, len(record_fit.names) - len(record_fit.flight_names) :] = to_flight
             time = record_fit.sample_s[c.samples]
             samples.append(
-                PredictedSamples(record_fit, c, time, mean, own, len(self.unknowns), record_fit.sigma_K[c.number])
+                PredictedSamples(
+                    record_fit, c, time, mean, sensitivity, len(self.unknowns), record_fit.sigma_K[c.number]
+                )
             )
         return samples
 
@@ -650,9 +654,9 @@ class FitProblem:
         """Log likelihood of the samples of a record; NaN where its march failed."""
         if marched is None:
             return np.nan
-        found, values = record_fit.corrected(marched, vector), record_fit.values(vector)
+        sensed, values = record_fit.corrected(marched, vector), record_fit.values(vector)
         means_K = [
-            indications(c, found, (), values, 0)[0] + record_fit.by_flight(c, values)[0] for c in record_fit.channels
+            indications(c, sensed, (), values, 0)[0] + record_fit.by_flight(c, values)[0] for c in record_fit.channels
         ]
         return record_fit.known_log_likelihood + scored_readings(record_fit, means_K).log_likelihood
 
@@ -728,38 +732,40 @@ def without_action(names: Sequence[str], record: Record, model: PointModel) -> d
     An effect on readings has no part in the march: its parameters are those of the record, `clock.skew` for instance.
     Recombination acts on the atoms of a flow that the record declares.
     """
-    found, recombines = {}, flow_of_record(record, model.effects).atoms != "none"
+    problems, recombines = {}, flow_of_record(record, model.effects).atoms != "none"
     for name in names:
         used = next((u for u in model.effects if name.startswith(f"{EFFECT_PREFIX}{u.effect.name}.")), None)
         if used is None:
             continue
         parameter = next((p for p in used.effect.parameters if name.endswith(f".{p.name}")), None)
         if used.effect.acts_on_readings and isinstance(parameter, ModelParameter):
-            found[name] = f"`{name}`: acts on the readings of a record, not on its wall; name `{parameter.stands_for}`"
+            problems[name] = (
+                f"`{name}`: acts on the readings of a record, not on its wall; name `{parameter.stands_for}`"
+            )
         elif used.effect.name == RECOMBINATION and not recombines:
-            found[name] = (
+            problems[name] = (
                 f"`{name}`: nothing recombines in {record.name}; declare the flow and its wall in [heating.catalysis], "
                 "or name the parameters of effect `catalysis`"
             )
-    return found
+    return problems
 
 
-def implied_effects(names: Sequence[str], given: Sequence[EffectUse] = ()) -> list[EffectUse]:
-    """The effects that dotted parameter names imply and that are not given, at their nominal values.
+def implied_effects(names: Sequence[str], present: Sequence[EffectUse] = ()) -> list[EffectUse]:
+    """The effects that dotted parameter names imply and that are not present, at their nominal values.
 
-    names : of which those like `effect.NAME.PARAMETER` count;  given : effects already in the model
+    names : of which those like `effect.NAME.PARAMETER` count;  present : effects already in the model
     """
-    present = {u.effect.name for u in given}
-    wanted = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
-    return [use(name) for name in wanted if name not in present]
+    names_present = {u.effect.name for u in present}
+    implied = dict.fromkeys(n.split(".")[1] for n in names if n.startswith(EFFECT_PREFIX) and n.count(".") >= 2)
+    return [use(name) for name in implied if name not in names_present]
 
 
-def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None = None) -> tuple[float, ...]:
+def joint_reference(records: Sequence[Record], condition: Mapping[str, float] | None = None) -> tuple[float, ...]:
     """The reference condition of a fit: as given, else as the first record declares it, else means over fit segments.
 
-    records : all of the fit
-    given   : variable -> value, for some of the variables
-    returns : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
+    records   : all of the fit
+    condition : variable -> value, for some of the variables
+    returns   : alpha, beta [deg], log10 Re [-], elevon, bodyflap [deg]
 
     Subscript 0 of the founding paper's linear model, docs/theory/equations.md, section 2.
     """
@@ -767,10 +773,10 @@ def joint_reference(records: Sequence[Record], given: Mapping[str, float] | None
     fitted = [(r, r.fit_mask(r.conditions.time_s)) for r in records]
     values = []
     for variable in RATIO_VARIABLES:
-        own = None if declared is None else getattr(declared, variable)
+        stated = None if declared is None else getattr(declared, variable)
         rows = np.concatenate([r.conditions[variable][mask] for r, mask in fitted])
         times = np.concatenate([r.conditions.duration_s[mask] for r, mask in fitted])
         first = records[0].conditions
         mean = np.average(rows, weights=times) if len(rows) else np.average(first[variable], weights=first.duration_s)
-        values.append(float((given or {}).get(variable, mean if own is None else own)))
+        values.append(float((condition or {}).get(variable, mean if stated is None else stated)))
     return tuple(values)

@@ -214,9 +214,9 @@ def trend(
         if last is not None:
             of_start = len(problem.record_fits[0].march_names)
             with_before = gain[:, of_start:] @ carried @ last.with_ratios
-        own = _of_march(problem.record_fits[0], fit.covariance) @ slope
-        ratios = np.block([[ratios, (slope @ with_before)[:, np.newaxis]], [slope @ with_before, slope @ own]])
-        last = _Fitted(problem, fit, float(read_s[-1]), misfit, np.column_stack([with_before, own]))
+        gradient = _of_march(problem.record_fits[0], fit.covariance) @ slope
+        ratios = np.block([[ratios, (slope @ with_before)[:, np.newaxis]], [slope @ with_before, slope @ gradient]])
+        last = _Fitted(problem, fit, float(read_s[-1]), misfit, np.column_stack([with_before, gradient]))
         segments.append(segment)
     if not segments:
         nothing = f"{record.name}: no segment of {length_s:g} s can be fitted"
@@ -232,8 +232,8 @@ def _made_start(
     """The start of the first segment, its temperatures estimated."""
     problem = FitProblem([record], names, about, FitOptions(fixed=fixed))
     of_record = problem.record_fits[0]
-    made = start(record, of_record.model, of_record.mesh) if callable(start) else start
-    return with_estimated_profile(made)
+    first_start = start(record, of_record.model, of_record.mesh) if callable(start) else start
+    return with_estimated_profile(first_start)
 
 
 def _check_read_after(record: Record, start_s: float, read_s: float, length_s: float) -> None:
@@ -305,8 +305,8 @@ def _carried_values(problem: FitProblem, last: _Fitted) -> FloatArray:
 
 def _of_march(record_fit: RecordFit, covariance: FloatArray) -> FloatArray:
     """The part of a covariance that belongs to the unknowns of the march, those of its start included."""
-    own = record_fit.index[: record_fit.march_columns]
-    return covariance[np.ix_(own, own)]
+    of_march = record_fit.index[: record_fit.march_columns]
+    return covariance[np.ix_(of_march, of_march)]
 
 
 def _next_start(last: _Fitted, time_s: float, *, unknown: bool) -> tuple[Start, FloatArray]:
@@ -317,8 +317,8 @@ def _next_start(last: _Fitted, time_s: float, *, unknown: bool) -> tuple[Start, 
     """
     record_fit, values = last.problem.record_fits[0], last.fit.values
     T, S = state_at(record_fit, values, time_s)
-    own, vectors = np.linalg.eigh(last.of_march)
-    root = np.sqrt(np.maximum(own, 0.0))
+    eigenvalues, vectors = np.linalg.eigh(last.of_march)
+    root = np.sqrt(np.maximum(eigenvalues, 0.0))
     spread, count = S @ (vectors * root), DIRECTIONS
     if unknown:
         begin = record_fit.begin_s if last.misfit > 1.0 else last.last_s
@@ -365,8 +365,8 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
         record_fit.model_at(values), record_fit.mesh, record_fit.march_names, np.array([time_s]), nodes,
         declared.initial_K, declared.initial_columns,
     )  # fmt: skip
-    found = LinearMarch([track], time, record_fit.history(time)).march()[0]
-    return found.temperature_K[:, 0], found.sensitivity[:, 0]
+    marched = LinearMarch([track], time, record_fit.history(time)).march()[0]
+    return marched.temperature_K[:, 0], marched.sensitivity[:, 0]
 
 
 def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
@@ -411,11 +411,11 @@ def _segment(
             slope[k] = np.mean(factor * linear[:, LINEAR_RATIO[name]])
     sigma = float(np.sqrt(slope @ _of_march(record_fit, fit.covariance) @ slope))
     m, condition = len(record_fit.march_names), tuple(float(v) for v in np.mean(x, axis=0))
-    found = Segment(
+    segment = Segment(
         begin, end, count, condition, float(np.mean(ratio)), sigma, fit.values[:m], fit.sigma[:m],
         float(np.mean(declared)), misfit,
     )  # fmt: skip
-    return found, slope
+    return segment, slope
 
 
 def _ratios_with_effects(
@@ -426,10 +426,10 @@ def _ratios_with_effects(
     The ratio is film coefficient over h_ref of the march, as effects may depend on the temperature of the wall.
     """
     model = record_fit.model_at(values)
-    more = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + RATIO_STEP})
+    raised_model = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + RATIO_STEP})
     # without the values that a fit sets or fixes
     declared_model = replace(record_fit.model, parameters={})
-    ensemble = Ensemble([model, more, declared_model], [record_fit.mesh] * 3)
+    ensemble = Ensemble([model, raised_model, declared_model], [record_fit.mesh] * 3)
     initial = record_fit.initial_K(values)
     if initial is not None:
         for i in range(3):

@@ -174,8 +174,8 @@ class Fit:
     history: FloatArray
 
     def __repr__(self) -> str:
-        found = zip(self.names, self.values, self.sigma, strict=True)
-        values = ", ".join(f"{name}={value:.5g} +- {sigma:.2g}" for name, value, sigma in found)
+        estimates = zip(self.names, self.values, self.sigma, strict=True)
+        values = ", ".join(f"{name}={value:.5g} +- {sigma:.2g}" for name, value, sigma in estimates)
         return f"Fit({values}; {self.status.name.lower()} after {self.iterations} iterations)"
 
     @property
@@ -304,11 +304,11 @@ def maximise(
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
-    several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
+    evaluate_all = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, on_step)
     request: FloatArray | Fit = next(search)
     while not isinstance(request, Fit):
-        request = next_request(search, evaluate(request) if request.ndim == 1 else several(request))
+        request = next_request(search, evaluate(request) if request.ndim == 1 else evaluate_all(request))
     return request
 
 
@@ -397,12 +397,12 @@ class _NewtonSearch:
                     return Status.KINK
                 continue
             if self.watched:
-                whole = yield from self.take_whole_steps(step)
-                accepted = whole or (yield from self.take_fraction(step)) > 0.0
+                is_whole = yield from self.take_whole_steps(step)
+                accepted = is_whole or (yield from self.take_fraction(step)) > 0.0
             else:
                 # along a bent valley whole steps keep failing: do not pay for one and its gradient before its fractions
-                taken = yield from self.take_fraction(step, whole_first=True)
-                whole, accepted = taken == 1.0, taken > 0.0
+                fraction = yield from self.take_fraction(step, whole_first=True)
+                is_whole, accepted = fraction == 1.0, fraction > 0.0
             if not accepted:
                 begin = self.at
                 at_kink = yield from self.meets_kink(step)
@@ -411,8 +411,8 @@ class _NewtonSearch:
                     continue
                 if not accepted and self.is_settled():
                     return Status.CONVERGED if self.is_within_rounding() else Status.KINK
-            self.trust = min(self.trust / SHORTER, 1.0) if whole else SHORTER * self.trust
-            self.watched = WATCHED if whole else 0
+            self.trust = min(self.trust / SHORTER, 1.0) if is_whole else SHORTER * self.trust
+            self.watched = WATCHED if is_whole else 0
             while not accepted and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
                 accepted = (yield from self.take_fraction(self.step(self.damping, self.trust))) > 0.0
@@ -504,13 +504,13 @@ class _NewtonSearch:
         for k in range(1, SHORTENINGS + 1):
             candidate = np.clip(self.at + fraction**k * step, self.posterior.lower, self.posterior.upper)
             beyond = (candidate, (yield candidate))
-            found = self.posterior.evaluation(*beyond)
-            if not _finite(found):
+            evaluation = self.posterior.evaluation(*beyond)
+            if not _finite(evaluation):
                 continue
-            if found.log_likelihood > self.found.log_likelihood:
+            if evaluation.log_likelihood > self.found.log_likelihood:
                 self.move_to(*beyond)
                 return False
-            if self.found.gradient @ step > 0.0 > found.gradient @ step:
+            if self.found.gradient @ step > 0.0 > evaluation.gradient @ step:
                 return (yield from self.close_in(beyond))
         return False
 
@@ -528,10 +528,10 @@ class _NewtonSearch:
             t = (after.log_likelihood - before.log_likelihood - down) / (up - down) if k % 2 == 0 else 0.5
             between = a + np.clip(t, NEAREST, 1.0 - NEAREST) * (b - a)
             likelihood = yield between
-            found = self.posterior.evaluation(between, likelihood)
-            if not _finite(found):
+            evaluation = self.posterior.evaluation(between, likelihood)
+            if not _finite(evaluation):
                 return False
-            ends[0 if found.gradient @ (b - a) > 0.0 else 1] = (between, likelihood)
+            ends[0 if evaluation.gradient @ (b - a) > 0.0 else 1] = (between, likelihood)
         (a, of_a), (b, of_b) = ends
         before, after = self.posterior.evaluation(a, of_a), self.posterior.evaluation(b, of_b)
         if self.kink_at is not self.at:  # along a kink that was followed, the information may have changed
@@ -561,8 +561,8 @@ class _NewtonSearch:
         if steps < RECENT:
             return False
         gain = max(after - before for before, after in pairwise(self.reached[-1 - RECENT :]))
-        left = self.settings.iterations - steps
-        return self.likelihood.log_likelihood + left * gain < self.settings.needed_log_likelihood
+        remaining = self.settings.iterations - steps
+        return self.likelihood.log_likelihood + remaining * gain < self.settings.needed_log_likelihood
 
     def take_whole_steps(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take a whole step, cut off at the bounds, where it raises the posterior, which is the usual case.
@@ -610,9 +610,9 @@ class _NewtonSearch:
     def covariance(self) -> FloatArray:
         """(parameter, parameter) bound on the parameters that are not on a bound; 0 for the others."""
         free = np.ix_(~self.on_bound, ~self.on_bound)
-        whole = np.zeros_like(self.found.information)
-        whole[free] = covariance(self.found.information[free])
-        return whole
+        bound = np.zeros_like(self.found.information)
+        bound[free] = covariance(self.found.information[free])
+        return bound
 
     def fit(self, names: tuple[str, ...], status: Status) -> Fit:
         broken = status is Status.NO_START or not _finite(self.found)
@@ -637,9 +637,9 @@ class _NewtonSearch:
         )
 
 
-def _finite(found: Evaluation) -> bool:
+def _finite(evaluation: Evaluation) -> bool:
     return bool(
-        np.isfinite(found.log_likelihood)
-        and np.all(np.isfinite(found.gradient))
-        and np.all(np.isfinite(found.information))
+        np.isfinite(evaluation.log_likelihood)
+        and np.all(np.isfinite(evaluation.gradient))
+        and np.all(np.isfinite(evaluation.information))
     )
