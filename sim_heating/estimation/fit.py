@@ -833,9 +833,10 @@ def _different_tables(records: Sequence[Record]) -> list[str]:
         a, b = earlier.ratio_table, record.ratio_table
         same = a is b or (a is not None and b is not None and _same_nodes(a, b))
         if not same:
+            names = f"{earlier.name} and {record.name}"
             lines.setdefault(
                 record.declared.control_point,
-                f"{earlier.name} and {record.name} declare different ratio tables; a common estimate is relative to each",
+                f"{names} declare different ratio tables; a common estimate is relative to each",
             )
     return list(lines.values())
 

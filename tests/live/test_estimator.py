@@ -295,7 +295,7 @@ def test_a_few_lost_frames_of_a_slow_link_are_no_jump_and_nothing_read_meanwhile
     e = feed(estimator(), [s for s in slow if isinstance(s, Reading) or not 870.0 < s.time_s < 874.0])
     assert e.messages == []
     assert e.counts.jumps == e.counts.off_clock == 0
-    read = sum(len(step.words) for step in e.stepper.past.steps)
+    read = sum(len(step.rows) for step in e.stepper.past.steps)
     assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e.stepper.past.steps[-1].frame.time_s)
 
 

@@ -253,7 +253,7 @@ def innovations(
 def innovations_of_several(
     record_fit: RecordFit, sets: Sequence[Sequence[PredictedSamples]], state: ErrorState | None = None
 ) -> tuple[list[list[PredictedSamples]], ErrorState]:
-    """Predictions of several sets of readings of one record, each from those before it; the sets differ in nothing else.
+    """Predictions of several sets of readings of one record, each from those before it; nothing else differs.
 
     sets    : of readings, each its channels;  state : from readings before, with means (unknown, set)
     returns : by set, channels with mean and standard deviation [K]; what is then known of the error

@@ -39,7 +39,7 @@ def passed_s(before: Sequence[Frame], after: Frame) -> float | None:
     if len(recent) < 3:
         return None
     time_s = np.array([f.time_s for f in recent]) - recent[-1].time_s
-    found = []
+    passed = []
     for name in recent[-1].values:
         if name not in after.values or any(name not in f.values for f in recent):
             continue
@@ -47,8 +47,8 @@ def passed_s(before: Sequence[Frame], after: Frame) -> float | None:
         slope, at_last = np.polyfit(time_s, values, 1)
         off = float(np.sqrt(np.mean((values - at_last - slope * time_s) ** 2)))
         if off < STEADY * abs(slope * time_s[0]):
-            found.append((after.values[name] - at_last) / slope)
-    return float(round(np.median(found), 6)) if found else None
+            passed.append((after.values[name] - at_last) / slope)
+    return float(round(np.median(passed), 6)) if passed else None
 
 
 def is_gap(before: Sequence[Frame], after: Frame) -> bool | None:
@@ -64,5 +64,5 @@ def is_gap(before: Sequence[Frame], after: Frame) -> bool | None:
     if passed is None or not math.isfinite(passed) or apart_s > LONGEST_OVER * seen_s:
         return None
     of_gap, of_jump = (OF_LONG_GAP, OF_LONG_JUMP) if apart_s > LONG_OVER * seen_s else (OF_GAP, OF_JUMP)
-    part = passed / apart_s
-    return True if part >= of_gap else False if part <= of_jump else None
+    ratio = passed / apart_s
+    return True if ratio >= of_gap else False if ratio <= of_jump else None
