@@ -39,9 +39,11 @@ def reproduce(result: Path) -> None:
         again = out / block["folder"]
         same = 0
         for name in names:
-            found = list(_file_differences(folder / name, again / name))
-            same += not found
-            shown = found[:SHOWN] + ([f"{len(found) - SHOWN} more differences"] if len(found) > SHOWN else [])
+            differing = list(_file_differences(folder / name, again / name))
+            same += not differing
+            shown = differing[:SHOWN] + (
+                [f"{len(differing) - SHOWN} more differences"] if len(differing) > SHOWN else []
+            )
             differences += [f"{name}: {line}" for line in shown]
     for line in differences:
         CONSOLE.print(line)
@@ -83,8 +85,12 @@ def _stated(result: Path) -> tuple[dict[str, Any], Path, list[str]]:
 
 def _above(folder: str, below: Path) -> str:
     """Where a folder of results lies in that of a command, from where one below it does."""
-    parts, more = Path(folder).parts, below.parts
-    return Path(*parts[: len(parts) - len(more)]).as_posix() if parts[len(parts) - len(more) :] == more else "."
+    parts, below_parts = Path(folder).parts, below.parts
+    return (
+        Path(*parts[: len(parts) - len(below_parts)]).as_posix()
+        if parts[len(parts) - len(below_parts) :] == below_parts
+        else "."
+    )
 
 
 def _block(path: Path) -> dict[str, Any] | None:
@@ -109,10 +115,10 @@ def _changed_inputs(block: dict[str, Any]) -> Iterator[str]:
     from sim_heating.base.files.provenance import input_digest, input_place
 
     for name, digest in block["inputs"].items():
-        place = input_place(name)
-        if not place.exists():
+        path = input_place(name)
+        if not path.exists():
             yield f"input {name}: is not there"
-        elif input_digest(place) != digest:
+        elif input_digest(path) != digest:
             yield f"input {name}: was changed since"
 
 

@@ -207,10 +207,10 @@ def test_fits_of_one_point_take_the_name_that_all_its_records_allow() -> None:
         Carried(((coating, heat),), of_coating, "one of"),
         Carried(((coating,),), of_coating, "found"),
     ]
-    assert [tuple(c.found) for c in agreed(records)] == [(coating,)] * 3
+    assert [tuple(c.by_effect) for c in agreed(records)] == [(coating,)] * 3
     assert agreed(records)[0].estimates == {"effect.coating-thickness.coating_factor": (1.2, 0.01)}
     # one record for each name: both take the same
-    assert len({tuple(c.found) for c in agreed(records[:2])}) == 1
+    assert len({tuple(c.by_effect) for c in agreed(records[:2])}) == 1
     # without a name in common every record keeps its own
     apart = [Carried(((heat,),), of_heat, "found"), Carried(((coating,),), of_coating, "found")]
-    assert [tuple(c.found) for c in agreed(apart)] == [(heat,), (coating,)]
+    assert [tuple(c.by_effect) for c in agreed(apart)] == [(heat,), (coating,)]

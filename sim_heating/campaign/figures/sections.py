@@ -25,9 +25,9 @@ MM = 1e3
 def sections(data: FlownData) -> PaperFigure:
     """Figure 2: section of each control point of the paper that was flown, layers from the surface down."""
     shown: dict[str, Record] = {}
-    for part in data.points:
+    for region in data.points:
         try:
-            shown[data.points[part]] = data.records_of(part)[0][1]
+            shown[data.points[region]] = data.records_of(region)[0][1]
         except LeftOut:
             continue
     if not shown:

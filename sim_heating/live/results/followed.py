@@ -43,7 +43,8 @@ class Followed:
             rows = self._estimates.setdefault(name, Thinned(len(ESTIMATE)))
             rows.add([
                 time_s, alpha_deg, estimate.surface_K, estimate.surface_sigma_K, estimate.bondline_K,
-                estimate.bondline_sigma_K, estimate.state.ratio, estimate.state.ratio_sigma, estimate.state.ratio_declared,
+                estimate.bondline_sigma_K,
+                estimate.state.ratio, estimate.state.ratio_sigma, estimate.state.ratio_declared,
             ])  # fmt: skip
 
     def readings(self, point: str) -> dict[str, dict[str, FloatArray]]:

@@ -70,9 +70,9 @@ class DispersedInput(Declared):
     @field_validator("name")
     @classmethod
     def _is_an_input(cls, name: str) -> str:
-        known = [*FLIGHT_INPUTS, *MODEL]
-        if name not in known and not name.startswith(EFFECT_PREFIX) and layer_parameter(name) is None:
-            raise ValueError(f"there is no input `{name}`{suggestion(name, known)}")
+        names = [*FLIGHT_INPUTS, *MODEL]
+        if name not in names and not name.startswith(EFFECT_PREFIX) and layer_parameter(name) is None:
+            raise ValueError(f"there is no input `{name}`{suggestion(name, names)}")
         return name
 
     @field_validator("over")

@@ -49,28 +49,28 @@ class AxisScan:
 
 
 def scan_axis(
-    places: Sequence[float], flights: Sequence[EvaluatedCase], sigmas: float = 0.0, manoeuvre: str | None = None
+    positions: Sequence[float], flights: Sequence[EvaluatedCase], sigmas: float = 0.0, manoeuvre: str | None = None
 ) -> AxisScan:
     """Interpolate the margins of flights along an axis.
 
-    places    : of the flights on the axis
+    positions : of the flights on the axis
     sigmas    : number of sigma subtracted from each margin
     manoeuvre : with the sigma that would remain after this one
     """
-    order = np.argsort(places)
-    x = np.asarray(places, dtype=float)[order]
+    order = np.argsort(positions)
+    x = np.asarray(positions, dtype=float)[order]
     ordered = [flights[i] for i in order]
     fine = np.unique(np.concatenate((np.linspace(x[0], x[-1], FINE), x)))
     flown = np.array([f.error is None for f in ordered])
     names = tuple(dict.fromkeys(n for f in ordered for n in f.margins))
     margins = np.full((max(len(names), 1), len(fine)), np.nan)
     if np.count_nonzero(flown) >= 2:
-        known = _between_flown(x, flown, fine)
+        is_between = _between_flown(x, flown, fine)
         for k, name in enumerate(names):
             y = np.array([f.margins[name].reduced(sigmas, manoeuvre) for f in ordered if f.error is None])
             # PCHIP does not overshoot: a spline would invent a violation between two flights within the limit. Margins
             # are scaled, so that kelvins and degrees can be compared.
-            margins[k, known] = PchipInterpolator(x[flown], y / _scale(ordered, name))(fine[known])
+            margins[k, is_between] = PchipInterpolator(x[flown], y / _scale(ordered, name))(fine[is_between])
     return AxisScan(fine, names or (NOT_FLOWN,), margins)
 
 
@@ -144,8 +144,8 @@ def _edge(scan: AxisScan, last: int, beyond: int) -> Edge:
     if not np.isfinite(scan.least[beyond]):
         return Edge(float(scan.x[last]), NOT_FLOWN)
     a, b = scan.least[last], scan.least[beyond]
-    share = float(a / (a - b))
-    return Edge(float(scan.x[last] + share * (scan.x[beyond] - scan.x[last])), scan.limit_at(beyond))
+    fraction = float(a / (a - b))
+    return Edge(float(scan.x[last] + fraction * (scan.x[beyond] - scan.x[last])), scan.limit_at(beyond))
 
 
 # The greatest value --------------------------------------------------------------------------------------------------
@@ -160,18 +160,18 @@ class GreatestValue:
     limit: str
 
 
-def greatest_value(scan: AxisScan, places: Sequence[float], values: Sequence[float]) -> GreatestValue | None:
+def greatest_value(scan: AxisScan, positions: Sequence[float], values: Sequence[float]) -> GreatestValue | None:
     """The greatest value over the allowed part of an axis; None where nothing is allowed.
 
-    values : at the places; not finite where no flight was possible
+    values : at the positions; not finite where no flight was possible
     """
-    order = np.argsort(places)
-    x, y = np.asarray(places, dtype=float)[order], np.asarray(values, dtype=float)[order]
+    order = np.argsort(positions)
+    x, y = np.asarray(positions, dtype=float)[order], np.asarray(values, dtype=float)[order]
     allowed = scan.least >= ROUNDING
-    known = np.isfinite(y)
-    if not np.any(allowed) or np.count_nonzero(known) < 2:
+    is_finite = np.isfinite(y)
+    if not np.any(allowed) or np.count_nonzero(is_finite) < 2:
         return None
-    fine = PchipInterpolator(x[known], y[known], extrapolate=False)(scan.x)
+    fine = PchipInterpolator(x[is_finite], y[is_finite], extrapolate=False)(scan.x)
     fine[~allowed | ~np.isfinite(fine)] = -np.inf
     i = int(np.argmax(fine))
     for beyond in (i - 1, i + 1):

@@ -157,8 +157,8 @@ def _compare_with_before(
 ) -> dict[str, Any]:
     """Fly the boundaries with the vehicle `before` and compare them with those of the study's own vehicle."""
     study, named = after.study, envelope.before or ""
-    place = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
-    other = load_study(study.path, place, root=study.root)
+    directory = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
+    other = load_study(study.path, directory, root=study.root)
     if other.hash == study.hash:
         output.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
         return {}
@@ -249,7 +249,9 @@ def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> ForecastEviden
 def _ranking_table(ranked: Sequence[RankedManoeuvre]) -> Table:
     names = list(ranked[0].conservative_area)
     heads: list[Column | str] = ["manoeuvre", Column("read at", is_text=True), "sigma reduced by"]
-    heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "conservative area")]
+    heads += [
+        f"{n}: {quantity}, now -> after" for n in names for quantity in ("sigma at the edges, K", "conservative area")
+    ]
     rows = []
     for r in ranked:
         name, points = r.forecast.candidate.name, ", ".join(r.forecast.evidence) or None

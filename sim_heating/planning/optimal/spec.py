@@ -109,10 +109,10 @@ def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[
     root   : folder that it may name a vehicle in, as `load_scenario` takes it
     raises : InputError with one line a problem
     """
-    place = Path(path)
-    declared = read_toml(place, OptimalStudyFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
-    return optimal_study(declared, vehicle, display_path(place))
+    study_path = Path(path)
+    declared = read_toml(study_path, OptimalStudyFile)
+    vehicle = load_vehicle(vehicle_place(study_path, declared.vehicle, root=root), root=root)
+    return optimal_study(declared, vehicle, display_path(study_path))
 
 
 def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "study") -> OptimalStudy:
