@@ -57,7 +57,7 @@ from sim_heating.estimation.inference.observability import (
 )
 from sim_heating.estimation.inference.outliers import Outlier, outlier_lines, without_outliers
 from sim_heating.estimation.inference.profile import Profile, profile
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import (
     PredictedSamples,
     RecordFit,
@@ -66,6 +66,7 @@ from sim_heating.estimation.record_fit import (
     marched_from,
     sensor_errors,
 )
+from sim_heating.estimation.unknowns import FitOptions, require_estimated
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.averaged_record import averaged_record

@@ -47,8 +47,9 @@ from sim_heating.estimation.inference.observability import (
     variables_of,
     without_stuck_sensors,
 )
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, without_action
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
+from sim_heating.estimation.unknowns import FitOptions, without_action
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import point_of_record, point_of_vehicle
 from sim_heating.inputs.record import Record, Sensor, load_record

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parallel.processes import in_turn
 from sim_heating.base.parallel.threads import in_threads, thread_count
+from sim_heating.estimation.fit_marches import LastMarches
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration, next_request
-from sim_heating.estimation.problem import FitProblem, LastMarches
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
 
@@ -56,7 +57,7 @@ class JointMarch:
         Nothing is marched where all problems already have results for these vectors.
         """
         # at the first evaluation after a screening all starts are marched already
-        if all(problem.has_cached(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
+        if all(problem.marches.has(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
         def one(k: int) -> list[Linearised | None]:
@@ -77,7 +78,7 @@ class JointMarch:
         ]
         for i, problem in enumerate(self.problems):
             if is_complete[i]:
-                problem.cache_march(vectors[i], marched[i])
+                problem.marches.store(vectors[i], marched[i])
         return is_complete
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
@@ -123,11 +124,11 @@ def maximise_together(
     def of_some(numbers: Iterator[int], count: int) -> dict[int, tuple[Fit, LastMarches]]:
         lanes = _Lanes(richest)
         fits = iterate_together(searches, numbers, count, lanes.evaluate, of_fractions)
-        return {k: (fit, richest[k].last_marches) for k, fit in fits.items()}
+        return {k: (fit, richest[k].marches.latest) for k, fit in fits.items()}
 
     outcomes = dict(zip(order, in_turn(of_some, len(order)), strict=True))
     for k, (_, marches) in outcomes.items():
-        problems[k].last_marches = marches
+        problems[k].marches.latest = marches
     return [outcomes[k][0] for k in range(len(problems))]
 
 

@@ -78,4 +78,4 @@ def test_a_fit_keeps_the_schedule_of_its_first_march():
 def test_records_on_common_times_share_one_schedule():
     record, _ = practice_record("p06")
     both = FitProblem([record, record], ["ratio.scale"], (40.0, 0.0, 5.0, 0.0, 0.0))
-    assert len(both.groups) == 1
+    assert len(both.marches.groups) == 1
