@@ -29,7 +29,6 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     C_STAGES,
     COLUMN,
-    D0,
     END,
     FILM,
     H_REF,
@@ -45,7 +44,6 @@ from sim_heating.base.kernels.block import (
     scalar_row,
 )
 from sim_heating.base.kernels.jit import njit
-from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.filter.arrays import (
     Blocks,
     FilterArrays,
@@ -64,12 +62,12 @@ from sim_heating.estimation.filter.kernel import (
     begin_march,
     filter_steps,
 )
+from sim_heating.estimation.filter.lane_models import LaneModels
+from sim_heating.estimation.filter.lane_parameters import Information, LaneParameters, Prior
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.mesh_error import MeshError
-from sim_heating.march.ensemble import PointLanes
 from sim_heating.march.frames import Flights
-from sim_heating.march.linearised import RATIO_ITSELF
-from sim_heating.march.point import PointModel, heating_vector, initial_temperatures, stack_values
+from sim_heating.march.point import initial_temperatures
 from sim_heating.thermal.sensitivity import (
     ACTS_NOWHERE,
     OWN_PERTURBATION,
@@ -84,21 +82,6 @@ MOVED = 0.1
 is linearised again."""
 LARGEST_SHIFT_K = 50.0
 """Most by which a new linearisation moves a temperature [K]; the rest of the way follows the next time."""
-
-
-class Information(NamedTuple):
-    """What prior and readings say of the parameters of all lanes (docs/theory/filter.md, equation 17).
-
-    A     : (lane, parameter, parameter) sum of m' m'^T / S;  b : (lane, parameter) sum of m' nu / S
-    prior : (lane, parameter, parameter) Lambda_0;  pull : (lane, parameter) Lambda_0 (p_0 - p_m)
-    at    : (lane, parameter) p_0, where the filter is linearised, each in its unit
-    """
-
-    A: FloatArray
-    b: FloatArray
-    prior: FloatArray
-    pull: FloatArray
-    at: FloatArray
 
 
 class PointReadings(NamedTuple):
@@ -177,14 +160,6 @@ class Outlook(NamedTuple):
     ratio: FloatArray
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is known of a parameter before any reading, in its unit; sigma above 0 and finite."""
-
-    mean: float
-    sigma: float
-
-
 @dataclass(frozen=True, eq=False)
 class PointEstimate:
     """State and parameters of one point given all readings so far.
@@ -247,9 +222,8 @@ class OnlineFilter(FilterMarch):
     ) -> None:
         tracks = [replace(p, samples=_no_samples(), flight=i) for i, p in enumerate(points)]
         super().__init__(tracks, np.zeros(1), np.zeros((len(tracks), 1, N_CONDITIONS)))
-        self.names = [_parameter_names(p, prior) for p, prior in zip(tracks, priors, strict=True)]
-        self.priors = [[prior[name] for name in names] for names, prior in zip(self.names, priors, strict=True)]
         n, m = int(self._nodes.max()), max(p.parameters for p in tracks)
+        self._parameters = LaneParameters(tracks, priors, self._lane_of, m)
         self._size = n, m
         self.now_s = math.nan
         self._stepped = False
@@ -260,13 +234,11 @@ class OnlineFilter(FilterMarch):
         self._X = Blocks(self.perturbed.state, self.perturbed.state.copy(), self.perturbed.state.copy())
         self._process = self._noise(tracks, n)
         self._state_now = self._state(tracks, n, m)
-        self._information = self._prior_information()
         self._heated_at = HeatedAt(np.zeros(len(tracks)), np.zeros((len(tracks), m)))
         self._declared = np.zeros((len(tracks), m))
         for i, point in enumerate(tracks):
             self._declared[self._lane_of[i], : len(point.names)] = [point.model.value(n) for n in point.names]
-        self._packed = [PackedModel.of(p.model, p.names) for p in tracks]
-        self._lanes_of = [self._written(i) for i in range(len(tracks))]
+        self._models = LaneModels(tracks, self.nominal, self.perturbed, self._lanes)
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
         self._mesh_error = MeshError([p.model for p in tracks], [p.mesh for p in tracks]) if corrects_mesh else None
@@ -295,10 +267,11 @@ class OnlineFilter(FilterMarch):
             replace(p, initial_K=p.initial_K if T_0 is None else T_0, covariance_K2=p.covariance_K2 if C is None else C)
             for p, T_0, C in zip(self.points, start, spread, strict=True)
         ]
-        self._state_now, self._information = self._state(points, *self._size), self._prior_information()
+        self._state_now = self._state(points, *self._size)
+        self._parameters.reset()
         for i in range(len(points)):
             if at is not None:
-                self._linearise_at(i, at[i])
+                self._parameters.linearise_at(i, at[i])
             self._write_model(i)
         self._begin([p.initial_K for p in points])
         for other in self._X[1:]:
@@ -373,7 +346,7 @@ class OnlineFilter(FilterMarch):
         if len(time_s) > 1:
             steps = np.searchsorted(time_s, readings.time_s)
             most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
-        arrays = self._arrays(most)._replace(readings=self._given(readings, lane_of, rank, count))
+        arrays = self._arrays(most)._replace(readings=_by_lane(readings, lane_of, rank, count, self._size[1]))
         rows = max(1, int(np.max(count, initial=0)))
         out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
         innovations = np.full((lanes, rows, 4), np.nan)
@@ -409,7 +382,7 @@ class OnlineFilter(FilterMarch):
         equation 21.
         """
         lane = int(self._lane_of[i])
-        lower, upper = self._bounds[i]
+        lower, upper = self._parameters.bounds[i]
         if not shift_linearisation(self._group.B, self._state_now, self._information, lane,
                                    int(self._nodes[lane]), moved, lower, upper):  # fmt: skip
             return False
@@ -442,6 +415,15 @@ class OnlineFilter(FilterMarch):
         )  # fmt: skip
 
     @property
+    def names(self) -> list[tuple[str, ...]]:
+        """Names of the parameters of each point."""
+        return self._parameters.names
+
+    @property
+    def _information(self) -> Information:
+        return self._parameters.information
+
+    @property
     def most_parameters(self) -> int:
         """Number of parameters of the point that has most of them."""
         return self._size[1]
@@ -453,7 +435,7 @@ class OnlineFilter(FilterMarch):
 
     def parameters(self, i: int) -> dict[str, float]:
         """Values of the parameters of a point where it is linearised, each in its unit ([-] for a ratio)."""
-        return dict(zip(self.names[i], self._information.at[self._lane_of[i]].tolist(), strict=False))
+        return self._parameters.values(i)
 
     # Snapshots -------------------------------------------------------------------------------------------------------
 
@@ -508,38 +490,6 @@ class OnlineFilter(FilterMarch):
     def _flights_of(self, time_s: FloatArray, histories: FloatArray) -> Flights:
         return Flights(time_s, np.ascontiguousarray(histories), self._flights.of_lane)
 
-    def _prior_information(self) -> Information:
-        lanes, m = len(self.points), self._size[1]
-        information = Information(
-            np.zeros((lanes, m, m)), np.zeros((lanes, m)), np.zeros((lanes, m, m)), np.zeros((lanes, m)),
-            np.zeros((lanes, m)),
-        )  # fmt: skip
-        for i, priors in enumerate(self.priors):
-            lane = self._lane_of[i]
-            # parameters that another point has more of: known exactly, without effect
-            information.prior[lane] = np.diag([*(p.sigma**-2.0 for p in priors), *[1.0] * (m - len(priors))])
-            information.at[lane, : len(priors)] = [p.mean for p in priors]
-        self._bounds = [self._bounds_of(p) for p in self.points]
-        for names, priors, bounds in zip(self.names, self.priors, self._bounds, strict=True):
-            for k, name in enumerate(names):
-                if name == CLOCK_SKEW.name:  # readings come at the times of its mean: it stays linearised there
-                    bounds[0][k] = bounds[1][k] = priors[k].mean
-        return information
-
-    def _linearise_at(self, i: int, values: FloatArray) -> None:
-        """Linearise a point about given parameters within their bounds, before any reading."""
-        info, lane = self._information, self._lane_of[i]
-        mean = info.at[lane].copy()
-        info.at[lane, : len(values)] = np.clip(values, *(b[: len(values)] for b in self._bounds[i]))
-        info.pull[lane] = info.prior[lane] @ (info.at[lane] - mean)
-
-    def _bounds_of(self, point: FilterTrack) -> tuple[FloatArray, FloatArray]:
-        bounds = np.tile([[-np.inf], [np.inf]], self._size[1])
-        for k, name in enumerate(point.names):
-            definition = point.model.definition(name)
-            bounds[:, k] = definition.lower, definition.upper
-        return bounds[0], bounds[1]
-
     def _arrays(self, most: int) -> FilterArrays:
         """Arrays of the filter with room for a number of readings in a step; their readings are to be replaced."""
         if most not in self._arrays_of:
@@ -552,103 +502,10 @@ class OnlineFilter(FilterMarch):
             )  # fmt: skip
         return self._arrays_of[most]._replace(state=self._state_now)
 
-    def _given(self, readings: PointReadings, lane_of: IntArray, rank: IntArray, count: IntArray) -> Readings:
-        lanes, rows, m = len(count), max(1, int(np.max(count, initial=0))), self._size[1]
-        numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
-        direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + rank
-        numbers[:, at] = (
-            readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
-        )  # fmt: skip
-        node.ravel()[at] = readings.node
-        if np.any(readings.direct):
-            direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
-        time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
-        return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
-
-    def _written(self, i: int) -> tuple[PointLanes, PointLanes, list[tuple[str, float]]]:
-        """Nominal and perturbed lanes of a point, and by how much which parameter is larger in each of all of them."""
-        assert self.perturbed is not None
-        lanes = [k for k, perturbed in enumerate(self._lanes) if perturbed.track == i]
-        changes = [("", 0.0), *((self._lanes[k].name, self._lanes[k].by) for k in lanes)]
-        return self.nominal.lanes_of([i]), self.perturbed.lanes_of(lanes), changes
-
     def _write_model(self, i: int) -> None:
         """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
-        lane, e = self._lane_of[i], self.perturbed
-        at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
-        nominal, perturbed, changes = self._lanes_of[i]
-        stack, heating = self._packed[i].rows(at, d, changes)
-        self.nominal.write_lanes(self.nominal.state, nominal, stack[:1], heating[:1])
-        if e is not None:
-            for state in self._X:
-                e.write_lanes(state, perturbed, stack[1:], heating[1:])
-
-
-@dataclass(frozen=True, eq=False)
-class PackedModel:
-    """Values of a point as its lanes take them, at any values of its named parameters.
-
-    stack, heating : of the model itself;  entries : of both that each parameter is, by its name, one array
-    each; None where a parameter acts in another way, and the model has to be made
-    """
-
-    model: PointModel
-    names: tuple[str, ...]
-    stack: FloatArray
-    heating: FloatArray
-    entries: Mapping[str, tuple[IntArray, IntArray] | None]
-
-    @staticmethod
-    def of(model: PointModel, names: tuple[str, ...]) -> PackedModel:
-        """Find the entries that parameters are, the ratio itself among them, as entries that follow two values."""
-        entries: dict[str, tuple[IntArray, IntArray] | None] = {}
-        for name in dict.fromkeys((*names, RATIO_ITSELF)):
-            tried = [model.value(name) + by for by in (0.013, 0.029)]
-            models = [model.with_parameters({name: v}) for v in tried]
-            changed_at = []
-            for vectors in ([stack_values(m) for m in models], [heating_vector(m) for m in models]):
-                changed = np.flatnonzero(vectors[0] != vectors[1])
-                is_entry = all(np.all(x[changed] == v) for x, v in zip(vectors, tried, strict=True))
-                changed_at.append(changed if is_entry else None)
-            entries[name] = None if changed_at[0] is None or changed_at[1] is None else (changed_at[0], changed_at[1])
-        return PackedModel(model, names, stack_values(model), heating_vector(model), entries)
-
-    def values(self, at: Sequence[float], d: float, name: str, by: float) -> tuple[FloatArray, FloatArray]:
-        """Values of stack and heating at parameters, one of them perturbed, with a disturbance of the ratio [-]."""
-        values = dict(zip(self.names, at, strict=False))
-        if name:
-            values[name] = values.get(name, self.model.value(name)) + by
-        if any(self.entries[n] is None for n in values):
-            model = self.model.with_parameters(values)
-            stack, heating = stack_values(model), heating_vector(model)
-        else:
-            stack, heating = self.stack.copy(), self.heating.copy()
-            for n, value in values.items():
-                in_stack, in_heating = self.entries[n] or (0, 0)
-                stack[in_stack], heating[in_heating] = value, value
-        heating[D0] += d
-        return stack, heating
-
-    def rows(
-        self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
-    ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much in its
-        unit ([-], [K] ...), and a disturbance of the ratio d [-]; source: docs/theory/equations_march.md, equation 9.
-        """
-        stack, heating = self.values(at, 0.0, "", 0.0)
-        stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
-        stacks[:], heatings[:] = stack, heating
-        values = dict(zip(self.names, at, strict=False))
-        is_entries = all(self.entries[n] is not None for n in values)
-        for k, (name, by) in enumerate(changes):
-            entry = self.entries[name] if name and is_entries else None
-            if entry is not None:
-                value = values.get(name, self.model.value(name)) + by
-                stacks[k, entry[0]], heatings[k, entry[1]] = value, value
-            elif name:
-                stacks[k], heatings[k] = self.values(at, 0.0, name, by)
-        heatings[:, D0] += d
-        return stacks, heatings
+        at, d = self._information.at[self._lane_of[i]].tolist(), float(self._state_now.d[self._lane_of[i]])
+        self._models.write(i, at, d, self._X)
 
 
 def _no_samples() -> Samples:
@@ -669,6 +526,21 @@ def _heads(X: FloatArray, groups: IntArray) -> list[FloatArray]:
     return [X[first : first + HEAD_ROWS * LANES] for first in groups[:, 0]]
 
 
+def _by_lane(readings: PointReadings, lane_of: IntArray, rank: IntArray, count: IntArray, m: int) -> Readings:
+    """Readings of several points as rows of their lanes, `count` of each; m : number of columns of direct terms."""
+    lanes, rows = len(count), max(1, int(np.max(count, initial=0)))
+    numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
+    direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + rank
+    numbers[:, at] = (
+        readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
+    )  # fmt: skip
+    node.ravel()[at] = readings.node
+    if np.any(readings.direct):
+        direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
+    time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
+    return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
+
+
 def _places(lane_of: IntArray) -> IntArray:
     """(reading,) how many readings of its own lane come before each."""
     order = np.argsort(lane_of, kind="stable")
@@ -677,24 +549,6 @@ def _places(lane_of: IntArray) -> IntArray:
     ranks = np.empty(len(lane_of), dtype=np.int64)
     ranks[order] = np.arange(len(lane_of)) - first
     return ranks
-
-
-def _parameter_names(point: FilterTrack, priors: Mapping[str, Prior]) -> tuple[str, ...]:
-    """Names of the parameters of a point: of its march, then those that only its readings depend on."""
-    of_march = point.names
-    others = tuple(name for name in priors if name not in of_march)
-    if [name for name in of_march if name not in priors] or len(of_march) + len(others) != point.parameters:
-        raise InputError(
-            f"{point.model.name}: priors of {', '.join(priors) or 'nothing'} for {point.parameters} parameters, "
-            f"{', '.join(of_march)} among them; give one for each"
-        )
-    for name, prior in priors.items():
-        if not (0.0 < prior.sigma < math.inf and math.isfinite(prior.mean)):
-            raise InputError(
-                f"{point.model.name}: the prior of `{name}` is {prior.mean:g} +- {prior.sigma:g}; a running estimate "
-                "needs a mean, and a sigma above 0 and finite"
-            )
-    return of_march + others
 
 
 # Compiled ------------------------------------------------------------------------------------------------------------

@@ -33,7 +33,8 @@ from sim_heating.base.files import display_path
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import SENSOR_PREFIX
-from sim_heating.estimation.filter.online import PackedModel, PointEstimate
+from sim_heating.estimation.filter.lane_models import PackedModel
+from sim_heating.estimation.filter.online import PointEstimate
 from sim_heating.live.ahead.futures import Course, Future, Futures, held
 from sim_heating.live.filtering.estimates import LiveEstimate
 from sim_heating.live.filtering.estimator import LiveEstimator
