@@ -68,7 +68,7 @@ def report(home: Path) -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_the_flights_together_find_the_truth_with_smaller_bounds_than_each_alone(report: dict[str, Any]) -> None:
+def test_joint_flights_find_the_truth_with_smaller_bounds(report: dict[str, Any]) -> None:
     (joint,) = report["joint"]
     assert joint["flights"] == list(FITTED)
     for name, truth in TRUTH.items():
@@ -88,7 +88,7 @@ def test_the_revised_tables_predict_a_flight_that_was_not_fitted(report: dict[st
 
 
 @pytest.mark.thorough
-def test_a_campaign_of_the_same_files_repeats_nothing_and_one_that_lost_a_fit_repeats_that_fit(
+def test_campaign_repeats_only_a_fit_that_was_lost(
     home: Path, report: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = home / "out"

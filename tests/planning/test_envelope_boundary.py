@@ -48,7 +48,7 @@ def test_the_band_of_an_edge_is_sigma_over_the_slope_of_the_margin(z: float) -> 
     assert interval.low.at == pytest.approx(COLD + z * SIGMA_K / 10.0, abs=1e-9)
 
 
-def test_a_manoeuvre_narrows_the_band_only_of_the_limit_on_which_it_gives_evidence() -> None:
+def test_manoeuvre_narrows_only_the_limit_that_it_gives_evidence_on() -> None:
     interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 1.0, "popu"), inside=0.0)
     assert interval.low is not None
     assert interval.high is not None
@@ -56,7 +56,7 @@ def test_a_manoeuvre_narrows_the_band_only_of_the_limit_on_which_it_gives_eviden
     assert interval.low.at == pytest.approx(COLD + 2.0, abs=1e-9)
 
 
-def test_where_nothing_is_allowed_the_limit_that_closes_the_envelope_is_named() -> None:
+def test_limit_that_closes_the_envelope_is_named() -> None:
     interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 4.5), inside=0.0)
     assert interval.low is None
     assert interval.width == 0.0
@@ -101,7 +101,7 @@ def test_of_two_allowed_intervals_the_one_about_the_base_entry_counts() -> None:
         assert 0.5 * (interval.low.at + interval.high.at) == pytest.approx(middle, abs=0.02)
 
 
-def test_the_greatest_value_is_bounded_by_aerodynamics_or_by_the_limit_next_to_it() -> None:
+def test_greatest_value_is_bounded_by_aerodynamics_or_the_next_limit() -> None:
     flights = [flight(x) for x in X]
     values = [f.cross_range_km for f in flights]
     free = greatest_value(scan_axis(X, flights), X, values)
