@@ -76,7 +76,7 @@ def read_flights(
     """Flights of scenario files, which are flown and measured, and of directories of records.
 
     paths   : scenario files (.toml), records, or directories that hold records at any depth
-    root    : folder that the files may name others in, as `load_scenario` takes it
+    root    : folder that the files may name others in; by default the nearest above each with `scenarios`
     returns : flights in order of their paths; records that state one flight are of one flight
     raises  : InputError where a path holds neither, or a flight has two records of one control point
     """

@@ -66,7 +66,7 @@ class ManoeuvreSettings(ParameterSettings):
     """How a manoeuvre is fitted; what is absent is as in [fit], and there as stated here.
 
     before_s, after_s : times that are fitted before and after the manoeuvre [s], 20 and 40
-    start             : temperatures at the start of the fit, as `estimate --start`; `profile`
+    start             : temperatures at the start of the fit: declared, or of a circuit, a profile, a filter; `profile`
 
     By default the magnitude and the derivatives that the record can tell are estimated.
     """
@@ -198,7 +198,7 @@ def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.Pat
     """Read and check a campaign, its vehicle and its scenarios; records are read when they are fitted.
 
     path   : of the campaign's TOML file; a campaign that has been loaded is returned as it is
-    root   : folder that it may name files in, as `load_scenario` takes it
+    root   : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
     """
     if isinstance(path, Campaign):

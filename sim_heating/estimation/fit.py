@@ -616,7 +616,7 @@ def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
 
 
 def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]:
-    """The least determined parameter of a problem with the reason, as `least_determined`, at a parameter vector."""
+    """The least determined parameter of a problem at a vector, and why it should be omitted; empty for none."""
     labels = [u.label for u in problem.unknowns]
     d0 = {i: abs(v) for u, v in zip(problem.unknowns, values, strict=True) for i in u.records if is_d0(u.parameter)}
     declared = [mean_ratio(record_fit.record) for record_fit in problem.record_fits]

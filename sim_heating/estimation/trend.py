@@ -135,16 +135,17 @@ def trend(
 ) -> Trend:
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record one after another.
 
-    length_s : length of a segment [s]
-    names    : dotted names of the parameters
-    start    : where the first segment starts, or what makes it (starts.STARTS); by default at the declared
-               temperatures, and where readings begin later at the first of them, the heating until then unknown
-    fixed    : values of parameters that are not estimated but differ from the declared ones
-    priors, bounds : as `estimate` takes them, the same for every segment
+    length_s  : length of a segment [s]
+    names     : dotted names of the parameters
+    start     : where the first segment starts, or what makes it (starts.STARTS); by default at the declared
+                temperatures, and where readings begin later at the first of them, the heating until then unknown
+    fixed     : values of parameters that are not estimated but differ from the declared ones
+    priors    : name -> mean and standard deviation of another prior, infinite for a flat one; or a whole Parameter
+    bounds    : name -> least and greatest value; priors and bounds hold for every segment
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the record's own
-    progress : called with the fraction done and a line of text
-    returns  : the segments whose fit converged, each with its mean ratio [-] and the sigma of it
-    raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
+    progress  : called with the fraction done and a line of text
+    returns   : the segments whose fit converged, each with its mean ratio [-] and the sigma of it
+    raises    : InputError where no segment has enough samples, RunError where no fit of those that have converges
 
     The founding paper's sequence of five-second segments for the trend with Reynolds number ("Trends in Shuttle Entry
     Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/theory/clocks_and_starts.md,

@@ -461,7 +461,7 @@ def load_link(path: str | os.PathLike[str] | Link, *, root: str | os.PathLike[st
     """Read and check a link file, its vehicle or records, and its scenario.
 
     path   : of the TOML file; a link that has been loaded is returned as it is
-    root   : folder that it may name files in, as `load_scenario` takes it
+    root   : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
 
     >>> from sim_heating.live.spec import load_link

@@ -134,7 +134,7 @@ def load_study(
 
     path    : of the study's TOML file; a study that has been loaded is returned as it is
     vehicle : name or directory of a vehicle to fly instead of the study's own; any revision of it is accepted
-    root    : folder that it may name files in, as `load_scenario` takes it
+    root    : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises  : InputError with one line a problem
     """
     if isinstance(path, Study):

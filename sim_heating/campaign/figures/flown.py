@@ -60,8 +60,8 @@ JET_GAIN = "effect.jet-interaction.jet_gain"
 LENGTH_S = 5.0
 """Length of the paper's sequential segments [s]."""
 LONG_FIT_SPAN_S = {"pod": 40.0}
-"""The same of a part of the paper whose wall remembers longer [s]: felt under a thick coating, whose fit with a skew
-does not converge over a shorter time. The paper made its segments longer, too."""
+"""Time fitted before and after a manoeuvre where the wall remembers longer [s]: felt under a thick coating, whose
+fit with a skew does not converge over a shorter time. The paper made its segments longer, too."""
 TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
 """Time before and after the manoeuvre over which they follow each other [s]."""
 

@@ -131,7 +131,7 @@ def draw_figures(
     numbers   : of the figures, 1 to 18, of which 17 and 18 are of its text alone; all by default
     points    : `lower`, `elevon`, `pod` or `tunnel` -> control point, where not the one of POINTS (flown.py)
     reference : of figure 9, `both`, `stagnation` or `eckert-turbulent`
-    root      : folder that files may name others in, as `load_scenario` takes it
+    root      : folder that files may name others in; by default the nearest above each that holds `scenarios`
     progress  : called with the fraction done and a line of text
     returns   : the figures that these flights give, and the reason for each other one
     raises    : InputError where a number, a point or a source cannot be used

@@ -59,7 +59,12 @@ class LaggingFilter(OnlineFilter):
         covariance_K2: Sequence[FloatArray | None] | None = None,
         at: Sequence[FloatArray] | None = None,
     ) -> None:
-        """Start at a time, as OnlineFilter does; a wall whose temperatures are known exactly was at rest."""
+        """Start at a time; a wall whose temperatures are known exactly was at rest, so that its sensors have no lag.
+
+        time_s        : [s];  conditions : (point, condition) there
+        initial_K     : (node,) temperatures of each point [K];  covariance_K2 : (node, node) of them [K2]
+        at            : (parameter,) of each point, where it is linearised; at the means of its priors where None
+        """
         super().begin(time_s, conditions, initial_K, covariance_K2, at)
         self._offset_K[:], self._per[:] = 0.0, 0.0
         spread = list(covariance_K2 or [None] * len(self.points))
@@ -71,7 +76,9 @@ class LaggingFilter(OnlineFilter):
     ) -> PointReadings:
         """Readings of the next steps with what lags take from them in their biases and direct terms.
 
-        time_s, conditions, readings : as for `step`;  numbers : (reading,) of their sensors
+        time_s     : (step,) ends of the steps [s];  conditions : (point, step, condition) there
+        readings   : in order of time, up to the last of the steps;  numbers : (reading,) of their sensors
+        returns    : the readings with biases [K] and direct terms of lagging sensors changed
         """
         lags = self.lagging
         slot = np.searchsorted(lags.number, numbers)

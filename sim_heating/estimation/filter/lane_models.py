@@ -63,8 +63,13 @@ class PackedModel:
     def rows(
         self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
     ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much in its
-        unit ([-], [K] ...), and a disturbance of the ratio d [-]; source: docs/theory/equations_march.md, equation 9.
+        """Values of stack and heating of several lanes, in each of which one parameter is larger.
+
+        at      : (parameter,), each in its unit;  d : disturbance of the ratio [-]
+        changes : by lane, name of the parameter, empty for none, and by how much it is larger
+        returns : (lane, value) of the stack, (lane, value) of the heating
+
+        Source: docs/theory/equations_march.md, equation 9.
         """
         stack, heating = self.values(at, 0.0, "", 0.0)
         stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))

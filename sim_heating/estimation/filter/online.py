@@ -290,9 +290,10 @@ class OnlineFilter(FilterMarch):
     def gap(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings, error: float) -> Innovations:
         """Filter all points through steps whose conditions are not known well: an unknown error of the ratio in them.
 
-        time_s, conditions, readings : as for `step`
-        error : standard deviation of the error over the ratio itself [-], one error for the whole gap
-        returns : as `step`
+        time_s     : (step,) ends of the steps [s];  conditions : (point, step, condition) there
+        readings   : in order of time, up to the last of the steps
+        error      : standard deviation of the error over the ratio itself [-], one error for the whole gap
+        returns    : innovations of the readings [K]
 
         Points whose ratio wanders have that anyway, and none added. Derived in docs/theory/filter.md, equation 22.
         """
@@ -644,7 +645,10 @@ def run_online(
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through some steps, and sum what their readings say of the parameters.
 
-    group ... out : as in kernel.filter_steps
+    group         : the nominal lanes;  X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where
+                    those of each nominal lane are
+    flights       : ends of the steps and conditions;  first : whether the first of them is that of the march
+    f, out        : arrays of the filter, and its results by (lane, reading)
     information   : of all lanes, updated
     innovations   : (lane, reading, 4) receives prediction [K], its variance [K2], innovation [K] and its variance [K2]
                     with the parameters estimated from the readings before

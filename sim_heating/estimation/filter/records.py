@@ -111,7 +111,7 @@ def filter_samples(
 def direct_terms(
     sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray, since_s: FloatArray
 ) -> FloatArray:
-    """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
+    """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor.
 
     sensor  : whose readings they are;  names : of all parameters
     slope   : (reading,) of its calibration [-];  gain : of the sensor [-]

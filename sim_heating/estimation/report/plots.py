@@ -115,9 +115,9 @@ def fit_chart(
     *,
     temperatures: bool = True,
 ) -> Chart:
-    """The chart of `fit_figure`, for a page.
+    """The chart of measured temperatures, predictions and residuals, for a page.
 
-    curves       : as `fit_figure` takes them;  picture : in its place on paper
+    curves       : (prediction, colour, label);  picture : in its place on paper
     temperatures : whether these are drawn, or the residuals alone
     """
     models = [ModelCurve(name, color, p.indicated_K, p.residual_K) for p, color, name in curves]

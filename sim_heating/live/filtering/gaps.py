@@ -22,7 +22,9 @@ LONGEST_OVER = 30.0
 OF_GAP, OF_JUMP = 0.8, 0.7
 """Part of the time by the clock that passed by the conditions: at least in a gap, and at most where it jumped [-]."""
 LONG_OVER, OF_LONG_GAP, OF_LONG_JUMP = 2.0, 0.6, 0.3
-"""The same of a time longer than so many times that in which the rates were found: they change meanwhile [-]."""
+"""Part of the time that passed by the conditions, at least in a long gap and at most where the clock jumped far [-].
+
+A time is long beyond LONG_OVER times that in which the rates were found: they change meanwhile."""
 
 
 def passed_s(before: Sequence[Frame], after: Frame) -> float | None:

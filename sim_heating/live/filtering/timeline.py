@@ -189,7 +189,7 @@ class Timeline:
         """Put readings at the end, as long as each is the next in order, which is by far the most frequent case.
 
         after_s : time [s] behind which they have to be
-        returns : number of readings that were taken, as `put` would have; the next one is for `put`
+        returns : number of readings that were in order and are in the timeline; the next one is for `put`
         """
         ordered, last, sensors = self.readings, self._last_word, self.sensors
         first_s = max(after_s, self.newest_s - self.lateness_s)

@@ -62,7 +62,7 @@ class JSBSimProperties:
 
     @classmethod
     def of_link(cls, link: Link, remark: Callable[[str], None]) -> JSBSimProperties:
-        """That of the `[output.jsbsim]` of a link; ValueError for a link without."""
+        """The output that `[output.jsbsim]` of a link declares; ValueError for a link without."""
         settings = link.declared.output.jsbsim
         if settings is None:
             raise ValueError(f"{link.path}: has no [output.jsbsim]")
@@ -190,7 +190,7 @@ class JSBSimProperties:
 
 
 def _one_packet(lines: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
-    """As many lines from the first on as one packet of an Ethernet holds, at least one."""
+    """The first lines that one packet of an Ethernet holds, at least one."""
     size, count = 0, 0
     for _, line in lines:
         size += len(line)

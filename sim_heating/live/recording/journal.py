@@ -321,8 +321,10 @@ def require_usable(
 ) -> None:  # fmt: skip
     """Check before any work that a link can write the journal at a path; changes nothing.
 
-    link, means, sent_again, has_results : as of `Journal`
-    raises : InputError where the file holds a flight that has ended, or one of another link
+    link        : contents of the link file, as plain data;  means : what its messages mean (`same_link.meaning`)
+    sent_again  : what the link sends again, as "record /path"; empty for nothing
+    has_results : false where the flight that has ended has no results yet
+    raises      : InputError where the file holds a flight that has ended, or one of another link
     """
     if not path.is_file() or path.stat().st_size == 0:
         return
@@ -434,7 +436,7 @@ class Journal:
 
     path    : of the file; it is made where it does not exist, and gone on with where it was cut off
     link    : contents of the link file, as plain data
-    place   : file that names in it are relative to
+    link_path : file of the link, which names in it are relative to
     fsync_s : time after which entries are forced to the disk [s]; 0 for each
     means   : what the messages of the link mean (`same_link.meaning`), which a link that goes on has to agree with
     sent_again : what the link sends again, as "record /path"; a journal of the same that has ended is replaced

@@ -128,7 +128,7 @@ class _Gathered:
 class ConditionFields:
     """Which fields of a link are flight conditions, and which columns follow from them.
 
-    taken    : fields that are the time, or of a sensor
+    named    : fields that are the time, or of a sensor
     problems : one line for each unit of the link file that does not fit
     notes    : one line for each field that was found by its name, and for what is derived, not yet taken
     """

@@ -245,7 +245,8 @@ class DispersedEntry:
         """Peaks along flights, LANES at a time.
 
         deviation : (flight, input), each in the unit of its input;  z : (flight, dimension) normal numbers
-        keep      : as LaneMarch.march takes it
+        keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
+                    condition); None for none
         """
         changes = [(entry, deviation[:, k]) for k, entries in enumerate(self.parameter_places) for entry in entries]
         tables = [

@@ -74,7 +74,7 @@ def entry_with_deviations(
 ) -> TrajectorySpec:
     """A planned entry with deviations by the label of their input, in its unit; AERO_FACTORS are left out.
 
-    profiles : `air_profiles` of the same base and inputs, where many flights share them
+    profiles : density factors and winds that the inputs disperse, where many flights share them
     """
     flown = {name: value for name, value in deviations.items() if name not in AERO_FACTORS}
     assert base.initial is not None  # a built-in entry has one

@@ -88,7 +88,8 @@ class LaneMarch:
     step_s  : of the march, and between the kept frames of flights [s]
     soak_s  : after the end of each flight [s]
 
-    Attributes: `models` of the points; `host`, `constants` and `soak`, as flight.condition_kernel takes them.
+    Attributes: `models` of the points; `host` and `constants`, by which conditions follow from frames; `soak`,
+    (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] after the flight.
     """
 
     def __init__(

@@ -106,7 +106,7 @@ def without_limits(study: OptimalStudy) -> OptimalStudy:
 def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> OptimalStudy:
     """Read and check a study and its vehicle.
 
-    root   : folder that it may name a vehicle in, as `load_scenario` takes it
+    root   : folder that it may name a vehicle in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
     """
     study_path = Path(path)
