@@ -655,9 +655,9 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
     """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
-    def report(at: FloatArray, log_posterior: float) -> None:
+    def report(vector: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
-        LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, at)
+        LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, vector)
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
     unknown_noise = any(
@@ -700,7 +700,7 @@ def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress
     """The fit on the innovations of the filter, starting from one without process noise."""
     steps = [first.iterations]
 
-    def report(at: FloatArray, log_posterior: float) -> None:
+    def report(vector: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
 

@@ -227,11 +227,11 @@ def trend(
 
 
 def _made_start(
-    record: Record, names: Sequence[str], about: tuple[float, ...], fixed: Mapping[str, float] | None,
+    record: Record, names: Sequence[str], reference: tuple[float, ...], fixed: Mapping[str, float] | None,
     start: Start | StartMaker,
 ) -> Start:  # fmt: skip
     """The start of the first segment, its temperatures estimated."""
-    problem = FitProblem([record], names, about, FitOptions(fixed=fixed))
+    problem = FitProblem([record], names, reference, FitOptions(fixed=fixed))
     of_record = problem.record_fits[0]
     first_start = start(record, of_record.model, of_record.mesh) if callable(start) else start
     return with_estimated_profile(first_start)

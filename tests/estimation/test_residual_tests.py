@@ -214,7 +214,7 @@ def test_correlated_but_identified_parameters_are_no_singular_direction() -> Non
     """Coating and skew of correlation -0.96: eigenvalues 1 -+ 0.96."""
     M = np.array([[1.0, 0.96], [0.96, 1.0]]) * np.outer([3.0, 50.0], [3.0, 50.0])
     assert directions(M, ["coating", "skew"]) == []
-    (near,) = directions(M, ["coating", "skew"], below=0.1)
+    (near,) = directions(M, ["coating", "skew"], threshold=0.1)
     assert near.eigenvalue == approx(0.04)
     assert correlation(covariance(M))[0, 1] == approx(-0.96)
 

@@ -159,12 +159,12 @@ def impinged_ratio(fit: FitResult, record: Record, x: FloatArray) -> tuple[Float
     covariance, reference = fit.bounds.covariance[np.ix_(index, index)], np.array(fit.problem.reference)
     table = fit.problem.record_fits[0].record.ratio_table
 
-    def ratio(at: FloatArray) -> FloatArray:
+    def ratio(vector: FloatArray) -> FloatArray:
         of_ratio = [k for k, name in enumerate(chosen) if name.startswith("ratio.")]
         zeros = np.zeros((len(of_ratio), len(of_ratio)))
         names_of_ratio = [chosen[k] for k in of_ratio]
-        linear, _ = estimated_ratio(names_of_ratio, at[of_ratio], zeros, reference, table, x)
-        return linear + _added(used, dict(zip(chosen, at, strict=True)), record, x)
+        linear, _ = estimated_ratio(names_of_ratio, vector[of_ratio], zeros, reference, table, x)
+        return linear + _added(used, dict(zip(chosen, vector, strict=True)), record, x)
 
     columns = []
     for k, sigma in enumerate(np.sqrt(np.diag(covariance))):

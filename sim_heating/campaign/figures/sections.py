@@ -84,9 +84,9 @@ def _drawn_faces(thickness: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(heights))
 
 
-def _apart(at: FloatArray, least: float = 0.075) -> FloatArray:
+def _apart(positions: FloatArray, least: float = 0.075) -> FloatArray:
     """Places of labels in the order of depth, none nearer to the one before than `least`."""
-    order, placed = np.argsort(at), np.array(at)
+    order, placed = np.argsort(positions), np.array(positions)
     for before, after in pairwise(order):
         placed[after] = max(placed[after], placed[before] + least)
     return placed

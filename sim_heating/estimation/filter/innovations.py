@@ -354,15 +354,18 @@ def _filter_alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
         return None
 
 
-def _largest_change(before: Levels, after: Levels) -> float:
+def _largest_change(earlier: Levels, later: Levels) -> float:
     """Largest relative change of a level; 1 for one that has become 0."""
-    pairs = [(before.sigma_K[key], after.sigma_K[key]) for key in before.sigma_K]
-    pairs += [(getattr(before.noise, n), getattr(after.noise, n)) for n in before.noise.estimated]
+    pairs = [(earlier.sigma_K[key], later.sigma_K[key]) for key in earlier.sigma_K]
+    pairs += [(getattr(earlier.noise, n), getattr(later.noise, n)) for n in earlier.noise.estimated]
     return max((abs(b / a - 1.0) for a, b in pairs if a > 0.0), default=0.0)
 
 
 def fit_innovations(
-    problem: FitProblem, noise: ProcessNoise, start: FloatArray, on_step: StepCallback = lambda at, log_posterior: None
+    problem: FitProblem,
+    noise: ProcessNoise,
+    start: FloatArray,
+    on_step: StepCallback = lambda vector, log_posterior: None,
 ) -> tuple[Fit, Innovations]:
     """The most probable parameters with noise of the process, in turn with its levels where these are estimated.
 

@@ -57,15 +57,15 @@ class LaggingFilter(OnlineFilter):
         conditions: FloatArray,
         initial_K: Sequence[FloatArray | None] | None = None,
         covariance_K2: Sequence[FloatArray | None] | None = None,
-        at: Sequence[FloatArray] | None = None,
+        values: Sequence[FloatArray] | None = None,
     ) -> None:
         """Start at a time; a wall whose temperatures are known exactly was at rest, so that its sensors have no lag.
 
         time_s        : [s];  conditions : (point, condition) there
         initial_K     : (node,) temperatures of each point [K];  covariance_K2 : (node, node) of them [K2]
-        at            : (parameter,) of each point, where it is linearised; at the means of its priors where None
+        values        : (parameter,) of each point, where it is linearised; at the means of its priors where None
         """
-        super().begin(time_s, conditions, initial_K, covariance_K2, at)
+        super().begin(time_s, conditions, initial_K, covariance_K2, values)
         self._offset_K[:], self._per[:] = 0.0, 0.0
         spread = list(covariance_K2 or [None] * len(self.points))
         rests = np.array([C is None or not np.any(C) for C in spread])
@@ -149,7 +149,7 @@ def online_filter(
     return OnlineFilter(points, priors, corrects_mesh)
 
 
-def _offset(before: FloatArray, slope: FloatArray, since_s: FloatArray | float, tau_s: FloatArray) -> FloatArray:
+def _offset(offset: FloatArray, slope: FloatArray, since_s: FloatArray | float, tau_s: FloatArray) -> FloatArray:
     """Offset of a lagging value so much later, where what it follows goes on with a constant slope.
 
         o = -tau slope + (o_0 + tau slope) exp(-t / tau)
@@ -157,4 +157,4 @@ def _offset(before: FloatArray, slope: FloatArray, since_s: FloatArray | float, 
     That is `base.kernels.lag.lag_step` less what it follows.
     """
     ramp = -tau_s * slope
-    return np.asarray(ramp + (before - ramp) * np.exp(-since_s / tau_s))
+    return np.asarray(ramp + (offset - ramp) * np.exp(-since_s / tau_s))

@@ -44,11 +44,11 @@ class PackedModel:
             entries[name] = None if changed_at[0] is None or changed_at[1] is None else (changed_at[0], changed_at[1])
         return PackedModel(model, names, stack_values(model), heating_vector(model), entries)
 
-    def values(self, at: Sequence[float], d: float, name: str, by: float) -> tuple[FloatArray, FloatArray]:
+    def values(self, parameters: Sequence[float], d: float, name: str, step: float) -> tuple[FloatArray, FloatArray]:
         """Values of stack and heating at parameters, one of them perturbed, with a disturbance of the ratio [-]."""
-        values = dict(zip(self.names, at, strict=False))
+        values = dict(zip(self.names, parameters, strict=False))
         if name:
-            values[name] = values.get(name, self.model.value(name)) + by
+            values[name] = values.get(name, self.model.value(name)) + step
         if any(self.entries[n] is None for n in values):
             model = self.model.with_parameters(values)
             stack, heating = stack_values(model), heating_vector(model)
@@ -61,20 +61,20 @@ class PackedModel:
         return stack, heating
 
     def rows(
-        self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
+        self, parameters: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
     ) -> tuple[FloatArray, FloatArray]:
         """Values of stack and heating of several lanes, in each of which one parameter is larger.
 
-        at      : (parameter,), each in its unit;  d : disturbance of the ratio [-]
-        changes : by lane, name of the parameter, empty for none, and by how much it is larger
-        returns : (lane, value) of the stack, (lane, value) of the heating
+        parameters : (parameter,), each in its unit;  d : disturbance of the ratio [-]
+        changes    : by lane, name of the parameter, empty for none, and by how much it is larger
+        returns    : (lane, value) of the stack, (lane, value) of the heating
 
         Source: docs/theory/equations_march.md, equation 9.
         """
-        stack, heating = self.values(at, 0.0, "", 0.0)
+        stack, heating = self.values(parameters, 0.0, "", 0.0)
         stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
         stacks[:], heatings[:] = stack, heating
-        values = dict(zip(self.names, at, strict=False))
+        values = dict(zip(self.names, parameters, strict=False))
         is_entries = all(self.entries[n] is not None for n in values)
         for k, (name, by) in enumerate(changes):
             entry = self.entries[name] if name and is_entries else None
@@ -82,7 +82,7 @@ class PackedModel:
                 value = values.get(name, self.model.value(name)) + by
                 stacks[k, entry[0]], heatings[k, entry[1]] = value, value
             elif name:
-                stacks[k], heatings[k] = self.values(at, 0.0, name, by)
+                stacks[k], heatings[k] = self.values(parameters, 0.0, name, by)
         heatings[:, D0] += d
         return stacks, heatings
 
@@ -110,14 +110,14 @@ class LaneModels:
             changes = [("", 0.0), *((changed[k].name, changed[k].by) for k in lanes)]
             self._lanes_of.append((nominal.lanes_of([i]), perturbed.lanes_of(lanes), changes))
 
-    def write(self, i: int, at: Sequence[float], d: float, blocks: Sequence[FloatArray]) -> None:
+    def write(self, i: int, parameters: Sequence[float], d: float, blocks: Sequence[FloatArray]) -> None:
         """Give the lanes of point number i its parameters and a ratio disturbance.
 
-        at     : (parameter,), each in its unit;  d : [-]
+        parameters     : (parameter,), each in its unit;  d : [-]
         blocks : states of the perturbed lanes that receive them
         """
         nominal, perturbed, changes = self._lanes_of[i]
-        stack, heating = self._packed[i].rows(at, d, changes)
+        stack, heating = self._packed[i].rows(parameters, d, changes)
         self._nominal.write_lanes(self._nominal.state, nominal, stack[:1], heating[:1])
         for state in blocks:
             self._perturbed.write_lanes(state, perturbed, stack[1:], heating[1:])

@@ -249,7 +249,7 @@ class OnlineFilter(FilterMarch):
         conditions: FloatArray,
         initial_K: Sequence[FloatArray | None] | None = None,
         covariance_K2: Sequence[FloatArray | None] | None = None,
-        at: Sequence[FloatArray] | None = None,
+        values: Sequence[FloatArray] | None = None,
     ) -> None:
         """Start at a time.
 
@@ -257,7 +257,7 @@ class OnlineFilter(FilterMarch):
         initial_K     : (node,) temperatures of each point [K]; as its track declares where None
         covariance_K2 : (node, node) of them [K2]; as its track declares where None
 
-        at            : (parameter,) of each point, where it is linearised; at the means of its priors where None
+        values        : (parameter,) of each point, where it is linearised; at the means of its priors where None
 
         No reading is known. Derived in docs/theory/filter.md, equation 17.
         """
@@ -270,8 +270,8 @@ class OnlineFilter(FilterMarch):
         self._state_now = self._state(points, *self._size)
         self._parameters.reset()
         for i in range(len(points)):
-            if at is not None:
-                self._parameters.linearise_at(i, at[i])
+            if values is not None:
+                self._parameters.linearise_at(i, values[i])
             self._write_model(i)
         self._begin([p.initial_K for p in points])
         for other in self._X[1:]:

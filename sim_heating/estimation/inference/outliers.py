@@ -170,13 +170,13 @@ def _scales(d: FloatArray, T: FloatArray, sensor: Sensor) -> FloatArray:
     return np.maximum(np.maximum(NORMAL_MEDIAN * np.maximum(nearby, np.median(size)), declared), LEAST_SCALE_K)
 
 
-def _polynomial(t: FloatArray, T: FloatArray, at: np.ndarray, others: Sequence[int]) -> FloatArray:
+def _polynomial(t: FloatArray, T: FloatArray, index: np.ndarray, others: Sequence[int]) -> FloatArray:
     """(reading,) values at some readings of the polynomial through others, by their distances in the list."""
-    total = np.zeros(len(at))
+    total = np.zeros(len(index))
     for j in others:
-        weight = np.ones(len(at))
+        weight = np.ones(len(index))
         for m in others:
             if m != j:
-                weight *= (t[at] - t[at + m]) / (t[at + j] - t[at + m])
-        total += weight * T[at + j]
+                weight *= (t[index] - t[index + m]) / (t[index + j] - t[index + m])
+        total += weight * T[index + j]
     return total

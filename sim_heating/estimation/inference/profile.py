@@ -136,21 +136,23 @@ class _Refit:
 class _Walk:
     """Refits along one parameter, outward from the values of a fit."""
 
-    def __init__(self, problem: FitProblem, fit: Fit, at: int, colour: float, settings: NewtonSettings | None) -> None:
-        self.problem, self.at, self.colour, self.settings = problem, at, colour, settings
+    def __init__(
+        self, problem: FitProblem, fit: Fit, index: int, colour: float, settings: NewtonSettings | None
+    ) -> None:
+        self.problem, self.at, self.colour, self.settings = problem, index, colour, settings
         self.parameters: Sequence[Parameter] = problem.parameters
-        self.parameter = self.parameters[at]
-        self.others = [p for k, p in enumerate(self.parameters) if k != at]
+        self.parameter = self.parameters[index]
+        self.others = [p for k, p in enumerate(self.parameters) if k != index]
         self.begin = fit.values
-        self.refits = {float(fit.values[at]): self._told(fit.values, fit.log_posterior)}
-        variance = float(fit.covariance[at, at])
+        self.refits = {float(fit.values[index]): self._told(fit.values, fit.log_posterior)}
+        variance = float(fit.covariance[index, index])
         is_bounded = math.isfinite(variance) and variance > 0.0
         span = self.parameter.upper - self.parameter.lower
         size = abs(self.parameter.value) or 1.0
         wide = math.sqrt(variance * colour) if is_bounded else 0.0
         self.step = FIRST_STEP * wide if is_bounded else SPAN_SHARE * (span if math.isfinite(span) else size)
         # along the ridge of a parabola the others move with the parameter
-        self.ridge = fit.covariance[:, at] / variance if is_bounded else np.zeros_like(fit.values)
+        self.ridge = fit.covariance[:, index] / variance if is_bounded else np.zeros_like(fit.values)
         self.ridge = np.where(np.isfinite(self.ridge), self.ridge, 0.0)
 
     def _told(self, values: FloatArray, log_posterior: float) -> _Refit:

@@ -51,7 +51,7 @@ class StepMarch:
         self,
         filters: Sequence[OnlineFilter],
         begin_s: float,
-        before: FloatArray,
+        first_vectors: FloatArray,
         end_s: float,
         vectors: FloatArray,
         rows: FloatArray,
@@ -59,16 +59,16 @@ class StepMarch:
     ) -> FloatArray:
         """March filters from one time to another [s] with readings, in steps of `longest_step_s` at most.
 
-        before, vectors : (point, condition) at both ends
-        rows            : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
-        linearise       : whether points whose time has come are linearised again
-        returns         : (reading, LOG_COLUMNS) what is logged of the readings
+        first_vectors, vectors : (point, condition) at both ends
+        rows                   : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
+        linearise              : whether points whose time has come are linearised again
+        returns                : (reading, LOG_COLUMNS) what is logged of the readings
         """
         steps = max(1, math.ceil((end_s - begin_s) / self._options.longest_step_s - 1e-9))
         fraction = np.arange(1, steps + 1) / steps
         time_s = begin_s + fraction * (end_s - begin_s)
         time_s[-1] = end_s
-        histories = before[:, np.newaxis] + fraction[:, np.newaxis] * (vectors - before)[:, np.newaxis]
+        histories = first_vectors[:, np.newaxis] + fraction[:, np.newaxis] * (vectors - first_vectors)[:, np.newaxis]
         histories[:, -1] = vectors
         # conditions are known at the ends of a gap alone
         gap_error = min(GAP_ERROR_1_S * (end_s - begin_s), LARGEST_GAP_ERROR) if steps > 1 else 0.0

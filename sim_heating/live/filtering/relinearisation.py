@@ -53,8 +53,8 @@ class Relinearisation:
         self._stepper.past.give_up()
         self._final, self._second = 0, None
 
-    def follow(self, until: int) -> None:
-        """Go on with filtering again, as steps become final: those before number `until` of the past are.
+    def follow(self, end: int) -> None:
+        """Go on with filtering again, as steps become final: those before number `end` of the past are.
 
         Steps of the second filters depend on the number of final steps alone, and so does the one at which they take
         over. Those that are due are taken one by one, so that no frame waits for all of them.
@@ -62,9 +62,9 @@ class Relinearisation:
         past = self._stepper.past
         if past.begun_s is None:
             return
-        if self._second is not None and self._final >= until:
+        if self._second is not None and self._final >= end:
             self._take(self._second, min(self._second.steps_taken + 1, self._second.due))
-        while self._final < until:
+        while self._final < end:
             self.take_due()
             step = past.steps[self._final]
             self._final += 1
@@ -104,11 +104,11 @@ class Relinearisation:
             f.begin(self._begun.time_s, self._begun.vectors[lanes], profiles, covariances, estimates[lanes])
         return SecondPass(self._spare, informed)
 
-    def _take(self, second: SecondPass, until: int) -> None:
-        """Take steps of the past with the second filters, up to before number `until`."""
+    def _take(self, second: SecondPass, end: int) -> None:
+        """Take steps of the past with the second filters, up to before number `end`."""
         assert self._begun is not None
         steps, march = self._stepper.past.steps, self._stepper.march.march
-        while second.steps_taken < until:
+        while second.steps_taken < end:
             k = second.steps_taken
             begin_s, before = self._begun.time_s, self._begun.vectors
             if k > 0:

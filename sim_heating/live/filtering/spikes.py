@@ -139,11 +139,11 @@ def suspected(readings: Sequence[Word], from_s: float, gate_K: Sequence[float]) 
     return spikes
 
 
-def _spikes(before: Word, readings: Sequence[Word], gate_K: float) -> tuple[int, bool]:
+def _spikes(steady: Word, readings: Sequence[Word], gate_K: float) -> tuple[int, bool]:
     """How many of some readings, behind one that is no spike, look like spikes, and whether that is decided."""
     for count in (1, 2):
         is_decided = (
-            _come_back(before, readings[:count], readings[count : count + 1], gate_K)
+            _come_back(steady, readings[:count], readings[count : count + 1], gate_K)
             if count <= len(readings)
             else None
         )
@@ -152,13 +152,13 @@ def _spikes(before: Word, readings: Sequence[Word], gate_K: float) -> tuple[int,
     return 0, False
 
 
-def _come_back(before: Word, spikes: Sequence[Word], after: Sequence[Word], gate_K: float) -> bool | None:
+def _come_back(steady: Word, spikes: Sequence[Word], following: Sequence[Word], gate_K: float) -> bool | None:
     """Whether the reading after some is there and shows them to be spikes; None where they are none."""
-    before_s, _, before_K = before
+    before_s, _, before_K = steady
     away_K = [read_K - before_K for _, _, read_K in spikes]
     if spikes[-1][0] - before_s > NEAR_S or min(map(abs, away_K)) <= gate_K:
         return None
-    if not after or after[0][0] - spikes[0][0] > NEAR_S:
+    if not following or following[0][0] - spikes[0][0] > NEAR_S:
         return False
-    after_K = after[0][2] - before_K
+    after_K = following[0][2] - before_K
     return True if all((spike_K - after_K) * spike_K >= COMES_BACK * spike_K**2 for spike_K in away_K) else None

@@ -289,11 +289,11 @@ class Timeline:
         else:
             repeated.by_sensor[number] = repeated.by_sensor.get(number, 0) + 1
 
-    def _is_between(self, frame: Frame, at: int) -> bool:
+    def _is_between(self, frame: Frame, index: int) -> bool:
         """Whether a late frame falls between two that follow one another, and is not of their flight."""
-        if not 0 < at < len(self.frames):
+        if not 0 < index < len(self.frames):
             return False
-        before, after = self.frames[at - 1], self.frames[at]
+        before, after = self.frames[index - 1], self.frames[index]
         apart_s = after.time_s - before.time_s
         every_s = self.every_s if self.repeated is None else self.repeated.every_s
         if apart_s > MOST_APART * every_s:
@@ -479,12 +479,12 @@ class Timeline:
         # readings of a step may come behind its frame without being late: only one that a step has passed is
         return Placed.LATE if t <= self.newest_s and t < last_s else Placed.TAKEN
 
-    def _note_jump(self, before: Word | None, after: Word | None) -> None:
+    def _note_jump(self, earlier: Word | None, later: Word | None) -> None:
         """Note where two readings of a sensor, one after the other in time, are far apart."""
-        if self.gate_K is None or before is None or after is None:
+        if self.gate_K is None or earlier is None or later is None:
             return
-        if abs(after[2] - before[2]) > 2.0 * self.gate_K[after[1]]:
-            self.jumps.append((after[0], after[1]))
+        if abs(later[2] - earlier[2]) > 2.0 * self.gate_K[later[1]]:
+            self.jumps.append((later[0], later[1]))
 
     def frames_after(self, time_s: float) -> list[Frame]:
         """Frames later than a time [s], in order."""
@@ -515,10 +515,10 @@ def _neighbours(readings: Sequence[Word], number: int, index: int) -> tuple[Word
     return before, next((readings[k] for k in range(index, len(readings)) if readings[k][1] == number), None)
 
 
-def _has_time_of_another(word: Word, before: Word | None, after: Word | None) -> bool:
+def _has_time_of_another(word: Word, earlier: Word | None, later: Word | None) -> bool:
     """Whether a late reading has the time of another of its sensor but for what a clock rounds, and differs."""
-    if before is None or after is None:
+    if earlier is None or later is None:
         return False
     t, _, value_K = word
-    nearest = min(before, after, key=lambda w: abs(w[0] - t))
-    return abs(nearest[0] - t) < SAME_TIME * (after[0] - before[0]) and nearest[2] != value_K
+    nearest = min(earlier, later, key=lambda w: abs(w[0] - t))
+    return abs(nearest[0] - t) < SAME_TIME * (later[0] - earlier[0]) and nearest[2] != value_K

@@ -114,8 +114,10 @@ class Metrics:
         yield _gauge("missing_effect_probability", "what could be missing", candidates, "effect")
 
 
-def _gauges(about: Mapping[str, tuple[str, str]], owners: Mapping[Any, object], *labels: str) -> Iterator[Metric]:
-    for name, (field, text) in about.items():
+def _gauges(
+    descriptions: Mapping[str, tuple[str, str]], owners: Mapping[Any, object], *labels: str
+) -> Iterator[Metric]:
+    for name, (field, text) in descriptions.items():
         yield _gauge(name, text, {key: getattr(owner, field) for key, owner in owners.items()}, *labels)
 
 

@@ -60,11 +60,11 @@ Read = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 """Contents of a link file as plain data, and its `meaning`; None of one that does not state it."""
 
 
-def differences(before: Read, now: Read) -> list[str]:
+def differences(earlier: Read, now: Read) -> list[str]:
     """What differs between what two links read, a line each; empty where they read the same."""
-    lines = list(_apart(_compared(before[0]), _compared(now[0]), ""))
-    if before[1] is not None and now[1] is not None:
-        lines += _apart(before[1], now[1], "")
+    lines = list(_apart(_compared(earlier[0]), _compared(now[0]), ""))
+    if earlier[1] is not None and now[1] is not None:
+        lines += _apart(earlier[1], now[1], "")
     return lines
 
 

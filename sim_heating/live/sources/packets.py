@@ -105,20 +105,20 @@ def _local(tag: object) -> str:
     return str(tag).rpartition("}")[2]
 
 
-def _entries(definition: Any, name: str, above: tuple[str, ...] = ()) -> Iterator[tuple[bool, Any]]:
+def _entries(definition: Any, name: str, enclosing: tuple[str, ...] = ()) -> Iterator[tuple[bool, Any]]:
     """Parameters of a container, of those in it, and of those that inherit from it, and whether each is in all packets.
 
-    above : containers that this one is in
+    enclosing : containers that this one is in
     """
     container = definition.containers[name]
     for entry in container.entry_list:
         if not hasattr(entry, "entry_list"):
-            yield not above, entry
-        elif entry.name not in above:
-            yield from ((is_common and not above, e) for is_common, e in _entries(definition, entry.name, ()))
+            yield not enclosing, entry
+        elif entry.name not in enclosing:
+            yield from ((is_common and not enclosing, e) for is_common, e in _entries(definition, entry.name, ()))
     for heir in container.inheritors:
-        if heir not in above:
-            yield from ((False, e) for _, e in _entries(definition, heir, (*above, name)))
+        if heir not in enclosing:
+            yield from ((False, e) for _, e in _entries(definition, heir, (*enclosing, name)))
 
 
 def _bits(entry: Any) -> int | None:

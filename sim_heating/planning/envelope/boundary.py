@@ -116,7 +116,7 @@ class AllowedInterval:
         return 0.0 if self.low is None or self.high is None else self.high.at - self.low.at
 
 
-def allowed_interval(scan: AxisScan, inside: float) -> AllowedInterval:
+def allowed_interval(scan: AxisScan, start: float) -> AllowedInterval:
     """The interval about a place in which no limit is violated; where that place is not allowed, the longest one."""
     least = scan.least
     runs = _runs(least >= ROUNDING)
@@ -125,7 +125,7 @@ def allowed_interval(scan: AxisScan, inside: float) -> AllowedInterval:
         return AllowedInterval(None, None, Edge(float(scan.x[best]), scan.limit_at(best)))
     # Of several allowed intervals the one around the base entry counts: the others cannot be reached from it without a
     # violation.
-    about = [r for r in runs if scan.x[r[0]] <= inside <= scan.x[r[1]]]
+    about = [r for r in runs if scan.x[r[0]] <= start <= scan.x[r[1]]]
     first, last = about[0] if about else max(runs, key=lambda r: float(scan.x[r[1]] - scan.x[r[0]]))
     return AllowedInterval(_edge(scan, first, first - 1), _edge(scan, last, last + 1))
 
@@ -136,16 +136,16 @@ def _runs(allowed: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _edge(scan: AxisScan, last: int, beyond: int) -> Edge:
+def _edge(scan: AxisScan, last: int, neighbour: int) -> Edge:
     """The edge between a place that is allowed and its neighbour that is not, linear between them."""
-    if not 0 <= beyond < len(scan.x):
+    if not 0 <= neighbour < len(scan.x):
         return Edge(float(scan.x[last]), END_OF_STUDY)
     # Next to a flight that could not be flown nothing is interpolated, and the edge stays at the last one flown.
-    if not np.isfinite(scan.least[beyond]):
+    if not np.isfinite(scan.least[neighbour]):
         return Edge(float(scan.x[last]), NOT_FLOWN)
-    a, b = scan.least[last], scan.least[beyond]
+    a, b = scan.least[last], scan.least[neighbour]
     fraction = float(a / (a - b))
-    return Edge(float(scan.x[last] + fraction * (scan.x[beyond] - scan.x[last])), scan.limit_at(beyond))
+    return Edge(float(scan.x[last] + fraction * (scan.x[neighbour] - scan.x[last])), scan.limit_at(neighbour))
 
 
 # The greatest value --------------------------------------------------------------------------------------------------

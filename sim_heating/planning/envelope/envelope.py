@@ -284,15 +284,15 @@ def _fly_segment(
 
 
 def boundary_segment(
-    declared: EnvelopeBoundary, member: float | None, position: float, inside: float, flown: Sequence[EvaluatedCase],
+    declared: EnvelopeBoundary, member: float | None, position: float, start: float, flown: Sequence[EvaluatedCase],
     sigmas: float, manoeuvre: str | None = None,
 ) -> BoundarySegment:  # fmt: skip
     """The segment of a boundary from its flights; with the sigma that remains after a manoeuvre where one is named."""
     xs = [getattr(f.case, declared.across) for f in flown]
     scans = {which: scan_axis(xs, flown, z, manoeuvre) for which, z in sigma_offsets(sigmas).items()}
-    allowed = {which: allowed_interval(s, inside) for which, s in scans.items()}
+    allowed = {which: allowed_interval(s, start) for which, s in scans.items()}
     greatest = {which: _greatest_cross_range(s, xs, flown) for which, s in scans.items()} if declared.greatest else {}
-    return BoundarySegment(member, position, inside, tuple(xs), tuple(flown), allowed, greatest)
+    return BoundarySegment(member, position, start, tuple(xs), tuple(flown), allowed, greatest)
 
 
 def _greatest_cross_range(scan: AxisScan, xs: Sequence[float], flown: Sequence[EvaluatedCase]) -> GreatestValue | None:

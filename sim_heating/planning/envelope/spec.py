@@ -134,10 +134,10 @@ class EnvelopeBoundary(Declared):
         """Values of the family; [None] without one."""
         return list(self.of) or [None]
 
-    def case(self, member: float | None, position: float, across: float) -> Case:
+    def case(self, member: float | None, position: float, value: float) -> Case:
         """The case of one member at a place on both axes."""
         of_family = {} if self.family is None or member is None else {self.family: member}
-        return Case(**{**self.fixed, **of_family, self.along: position, self.across: across}, one_sided=self.one_sided)
+        return Case(**{**self.fixed, **of_family, self.along: position, self.across: value}, one_sided=self.one_sided)
 
 
 class Envelope(Declared):
