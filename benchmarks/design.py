@@ -39,7 +39,9 @@ def _figures(name: str, designed: DesignResult, took: float) -> list[Figure]:
         figures.append(Figure(f"{name}: {parameter}, bound off actual fits", apart, "", AGREE, note=note))
     base = designed.instruments[0].sigma
     figures += [
-        Figure(f"{name}: {v.kind}: {v.what}, {parameter}", float(v.sigma[k] / base[k]), "", note="bound over declared")
+        Figure(
+            f"{name}: {v.kind}: {v.change}, {parameter}", float(v.sigma[k] / base[k]), "", note="bound over declared"
+        )
         for v in designed.instruments[1:]
         for k, parameter in enumerate(designed.wanted)
     ]

@@ -34,31 +34,31 @@ Estimate = tuple[float, float]
 class Carried:
     """What a closed loop adds to the model of a record's fits.
 
-    sets     : for each thing found, the names that the record cannot tell apart, the likeliest first
-    found    : name -> dotted name of each of its parameters -> its estimate
-    finding  : as closure.json states it, and what is named
-    doubt    : why no table should be revised by fits of this record; empty where nothing speaks against it
+    sets      : for each thing found, the names that the record cannot tell apart, the likeliest first
+    by_effect : name -> dotted name of each of its parameters -> its estimate
+    finding   : as closure.json states it, and what is named
+    doubt     : why no table should be revised by fits of this record; empty where nothing speaks against it
     """
 
     sets: tuple[tuple[str, ...], ...] = ()
-    found: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    by_effect: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
     finding: str = ""
     doubt: str = ""
 
     @property
     def estimates(self) -> dict[str, Estimate]:
         """Dotted name -> estimate, of everything found."""
-        return {name: estimate for parameters in self.found.values() for name, estimate in parameters.items()}
+        return {name: estimate for parameters in self.by_effect.values() for name, estimate in parameters.items()}
 
 
 def effect_uses(values: Mapping[str, float]) -> tuple[EffectUse, ...]:
     """The effects among dotted names of parameters, at these values; parameters that are not named are nominal."""
-    found: dict[str, dict[str, float]] = {}
+    by_effect: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         if name.startswith(EFFECT_PREFIX):
             _, effect, parameter = name.split(".", 2)
-            found.setdefault(effect, {})[parameter] = value
-    return tuple(use(effect, parameters) for effect, parameters in found.items())
+            by_effect.setdefault(effect, {})[parameter] = value
+    return tuple(use(effect, parameters) for effect, parameters in by_effect.items())
 
 
 def read_carried(folder: Path) -> Carried:
@@ -69,20 +69,20 @@ def read_carried(folder: Path) -> Carried:
     report = read_json(folder / NAME)
     finding, sets = str(report["finding"]), tuple(tuple(names) for names in report["alternatives"])
     named = " + ".join(" or ".join(names) for names in sets)
-    words = f"{finding}: {named}" if named else finding
+    conclusion = f"{finding}: {named}" if named else finding
     causes = "; ".join(f"{c['kind']}: {c['what']}" for c in report["not_effects"])
     if finding not in (FOUND, ONE_OF):
-        doubt = "" if finding == NONE else f"closing the loop on the whole record ends with {words}"
-        return Carried(finding=words, doubt=doubt)
+        doubt = "" if finding == NONE else f"closing the loop on the whole record ends with {conclusion}"
+        return Carried(finding=conclusion, doubt=doubt)
     if causes:
         return Carried(
-            finding=words, doubt=f"the record is in error ({causes}); correct it, and run the campaign again"
+            finding=conclusion, doubt=f"the record is in error ({causes}); correct it, and run the campaign again"
         )
-    found = {name: _of_effect(name, report["estimated"]) for names in sets for name in names[:1]}
-    unknown = [name for name, parameters in found.items() if not parameters]
+    by_effect = {name: _of_effect(name, report["estimated"]) for names in sets for name in names[:1]}
+    unknown = [name for name, parameters in by_effect.items() if not parameters]
     if unknown:
-        return Carried(finding=words, doubt=f"`{unknown[0]}` has a form of its own, which fits of manoeuvres lack")
-    return Carried(sets, found, words)
+        return Carried(finding=conclusion, doubt=f"`{unknown[0]}` has a form of its own, which fits of manoeuvres lack")
+    return Carried(sets, by_effect, conclusion)
 
 
 def _of_effect(name: str, estimated: Mapping[str, Any]) -> dict[str, Estimate]:
@@ -104,21 +104,21 @@ def agreed(records: Sequence[Carried]) -> list[Carried]:
     chosen = [_with_names(c, _common_names(c, records)) for c in records]
     of_name: dict[str, list[Mapping[str, Estimate]]] = {}
     for c in records:
-        for name, parameters in c.found.items():
+        for name, parameters in c.by_effect.items():
             of_name.setdefault(name, []).append(parameters)
     return [
-        replace(c, found={n: before.found.get(n, mean_estimates(of_name.get(n, []))) for n in c.found})
+        replace(c, by_effect={n: before.by_effect.get(n, mean_estimates(of_name.get(n, []))) for n in c.by_effect})
         for c, before in zip(chosen, records, strict=True)
     ]
 
 
-def _common_names(own: Carried, records: Iterable[Carried]) -> list[str]:
+def _common_names(carried: Carried, records: Iterable[Carried]) -> list[str]:
     """For each thing that a record found, the name that most records put first among those that all allow.
 
     Its own first name where they have none in common; of several equally frequent names the first by the alphabet.
     """
     names = []
-    for alternatives in own.sets:
+    for alternatives in carried.sets:
         alike = [s for c in records for s in c.sets if set(s) & set(alternatives)]
         common = set(alternatives).intersection(*alike)
         firsts = Counter(s[0] for s in alike if s[0] in common)
@@ -127,13 +127,13 @@ def _common_names(own: Carried, records: Iterable[Carried]) -> list[str]:
     return names
 
 
-def _with_names(own: Carried, names: Sequence[str]) -> Carried:
-    return replace(own, found={name: own.found.get(name, {}) for name in names})
+def _with_names(carried: Carried, names: Sequence[str]) -> Carried:
+    return replace(carried, by_effect={name: carried.by_effect.get(name, {}) for name in names})
 
 
-def mean_estimates(several: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
+def mean_estimates(estimates: Sequence[Mapping[str, Estimate]]) -> dict[str, Estimate]:
     """Mean of the estimates of several records, of the parameters that all have; the largest of their bounds."""
-    if not several:
+    if not estimates:
         return {}
-    common = [n for n in several[0] if all(n in other for other in several)]
-    return {n: (sum(s[n][0] for s in several) / len(several), max(s[n][1] for s in several)) for n in common}
+    common = [n for n in estimates[0] if all(n in other for other in estimates)]
+    return {n: (sum(s[n][0] for s in estimates) / len(estimates), max(s[n][1] for s in estimates)) for n in common}

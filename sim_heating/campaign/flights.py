@@ -76,18 +76,18 @@ def read_flights(
     """Flights of scenario files, which are flown and measured, and of directories of records.
 
     paths   : scenario files (.toml), records, or directories that hold records at any depth
-    root    : folder that the files may name others in, as `load_scenario` takes it
+    root    : folder that the files may name others in; by default the nearest above each with `scenarios`
     returns : flights in order of their paths; records that state one flight are of one flight
     raises  : InputError where a path holds neither, or a flight has two records of one control point
     """
-    given = [Path(p) for p in paths]
+    sources = [Path(p) for p in paths]
     flights: list[CampaignFlight] = []
     loaded: list[Record] = []
-    for i, path in enumerate(given):
-        progress(i / len(given), f"reading {path}")
+    for i, path in enumerate(sources):
+        progress(i / len(sources), f"reading {path}")
         if path.suffix == SCENARIO_SUFFIX:
             scenario = load_scenario(path, root=root)
-            flights.append(flight_of_scenario(scenario, progress=_part(progress, i, len(given))))
+            flights.append(flight_of_scenario(scenario, progress=_part(progress, i, len(sources))))
         else:
             loaded += [load_record(p, root=root) for p in record_directories(path)]
     flights += flights_of_records(loaded)
@@ -162,15 +162,15 @@ def _manoeuvres(flight: str, records: Mapping[str, Record]) -> tuple[Manoeuvre, 
                 f"flight {flight}: {display_path(first.directory)} and {display_path(other.directory)} state different "
                 f"[[manoeuvre]]s; correct one, or give it another `flight`"
             )
-    found: list[Manoeuvre] = []
+    manoeuvres: list[Manoeuvre] = []
     for m in sorted(declared, key=lambda m: m.start_s):
         velocity = float(np.interp(m.start_s, first.conditions.time_s, first.conditions["velocity_m_s"]))
-        name = numbered(f"{m.kind}-mach{velocity / SHUTTLE_MACH_M_S:.0f}", [f.name for f in found])
-        found.append(Manoeuvre(name, m.kind, m.start_s, m.end_s, velocity))
-    return tuple(found)
+        name = numbered(f"{m.kind}-mach{velocity / SHUTTLE_MACH_M_S:.0f}", [f.name for f in manoeuvres])
+        manoeuvres.append(Manoeuvre(name, m.kind, m.start_s, m.end_s, velocity))
+    return tuple(manoeuvres)
 
 
-def numbered(stem: str, taken: Sequence[str]) -> str:
+def numbered(stem: str, names: Sequence[str]) -> str:
     """A name, with the number of its occurrence behind it from the second one on, as `popu-mach20-2`."""
-    same = sum(name == stem or name.startswith(f"{stem}-") for name in taken)
+    same = sum(name == stem or name.startswith(f"{stem}-") for name in names)
     return f"{stem}-{same + 1}" if same else stem

@@ -31,17 +31,17 @@ def groups_of(flights: Sequence[CampaignFlight], tolerance: float) -> list[Group
     tolerance : largest relative difference of the speed at the start from that of the group's fastest [-]
     """
     flown = sorted(((m, f.name) for f in flights for m in f.manoeuvres), key=lambda pair: -pair[0].velocity_m_s)
-    found: list[list[tuple[str, Manoeuvre]]] = []
+    groups: list[list[tuple[str, Manoeuvre]]] = []
     for manoeuvre, flight in flown:
-        group = next((g for g in found if _belongs(manoeuvre, flight, g, tolerance)), None)
+        group = next((g for g in groups if _belongs(manoeuvre, flight, g, tolerance)), None)
         if group is None:
-            found.append([(flight, manoeuvre)])
+            groups.append([(flight, manoeuvre)])
         else:
             group.append((flight, manoeuvre))
     names: list[str] = []
-    for g in found:
+    for g in groups:
         names.append(numbered(g[0][1].name, names))
-    return [Group(name, tuple(g)) for name, g in zip(names, found, strict=True)]
+    return [Group(name, tuple(g)) for name, g in zip(names, groups, strict=True)]
 
 
 def _belongs(manoeuvre: Manoeuvre, flight: str, group: Sequence[tuple[str, Manoeuvre]], tolerance: float) -> bool:

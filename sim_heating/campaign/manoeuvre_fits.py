@@ -127,20 +127,20 @@ def fit_manoeuvre(task: FitTask, records: Sequence[Record]) -> FitResult:
     """
     values = {name: value for name, (value, _) in task.carried.items()}
     priors = {name: (value, sigma) for name, (value, sigma) in task.carried.items() if sigma > 0.0}
-    given = ManoeuvreSettings(**task.settings)
+    stated = ManoeuvreSettings(**task.settings)
     starts = [
         None if kind == "declared" else start_at(kind, segment[0])
         for kind, segment in zip(task.starts, task.segments, strict=True)
     ]
-    fixed = {**{name: value for name, value in values.items() if name not in priors}, **given.fix}
+    fixed = {**{name: value for name, value in values.items() if name not in priors}, **stated.fix}
     settings = NewtonSettings(first_values=values)
     while True:
         free = [name for name in priors if name not in fixed]
-        known = {**{name: priors[name] for name in free}, **given.priors}
+        priors_here = {**{name: priors[name] for name in free}, **stated.priors}
         fitted = estimate(
-            records, [*(given.parameters or [DEFAULT]), *free], effects=effect_uses(values), fixed=fixed, priors=known,
-            bounds=given.bounds, ties=given.tie, starts=starts, settings=settings,
-            reference={**task.reference, **given.reference_condition},
+            records, [*(stated.parameters or [DEFAULT]), *free], effects=effect_uses(values), fixed=fixed,
+            priors=priors_here, bounds=stated.bounds, ties=stated.tie, starts=starts, settings=settings,
+            reference={**task.reference, **stated.reference_condition},
         )  # fmt: skip
         omitted = {label.partition(AT)[0] for label in fitted.not_estimated}
         added = {name: values[name] for name in free if name in omitted}

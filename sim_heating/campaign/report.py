@@ -88,8 +88,8 @@ def campaign_page(result: CampaignResult) -> Page:
     return Page(result.campaign.title, subtitle, sections, _headline(result))
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _headline(result: CampaignResult) -> tuple[str, str]:
@@ -99,14 +99,14 @@ def _headline(result: CampaignResult) -> tuple[str, str]:
     if not result.errors:
         return head, ""
     parts = []
-    for check, what in ((False, "fitted flights"), (True, "flights that only check")):
-        mine = [e for e in result.errors if e["check"] == check]
-        if mine:
+    for check, kind in ((False, "fitted flights"), (True, "flights that only check")):
+        rows = [e for e in result.errors if e["check"] == check]
+        if rows:
             before, after, floor = (
-                float(np.median([e[k] for e in mine])) for k in ("before_K", "after_K", "noise_floor_K")
+                float(np.median([e[k] for e in rows])) for k in ("before_K", "after_K", "noise_floor_K")
             )
             parts.append(
-                f"{what}: median RMSE of a manoeuvre {before:.2f} K with the tables before, {after:.2f} K with the "
+                f"{kind}: median RMSE of a manoeuvre {before:.2f} K with the tables before, {after:.2f} K with the "
                 f"revised ones, noise floor {floor:.2f} K"
             )
     line = "; ".join(parts)
@@ -210,10 +210,10 @@ def _not_estimated(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], l
     for r in rows:
         for name, why in r["not_estimated"].items():
             first.setdefault((name, r["group"]), why.partition(";")[0])
-    found: dict[tuple[str, str], list[str]] = {}
+    groups_of: dict[tuple[str, str], list[str]] = {}
     for (name, group), why in first.items():
-        found.setdefault((name, why), []).append(group)
-    return found
+        groups_of.setdefault((name, why), []).append(group)
+    return groups_of
 
 
 def _draw(point: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Figure:
@@ -228,17 +228,17 @@ def _draw(point: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -
         a.set_visible(False)
     for a, name in zip(axes.flat, names, strict=False):
         for k, group in enumerate(groups):
-            mine = [r for r in rows if r["group"] == group and name in r["parameters"]]
-            for i, r in enumerate(mine):
+            fits = [r for r in rows if r["group"] == group and name in r["parameters"]]
+            for i, r in enumerate(fits):
                 p = r["parameters"][name]
-                together = len(r["flights"]) > 1
-                place = k + 0.7 * ((i + 0.5) / len(mine) - 0.5)
+                is_joint = len(r["flights"]) > 1
+                height = k + 0.7 * ((i + 0.5) / len(fits) - 0.5)
                 style = (
                     {"color": "tab:blue", "linewidth": 2.2}
-                    if together
+                    if is_joint
                     else {"color": "0.45" if not usable(r) else "tab:red", "linewidth": 1.1}
                 )
-                a.errorbar(p["value"], place, xerr=2.0 * p["sigma"], fmt="o", markersize=3.5, **style)
+                a.errorbar(p["value"], height, xerr=2.0 * p["sigma"], fmt="o", markersize=3.5, **style)
         unit = MODEL[name].unit
         a.set_xlabel(f"{name}" if unit == "1" else f"{name}, {unit}")
         a.axvline(0.0, color="0.7", linewidth=0.8)
@@ -336,10 +336,10 @@ def _errors_section(result: CampaignResult) -> list[Section]:
     )
     worse = [i for i, e in enumerate(result.errors) if e["after_K"] > 1.05 * e["before_K"]]
     points = [
-        f"{u['control_point']}, {u['manoeuvre']}, {name}: not in revision {u['revision']}: {what}, {loss:.2f} K"
+        f"{u['control_point']}, {u['manoeuvre']}, {name}: not in revision {u['revision']}: {flown}, {loss:.2f} K"
         for u in result.updates
-        for name, held in u["held"].items()
-        for what, loss in held["not_held"].items()
+        for name, withheld in u["held"].items()
+        for flown, loss in withheld["not_held"].items()
     ]
     return [Section("What the revised tables predict", [text], points, [replace(errors_table(result), strong=worse)])]
 

@@ -67,15 +67,15 @@ class CampaignResult:
         done = [r for r in (*self.fits, *self.joint) if "failed" not in r]
         noisy = [r for r in done if not (r["converged"] and r["residual_over_noise"] <= MODEL_ERROR_RATIO)]
         apart = [r for r in self.joint if r.get("agreement") and r["agreement"]["p_value"] < IMPROBABLE]
-        together = [r for r in self.joint if r.get("agreement")]
+        compared = [r for r in self.joint if r.get("agreement")]
         checked = [e for e in self.errors if e["check"]]
         beyond = [e for e in checked if e["after_K"] > MODEL_ERROR_RATIO * e["noise_floor_K"]]
-        found = replace(
+        facts_of_campaign = replace(
             facts,
             topics=facts.topics | {"estimates", "sensitivities"},
             consistent=Answer(bool(done) and not noisy, f"{len(noisy)} of {len(done)} fits are not within their noise"),
             holds=Answer(
-                bool(together) and not apart, f"{len(apart)} of {len(together)} groups of flights do not agree"
+                bool(compared) and not apart, f"{len(apart)} of {len(compared)} groups of flights do not agree"
             ),
             varied=Answer(
                 bool(checked) and not beyond,
@@ -84,7 +84,7 @@ class CampaignResult:
             folder=self.campaign.vehicle.directory,
             reviewed=digest_of(self.campaign.vehicle),
         )
-        return assess(found)
+        return assess(facts_of_campaign)
 
     @property
     def fitted_flights(self) -> list[CampaignFlight]:
@@ -94,9 +94,9 @@ class CampaignResult:
     @property
     def points(self) -> list[str]:
         """Control points of all flights, in the order of the campaign or of the records."""
-        found = dict.fromkeys(p for f in self.flights for p in f.records)
+        flown = dict.fromkeys(p for f in self.flights for p in f.records)
         named = self.campaign.declared.control_points
-        return list(found) if named is None else [p for p in named if p in found]
+        return list(flown) if named is None else [p for p in named if p in flown]
 
     def as_json(self) -> dict[str, Any]:
         """Contents of campaign.json."""

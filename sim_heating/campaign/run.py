@@ -174,13 +174,13 @@ def _flights(campaign: Campaign, engine: Engine, progress: Progress) -> tuple[li
     folders = iter(jobs)
     flights, checks = [], []
     for source in campaign.flights:
-        places = next(folders).task.folders if source.scenarios else (str(source.records),)
-        paths = [p for place in places for p in record_directories(Path(place))]
-        found = flights_of_records(
+        directories = next(folders).task.folders if source.scenarios else (str(source.records),)
+        paths = [p for directory in directories for p in record_directories(Path(directory))]
+        read = flights_of_records(
             [r for r in (load_record(p, root=campaign.root) for p in paths) if _wanted(campaign, r)]
         )
-        flights += found
-        checks += [f.name for f in found if source.check]
+        flights += read
+        checks += [f.name for f in read if source.check]
     return flights, checks
 
 
@@ -225,12 +225,12 @@ def _close(result: CampaignResult, engine: Engine, progress: Progress) -> list[d
     rows = []
     for flight in result.fitted_flights:
         paths = [record.directory for record in flight.records.values()]
-        found = close_all(
+        closed = close_all(
             paths, engine.out / CLOSED / flight.name, root=result.campaign.root, scheduler=engine.scheduler,
             workers=engine.workers, progress=_of_flight(progress, flight, result),
         )  # fmt: skip
         rows += [
-            {**row, "flight": flight.name, "control_point": p} for row, p in zip(found, flight.records, strict=True)
+            {**row, "flight": flight.name, "control_point": p} for row, p in zip(closed, flight.records, strict=True)
         ]
     return rows
 
@@ -243,14 +243,16 @@ def _of_flight(progress: Progress, flight: CampaignFlight, result: CampaignResul
 
 def _carried(result: CampaignResult) -> dict[tuple[str, str], Carried]:
     """What closing the loop adds to the fits of each (flight, control point)."""
-    found = {}
+    by_record = {}
     for row in result.closed:
         key = (row["flight"], row["control_point"])
-        found[key] = Carried() if "failed" in row else read_carried(result.out / CLOSED / row["flight"] / row["record"])
+        by_record[key] = (
+            Carried() if "failed" in row else read_carried(result.out / CLOSED / row["flight"] / row["record"])
+        )
     for point in result.points:
-        mine = [key for key in found if key[1] == point]
-        found.update(zip(mine, agreed([found[key] for key in mine]), strict=True))
-    return found
+        keys = [key for key in by_record if key[1] == point]
+        by_record.update(zip(keys, agreed([by_record[key] for key in keys]), strict=True))
+    return by_record
 
 
 def _doubts(result: CampaignResult, carried: Mapping[tuple[str, str], Carried]) -> dict[tuple[str, str], str]:
@@ -281,12 +283,12 @@ def _fit_singles(
             reference = dict(zip(RATIO_VARIABLES, map(float, condition), strict=True))
             for f, m, span in chosen:
                 settings = result.campaign.settings(f.name, point, m)
-                found = carried.get((f.name, point), Carried())
+                added = carried.get((f.name, point), Carried())
                 out = engine.out / FITS / f.name / point / m.name
                 task = FitTask(
                     point, m.name, group.name, (f.name,), (str(f.records[point].directory),),
                     ((span.begin_s, span.end_s),), str(out), (span.start,), _as_data(settings), reference,
-                    found.estimates, result.campaign.root,
+                    added.estimates, result.campaign.root,
                 )  # fmt: skip
                 tasks.append((task, [f.records[point]]))
     result.fits.extend(_run_fits("fits", tasks, engine, progress))
@@ -309,8 +311,8 @@ def _fit_jointly(
     flights = {f.name: f for f in result.flights}
     for point in result.points:
         for group in result.groups:
-            mine = [r for r in result.fits if r["control_point"] == point and r["group"] == group.name]
-            good = [r for r in mine if not usable(r) and not carried.get((r["flights"][0], point), Carried()).doubt]
+            singles = [r for r in result.fits if r["control_point"] == point and r["group"] == group.name]
+            good = [r for r in singles if not usable(r) and not carried.get((r["flights"][0], point), Carried()).doubt]
             if len(good) < 2:
                 continue
             names = tuple(r["flights"][0] for r in good)
@@ -342,11 +344,11 @@ def _run_fits(
     outcome = engine.run(stage, jobs, run_fit, results_are_there, progress)
     rows = []
     for job, (task, _) in zip(jobs, tasks, strict=True):
-        own = {"control_point": task.point, "manoeuvre": task.manoeuvre, "group": task.group}
+        identity = {"control_point": task.point, "manoeuvre": task.manoeuvre, "group": task.group}
         row = (
             json.loads(outcome.done[job.id].read_text(encoding="utf-8"))["row"]
             if job.id in outcome.done
             else {"failed": outcome.failed[job.id], "segments": [list(s) for s in task.segments]}
         )
-        rows.append({**own, "flights": list(task.flights), **row, "folder": os.path.relpath(task.out, engine.out)})
+        rows.append({**identity, "flights": list(task.flights), **row, "folder": os.path.relpath(task.out, engine.out)})
     return rows

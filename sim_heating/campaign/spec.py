@@ -68,7 +68,7 @@ class ManoeuvreSettings(ParameterSettings):
     """How a manoeuvre is fitted; what is absent is as in [fit], and there as stated here.
 
     before_s, after_s : times that are fitted before and after the manoeuvre [s], 20 and 40
-    start             : temperatures at the start of the fit, as `estimate --start`; `profile`
+    start             : temperatures at the start of the fit: declared, or of a circuit, a profile, a filter; `profile`
 
     By default the magnitude and the derivatives that the record can tell are estimated.
     """
@@ -101,7 +101,7 @@ class SelectedFit(ManoeuvreSettings):
     def selects(self, flight: str, control_point: str, manoeuvre: str) -> bool:
         """Whether it is meant for this fit."""
         pairs = ((self.flight, flight), (self.control_point, control_point), (self.manoeuvre, manoeuvre))
-        return all(mine is None or mine == given for mine, given in pairs)
+        return all(selected is None or selected == value for selected, value in pairs)
 
 
 class Joint(Declared):
@@ -199,59 +199,68 @@ class Campaign:
 
     def settings(self, flight: str, control_point: str, manoeuvre: Manoeuvre) -> ManoeuvreSettings:
         """Settings of one fit; of several [[fit_of]] that mean it, a later one takes precedence."""
-        found = self.declared.fit.over(STANDARD)
+        settings = self.declared.fit.over(STANDARD)
         for selected in self.declared.fit_of:
             if selected.selects(flight, control_point, manoeuvre.name):
-                found = selected.over(found)
-        return found
+                settings = selected.over(settings)
+        return settings
 
 
 def load_campaign(path: str | os.PathLike[str] | Campaign, *, root: str | os.PathLike[str] | None = None) -> Campaign:
     """Read and check a campaign, its vehicle and its scenarios; records are read when they are fitted.
 
     path   : of the campaign's TOML file; a campaign that has been loaded is returned as it is
-    root   : folder that it may name files in, as `load_scenario` takes it
+    root   : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
     """
     if isinstance(path, Campaign):
         return path
-    place = Path(path)
-    declared = read_toml(place, CampaignFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
-    roots = roots_of(place, root, vehicle.directory)
-    raise_problems(_repeated_flights(declared, display_path(place)))
+    campaign_path = Path(path)
+    declared = read_toml(campaign_path, CampaignFile)
+    vehicle = load_vehicle(vehicle_place(campaign_path, declared.vehicle, root=root), root=root)
+    roots = roots_of(campaign_path, root, vehicle.directory)
+    raise_problems(_repeated_flights(declared, display_path(campaign_path)))
     read: dict[Path, Scenario] = {}
     flights, problems = [], []
     for i, source in enumerate(declared.flight, start=1):
         key = "scenario" if source.scenario is not None else "records"
-        found = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
-        if not found.exists():
-            problems.append(f"{display_path(place)}, [[flight]] {i}: `{key}`: there is no {display_path(found)}")
+        source_path = roots.named(source.scenario or source.records or "", f"[[flight]] {i}: `{key}`")
+        if not source_path.exists():
+            problems.append(
+                f"{display_path(campaign_path)}, [[flight]] {i}: `{key}`: there is no {display_path(source_path)}"
+            )
         elif source.scenario is None:
-            flights.append(FlightInput((), (), found, source.check))
+            flights.append(FlightInput((), (), source_path, source.check))
         else:
-            scenario = read[found] if found in read else read.setdefault(found, load_scenario(found, root=root))
+            scenario = (
+                read[source_path]
+                if source_path in read
+                else read.setdefault(source_path, load_scenario(source_path, root=root))
+            )
             seeded = (scenario,) if source.seeds is None else tuple(with_seed(scenario, s) for s in source.seeds)
             flights.append(FlightInput(seeded, tuple(source.seeds or [None]), None, source.check))
             if scenario.vehicle.name != vehicle.name:
                 problems.append(
-                    f"{display_path(place)}, [[flight]] {i}: {display_path(found)} flies {scenario.vehicle.name}, the "
-                    f"campaign revises the tables of {vehicle.name}; they must be one vehicle"
+                    f"{display_path(campaign_path)}, [[flight]] {i}: {display_path(source_path)} flies "
+                    f"{scenario.vehicle.name}, the campaign revises the tables of {vehicle.name}; "
+                    f"they must be one vehicle"
                 )
     named = declared.control_points or []
     problems += [
-        f"{display_path(place)}: `control_points`: {vehicle.name} has no {name}"
+        f"{display_path(campaign_path)}: `control_points`: {vehicle.name} has no {name}"
         for name in named
         if name not in vehicle.control_points
     ]
     names = [s.flight for f in flights for s in f.scenarios]
     if (name := repeated_name(names)) is not None:
-        problems.append(f"{display_path(place)}: two flights are named {name}; give each scenario its own `flight`")
+        problems.append(
+            f"{display_path(campaign_path)}: two flights are named {name}; give each scenario its own `flight`"
+        )
     raise_problems(problems)
-    return Campaign(place, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
+    return Campaign(campaign_path, declared, vehicle, tuple(flights), None if root is None else Path(root).absolute())
 
 
-def _repeated_flights(declared: CampaignFile, place: str) -> list[str]:
+def _repeated_flights(declared: CampaignFile, file: str) -> list[str]:
     """The first flight that is stated again: one scenario with one seed, or one directory of records."""
     first: dict[tuple[str, int | None], int] = {}
     for i, source in enumerate(declared.flight, start=1):
@@ -259,6 +268,6 @@ def _repeated_flights(declared: CampaignFile, place: str) -> list[str]:
         for seed in source.seeds or (None,):
             k = first.setdefault((name, seed), i)
             if k != i:
-                what = name if seed is None else f"{name} with seed {seed}"
-                return [f"{place}, [[flight]] {i}: {what} is that of [[flight]] {k}; remove one, or give other `seeds`"]
+                title = name if seed is None else f"{name} with seed {seed}"
+                return [f"{file}, [[flight]] {i}: {title} is that of [[flight]] {k}; remove one, or give other `seeds`"]
     return []

@@ -38,24 +38,24 @@ def revise_tables(result: CampaignResult, doubts: Mapping[tuple[str, str], str],
     vehicle = result.campaign.vehicle
     chosen = _chosen(result, doubts)
     with output_directory(out, COMMAND, inputs=result.campaign.files) as folder:
-        place = folder / vehicle.directory.resolve().name
-        shutil.copytree(vehicle.directory, place, ignore=shutil.ignore_patterns(LOCK, STAGING))
+        directory = folder / vehicle.directory.resolve().name
+        shutil.copytree(vehicle.directory, directory, ignore=shutil.ignore_patterns(LOCK, STAGING))
         for k, row in enumerate(chosen):
             title, others = _title(row), _other_flights(result, row)
             progress(0.7 * k / len(chosen), title)
             try:
-                updated = update_tables(result.out / row["folder"], place, checks=others, root=result.campaign.root)
+                updated = update_tables(result.out / row["folder"], directory, checks=others, root=result.campaign.root)
             except (InputError, RunError) as error:
                 result.refused.append(f"{title}: {error}")
                 continue
             against = _contradicted(updated, others)
             if against:
-                revert(load_vehicle(place), row["control_point"])
+                revert(load_vehicle(directory), row["control_point"])
                 result.refused.append(f"{title}: {against}")
             else:
                 result.updates.append(_update_row(row, updated))
         progress(0.7, "predicting")
-        _predict_all(result, load_vehicle(place), lambda done, text: progress(0.7 + 0.3 * done, text))
+        _predict_all(result, load_vehicle(directory), lambda done, text: progress(0.7 + 0.3 * done, text))
 
 
 def _title(row: Mapping[str, Any]) -> str:
@@ -64,31 +64,31 @@ def _title(row: Mapping[str, Any]) -> str:
 
 def _update_row(row: Mapping[str, Any], updated: UpdatedTables) -> dict[str, Any]:
     """A revision as a row of the campaign."""
-    made, update = updated.revision, updated.update
-    assert made is not None
+    revision, update = updated.revision, updated.update
+    assert revision is not None
     return {
         "control_point": row["control_point"],
         "manoeuvre": row["group"],
         "flights": row["flights"],
-        "revision": made.revision,
+        "revision": revision.revision,
         "parameters": {n: p.model_dump() for n, p in update.parameters.items()},
         "not_written": update.not_written,
-        "held": {name: asdict(held) for name, held in updated.held.items()},
-        "chi_square": made.chi_square,
-        "degrees_of_freedom": made.degrees_of_freedom,
+        "held": {name: asdict(withheld) for name, withheld in updated.held.items()},
+        "chi_square": revision.chi_square,
+        "degrees_of_freedom": revision.degrees_of_freedom,
     }
 
 
 def _other_flights(result: CampaignResult, row: Mapping[str, Any]) -> list[Record]:
     """Records of the flights that a fit does not have, at its control point, each manoeuvre by itself."""
     point = row["control_point"]
-    found = []
+    records = []
     for fit in result.fits:
         flight = fit["flights"][0]
         if fit["control_point"] == point and flight not in row["flights"] and not usable(fit):
             record = next(f for f in result.flights if f.name == flight).records[point].with_fit(fit["segments"])
-            found.append(replace(record, label=_label(fit)))
-    return found
+            records.append(replace(record, label=_label(fit)))
+    return records
 
 
 def _label(fit: Mapping[str, Any]) -> str:
@@ -97,7 +97,7 @@ def _label(fit: Mapping[str, Any]) -> str:
 
 def _contradicted(updated: UpdatedTables, others: Sequence[Record]) -> str:
     """Which manoeuvre of another flight a revision predicts worse than the tables before, in words; empty for none."""
-    worst, words = 1.0, ""
+    worst, reason = 1.0, ""
     for record in others:
         errors = updated.errors_K[record.name]["fit"]
         if errors["before"] is None or errors["after"] is None:
@@ -105,26 +105,26 @@ def _contradicted(updated: UpdatedTables, others: Sequence[Record]) -> str:
         before, after = errors["before"]["rmse_K"], errors["after"]["rmse_K"]
         if after > max(WORSE * before, NOTICED * record.noise_floor_K()) and after / before > worst:
             worst = after / before
-            words = (
+            reason = (
                 f"not written, as {record.name} would be predicted to {after:.1f} K in place of {before:.1f} K: the "
                 "flights contradict each other"
             )
-    return words
+    return reason
 
 
 def _chosen(result: CampaignResult, doubts: Mapping[tuple[str, str], str]) -> list[dict[str, Any]]:
     """Rows of the fits that revise the tables: joint ones, and those of flights that are in none."""
-    chosen, taken = [], set()
+    chosen, covered = [], set()
     for row in result.joint:
         why = usable(row)
         if why:
             result.refused.append(f"{_title(row)}: {why}")
             continue
         chosen.append(row)
-        taken |= {(row["control_point"], row["group"], flight) for flight in row["flights"]}
+        covered |= {(row["control_point"], row["group"], flight) for flight in row["flights"]}
     for row in result.fits:
         flight = row["flights"][0]
-        if (row["control_point"], row["group"], flight) in taken:
+        if (row["control_point"], row["group"], flight) in covered:
             continue
         why = usable(row) or doubts.get((flight, row["control_point"]), "")
         if why:

@@ -168,16 +168,16 @@ def main(arguments: list[str] | None = None, signals: EndingSignals | None = Non
     signals : handlers of the process, where it is the command's own
     """
     signals = signals or EndingSignals()
-    given = sys.argv[1:] if arguments is None else arguments
-    with reporting(given) as report:
+    argv = sys.argv[1:] if arguments is None else arguments
+    with reporting(argv) as report:
         try:
             try:
                 with (
                     report.standard_output_reserved(),
                     silent_console(report.is_json or report.is_quiet),
-                    stating_command(*repeatable(given)),
+                    stating_command(*repeatable(argv)),
                 ):
-                    status = _status(given, report, signals)
+                    status = _status(argv, report, signals)
                 signals.ignore()
             except KeyboardInterrupt:  # between the command and its answer
                 signals.ignore()
@@ -220,8 +220,8 @@ def _interrupted(report: CommandReport, signals: EndingSignals) -> int:
 def _system_error(report: CommandReport, error: OSError) -> int:
     """Report an error of the system, such as a full disk, or of a path that none can be; exit status."""
     if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
-        place = one_line(str(error.filename))
-        return _failed(report, 2, "error", "input", f"{place}: cannot be opened ({error.strerror}); give another path")
+        path = one_line(str(error.filename))
+        return _failed(report, 2, "error", "input", f"{path}: cannot be opened ({error.strerror}); give another path")
     return _failed(report, 1, "failed", "system", one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
 
 

@@ -59,14 +59,14 @@ def close_loop(
     from sim_heating.closure.several.batch import close_all, find_records, summary_row
     from sim_heating.inputs.record import load_record
 
-    found = find_records(records, root)
+    directories = find_records(records, root)
     if joint:
         if scheduler is not None or workers is not None:
             raise InputError("--joint: the records are searched in one process; leave out --scheduler and --workers")
-        _close_jointly(found, out, parameters, root)
+        _close_jointly(directories, out, parameters, root)
         return
-    if len(found) == 1:
-        record = load_record(found[0], root=root)
+    if len(directories) == 1:
+        record = load_record(directories[0], root=root)
         require_writable(out, "close-loop", expected=FILES, inputs=[record.directory])
         with progress_line(record.name) as progress:
             closed = close_one(record, parameters, progress=progress)
@@ -77,7 +77,7 @@ def close_loop(
         return
     with progress_line("close-loop") as progress:
         rows = close_all(
-            found, out, names=parameters, root=root, scheduler=scheduler, workers=workers, progress=progress
+            directories, out, names=parameters, root=root, scheduler=scheduler, workers=workers, progress=progress
         )
     _print_rows(rows)
     for row in rows:
@@ -93,7 +93,7 @@ def close_loop(
         raise RunError(f"{len(failed)} of {len(rows)} records failed; the others are done and kept")
 
 
-def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
+def _close_jointly(directories: list[Path], out: Path, parameters: tuple[str, ...] | None, root: Path | None) -> None:
     """Close the loop on each record and on all together, write the files, and print what each adds."""
     from sim_heating.base.files import require_writable
     from sim_heating.closure.close import FILES
@@ -102,7 +102,7 @@ def _close_jointly(found: list[Path], out: Path, parameters: tuple[str, ...] | N
     from sim_heating.closure.several.joint_report import evidence_table
     from sim_heating.inputs.record import load_records
 
-    loaded = load_records(found, root=root)
+    loaded = load_records(directories, root=root)
     inputs = [record.directory for record in loaded]
     for folder, expected in ((out, JOINT_FILES), *((out / record.name, FILES) for record in loaded)):
         require_writable(folder, "close-loop", expected=expected, inputs=inputs)

@@ -36,10 +36,10 @@ def completion(shell: str) -> None:
       zsh:  eval "$(sim-heating completion zsh)"    in ~/.zshrc
       fish: sim-heating completion fish > ~/.config/fish/completions/sim-heating.fish
     """
-    found = get_completion_class(shell)
-    assert found is not None
+    shell_class = get_completion_class(shell)
+    assert shell_class is not None
     context = click.get_current_context().find_root()
-    script = found(context.command, {}, "sim-heating", VARIABLE).source()
+    script = shell_class(context.command, {}, "sim-heating", VARIABLE).source()
     report_results({"shell": shell, "script": script, "install": INSTALL[shell]})
     if not current_report().is_json:
         click.echo(script)
@@ -51,9 +51,9 @@ def complete_paths(_: click.Context, parameter: click.Parameter, incomplete: str
     Where none begins with what was typed, the shell completes names of files.
     """
     kinds = (parameter.name or "").rstrip("s")
-    found = [*_vehicles()] if kinds in ("vehicle", "path") else []
-    found += _below(Path(), kinds)
-    chosen = sorted({name for name in found if name.startswith(incomplete)})
+    names = [*_vehicles()] if kinds in ("vehicle", "path") else []
+    names += _below(Path(), kinds)
+    chosen = sorted({name for name in names if name.startswith(incomplete)})
     return [CompletionItem(name) for name in chosen] or [CompletionItem(incomplete, type="file")]
 
 
@@ -78,9 +78,9 @@ def _below(start: Path, kinds: str) -> Iterator[str]:
             entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
         except OSError:
             continue
-        held = {entry.name for entry in entries}
-        if begins is None and not held.isdisjoint({"record.toml", "vehicle.toml"}):
-            if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in held):
+        names = {entry.name for entry in entries}
+        if begins is None and not names.isdisjoint({"record.toml", "vehicle.toml"}):
+            if kinds == "path" or (kinds == "vehicle") is ("vehicle.toml" in names):
                 yield folder.as_posix()
             continue
         for entry in entries:

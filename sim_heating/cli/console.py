@@ -35,9 +35,9 @@ class HelpfulGroup(click.Group):
     """A group whose help has the whole first sentence of each command: click cuts it off at the terminal's width."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
         with formatter.section("Commands"):
-            formatter.write_dl([(name, c.get_short_help_str(limit=WHOLE)) for name, c in found if c is not None])
+            formatter.write_dl([(name, c.get_short_help_str(limit=WHOLE)) for name, c in commands if c is not None])
 
 
 class PlainConsole(Console):
@@ -203,9 +203,9 @@ def _progress_text(title: str) -> Callable[[float, str], None]:
         line = title + ": " + one_line(stage if stage != last_stage else text)
         if 0.0 < fraction < 1.0:
             elapsed_s = now_s - begun_s
-            left = f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
+            remaining = f", about {_duration(elapsed_s * (1.0 - fraction) / fraction)} remain"
             is_known = elapsed_s > ESTIMATE_AFTER_S and fraction >= ESTIMATE_FROM
-            line += f" ({100.0 * fraction:.0f} %{left if is_known else ''})"
+            line += f" ({100.0 * fraction:.0f} %{remaining if is_known else ''})"
         last_stage, last_s = stage, now_s
         ERRORS.print(f"{line} ...")
 
@@ -238,8 +238,8 @@ def print_outputs(out: Path, names: Iterable[str], results: str | Mapping[str, A
 
 def _files_below(out: Path, name: str) -> list[str]:
     """Names of the files that a name among results stands for: its own, or those of a folder; without hidden ones."""
-    place = out / name
-    files = sorted(p for p in place.rglob("*") if p.is_file()) if place.is_dir() else [place]
+    path = out / name
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     return [p.relative_to(out).as_posix() for p in files if not p.name.startswith(".")]
 
 

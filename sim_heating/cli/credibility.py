@@ -24,8 +24,8 @@ class GroupWithDefault(HelpfulGroup):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put `show` before arguments that name no command; the options of the group itself come first."""
-        own = {name for p in self.get_params(ctx) for name in p.opts}
-        if not args or (args[0] not in self.commands and args[0] not in own):
+        options = {name for p in self.get_params(ctx) for name in p.opts}
+        if not args or (args[0] not in self.commands and args[0] not in options):
             args = [SHOW, *args]
         return super().parse_args(ctx, args)
 
@@ -178,11 +178,11 @@ def review(path: Path, factor: str, level: int, person: str, statement: str, dat
     from sim_heating.inputs.vehicle import load_vehicle
 
     is_vehicle = (path / "vehicle.toml").is_file()
-    what = load_vehicle(path, root=root) if is_vehicle else load_record(path, root=root)
+    subject = load_vehicle(path, root=root) if is_vehicle else load_record(path, root=root)
     day = datetime.date.today() if date is None else date.date()
     try:
         signed = Review(
-            factor=factor, level=level, person=person, date=day, statement=statement, reviewed=digest_of(what)
+            factor=factor, level=level, person=person, date=day, statement=statement, reviewed=digest_of(subject)
         )
     except ValidationError as error:
         problem = error.errors()[0]

@@ -38,22 +38,22 @@ def _reference_condition(_: click.Context, __: click.Parameter, value: str | Non
     from sim_heating.base.files import plain_number, suggestion
     from sim_heating.base.limits import limit_message, out_of_range
 
-    found = {}
+    condition = {}
     for item in (value or "").split(","):
         if not item.strip():
             continue
-        name, _equals, number = (part.strip() for part in item.partition("="))
-        if name in found:
+        name, _equals, number = (piece.strip() for piece in item.partition("="))
+        if name in condition:
             raise InputError(f"--reference: {name} is given twice; leave one out")
         if name not in RATIO_VARIABLES:
             raise InputError(f"--reference: `{name}` is not a ratio variable{suggestion(name, RATIO_VARIABLES)}")
         try:
-            found[name] = plain_number(number)
+            condition[name] = plain_number(number)
         except ValueError:
             raise InputError(f"--reference: {name}: `{number}` is not a number; write {name}=40") from None
-        if out_of_range(name, found[name]):
-            raise InputError(f"--reference: {name}: {limit_message(name, found[name])}; write {name}=40")
-    return found
+        if out_of_range(name, condition[name]):
+            raise InputError(f"--reference: {name}: {limit_message(name, condition[name])}; write {name}=40")
+    return condition
 
 
 def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
@@ -61,30 +61,30 @@ def _fit_segments(_: click.Context, __: click.Parameter, value: tuple[str, ...])
     from sim_heating.base.files import plain_number
     from sim_heating.base.parameters import AT
 
-    found: dict[str, list[list[float]]] = {}
+    by_owner: dict[str, list[list[float]]] = {}
     for item in value:
         text, _at, owner = item.partition(AT)
         try:
-            start, end = (plain_number(part) for part in text.split(","))
+            start, end = (plain_number(number) for number in text.split(","))
         except ValueError:
             raise InputError(f"--fit: `{item}` is not a segment; write --fit 640,760 (start and end in s)") from None
         if not -math.inf < start < end < math.inf:
             raise InputError(f"--fit: {item}: give two finite times in s, the start before the end")
-        found.setdefault(owner, []).append([start, end])
-    return found.get("", []) if set(found) <= {""} else found
+        by_owner.setdefault(owner, []).append([start, end])
+    return by_owner.get("", []) if set(by_owner) <= {""} else by_owner
 
 
 def _starts(_: click.Context, __: click.Parameter, value: tuple[str, ...]) -> Any:
     """Values of --start, each `circuit:650` or `circuit:650@FLIGHT`, by owner where there is one."""
     from sim_heating.base.parameters import AT
 
-    found: dict[str, str] = {}
+    by_owner: dict[str, str] = {}
     for item in value:
         text, _at, owner = item.partition(AT)
-        if owner in found:
+        if owner in by_owner:
             raise InputError(f"--start: is given twice{f' for {owner}' if owner else ''}; leave one out")
-        found[owner] = text
-    return found.get("") if set(found) <= {""} else found
+        by_owner[owner] = text
+    return by_owner.get("") if set(by_owner) <= {""} else by_owner
 
 
 def _start(value: str | None) -> Any:
@@ -157,12 +157,12 @@ def _level(text: str, hint: str) -> float:
     from sim_heating.base.files import plain_number
 
     try:
-        found = plain_number(text)
+        level = plain_number(text)
     except ValueError:
         raise InputError(hint) from None
-    if not 0.0 <= found <= LARGEST_NOISE:
+    if not 0.0 <= level <= LARGEST_NOISE:
         raise InputError(f"{hint}; {text} is not within 0 to {LARGEST_NOISE:g}")
-    return found
+    return level
 
 
 @click.command()
@@ -267,27 +267,27 @@ def estimate(
         )  # fmt: skip
         progress(0.95, "writing")
         names = write_fit(fitted, out)
-    found = estimate_contents(fitted)
-    print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", found))
-    for name, p in found.fixed.items():
-        if name not in found.not_estimated:
+    contents = estimate_contents(fitted)
+    print_table(estimate_table(f"{', '.join(r.name for r in loaded)}: estimate", contents))
+    for name, p in contents.fixed.items():
+        if name not in contents.not_estimated:
             CONSOLE.print(f"{name}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}")
-    for name, other in found.ties.items():
+    for name, other in contents.ties.items():
         if name != other:
             CONSOLE.print(f"{name}: tied to {other}")
-    for one in fitted.profiles.values():
-        CONSOLE.print(one.in_words())
-    for name, why in found.not_estimated.items():
+    for profile in fitted.profiles.values():
+        CONSOLE.print(profile.in_words())
+    for name, why in contents.not_estimated.items():
         CONSOLE.print(f"{name}: not estimated, {why}")
-    for remark in found.remarks:
+    for remark in contents.remarks:
         print_warning(remark.in_words)
-    for line in further_warnings(fitted.warnings, found.remarks):
+    for line in further_warnings(fitted.warnings, contents.remarks):
         print_warning(line)
     if fitted.innovations is not None:
         CONSOLE.print(fitted.innovations.levels.noise.summary())
-    _print_errors(found)
+    _print_errors(contents)
     print_outputs(out, names, "estimate.json")
-    if not found.converged:
+    if not contents.converged:
         raise RunError(f"estimate: {fitted.fit.status.value}; {out} holds the last iteration, which is not an estimate")
 
 
@@ -299,7 +299,7 @@ def _with_segments(records: list[Record], stated: FitSettings) -> tuple[list[Rec
     segments = [owners.of_owner(stated.segments_s, record, "fit") for record in records]
     starts = [_start(owners.of_owner(stated.starts, record, "start")) for record in records]
     pairs = zip(records, segments, strict=True)
-    return [record.with_fit(own) if own else record for record, own in pairs], starts
+    return [record.with_fit(stated_s) if stated_s else record for record, stated_s in pairs], starts
 
 
 def _estimate_trend(
@@ -318,40 +318,41 @@ def _estimate_trend(
     (record,), (start,) = _with_segments([load_record(records[0], root=root)], stated)
     require_writable(out, "estimate", expected=TREND, inputs=[record.directory])
     with progress_line("estimate") as progress:
-        found = trend(
+        fitted = trend(
             record, length_s, stated.parameters, start=start, reference=stated.reference_condition,
             fixed=stated.fix, priors=stated.priors, bounds=stated.bounds, progress=progress,
         )  # fmt: skip
-        names = write_trend(found, out)
-    many = "s" if len(found.segments) != 1 else ""
-    CONSOLE.print(f"{len(found.segments)} segment{many} of {length_s:g} s fitted, {len(found.left_out)} left out")
-    for line in found.left_out[:3]:
+        names = write_trend(fitted, out)
+    many = "s" if len(fitted.segments) != 1 else ""
+    CONSOLE.print(f"{len(fitted.segments)} segment{many} of {length_s:g} s fitted, {len(fitted.left_out)} left out")
+    for line in fitted.left_out[:3]:
         CONSOLE.print(f"left out: {line}")
-    for line in found.warnings:
+    for line in fitted.warnings:
         print_warning(line)
-    print_outputs(out, names, {"segments": len(found.segments), "left_out": found.left_out})
+    print_outputs(out, names, {"segments": len(fitted.segments), "left_out": fitted.left_out})
 
 
-def _print_errors(found: Any) -> None:
+def _print_errors(contents: Any) -> None:
     """Print RMSE of the declared and the fitted model and of the innovations of a filter, and the noise floor."""
     from sim_heating.estimation.report.remarks import floor_in_words, samples_in_words
 
-    declared, innovations = (found.model_extra or {}).get("predicted") or {}, found.innovations
+    declared, innovations = (contents.model_extra or {}).get("predicted") or {}, contents.innovations
     march = "" if innovations is None else ", plain march without readings"
-    for what in ("fit", "holdout"):
-        before, after = declared.get(what), getattr(found, what)
+    for segments in ("fit", "holdout"):
+        before, after = declared.get(segments), getattr(contents, segments)
         if after is not None and before is not None:
             CONSOLE.print(
-                f"RMSE, {what}{march}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted ({after.n} samples)"
+                f"RMSE, {segments}{march}: {before.rmse_K:.2f} K declared, {after.rmse_K:.2f} K fitted "
+                f"({after.n} samples)"
             )
     if innovations is not None:
         CONSOLE.print(
             f"RMSE, innovations, which the fit minimised: {innovations.rmse_K:.2f} K, "
             f"{innovations.normalised_rms:.2f} of what the filter expects ({innovations.n} samples)"
         )
-    if floor := floor_in_words(found):
+    if floor := floor_in_words(contents):
         CONSOLE.print(f"Noise floor: {floor}")
-    if samples := samples_in_words((found.model_extra or {}).get("samples", {})):
+    if samples := samples_in_words((contents.model_extra or {}).get("samples", {})):
         CONSOLE.print(f"Samples: {samples}")
 
 
@@ -384,20 +385,20 @@ def design(
     from sim_heating.estimation.design.report import design as design_manoeuvres
     from sim_heating.inputs.scenario import load_scenario, with_design
 
-    given = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
-    loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in given.items() if v is not None})
+    stated = {"parameters": parameters and list(parameters), "criterion": criterion, "evaluations": evaluations}
+    loaded = with_design(load_scenario(scenario, root=root), {k: v for k, v in stated.items() if v is not None})
     require_writable(out, "design", expected=FILES, inputs=loaded.files)
     with progress_line("design") as progress:
         designed = design_manoeuvres(loaded, repetitions=repetitions, progress=progress)
         progress(0.99, "writing")
         names = write_design(designed, out)
-    found = summary(designed)
+    contents = summary(designed)
     print_table(bounds_table(designed, [n for n in designed.planner.design.flights if n > 1]))
-    CONSOLE.print(f"{found['tried']} designs tried, {found['kept_limits']} keep the limits")
-    for line in changes(found):
+    CONSOLE.print(f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits")
+    for line in changes(contents):
         CONSOLE.print(line)
-    _print_checks(found)
-    for face in found["interfaces"]:
+    _print_checks(contents)
+    for face in contents["interfaces"]:
         CONSOLE.print(
             f"interface of {face['control_point']} behind {face['upstream']}: heating {face['largest_excess']:+.1%} at "
             f"most, at {face['largest_at_s']:.0f} s; in the manoeuvres up to {face['largest_in_manoeuvres']:.1%}"
@@ -407,14 +408,14 @@ def design(
     print_outputs(out, names, "design.json")
 
 
-def _print_checks(found: dict[str, Any]) -> None:
+def _print_checks(contents: dict[str, Any]) -> None:
     """Print the bounds of a design flown in the scenario's own source, and those of simulated fits."""
-    for name in found["parameters"]:
-        if found["checked"] is not None:
-            planned, best = (found["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
-            CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {found['checked']['source']}")
-        if found["fitted"] is not None:
-            fitted = found["fitted"]
+    for name in contents["parameters"]:
+        if contents["checked"] is not None:
+            planned, best = (contents["checked"][k]["sigma"][name] for k in ("planned", "optimal"))
+            CONSOLE.print(f"{name}: {planned:.3g} and {best:.3g} flown in {contents['checked']['source']}")
+        if contents["fitted"] is not None:
+            fitted = contents["fitted"]
             CONSOLE.print(
                 f"{name}: {fitted['fits']} fits err by {fitted['rms_error'][name]:.3g}, "
                 f"{fitted['predicted'][name]:.3g} predicted for them (surface pressure known)",

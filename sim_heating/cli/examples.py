@@ -39,13 +39,13 @@ def example_path(name: str) -> Path | None:
     if root is None:
         return None
     below = Path(*path.parts[1:]) if path.parts[0] == "scenarios" and len(path.parts) > 1 else path
-    places = (root / folder / file for folder in FOLDERS for file in (f"{below}.toml", str(below)))
-    return next((place for place in places if _is_example(place)), None)
+    candidates = (root / folder / file for folder in FOLDERS for file in (f"{below}.toml", str(below)))
+    return next((candidate for candidate in candidates if _is_example(candidate)), None)
 
 
-def _is_example(place: Path) -> bool:
+def _is_example(path: Path) -> bool:
     """Whether a path is a file of an example, a record, or a folder of records."""
-    return place.is_file() or any(place.glob("record.toml")) or any(place.glob("*/record.toml"))
+    return path.is_file() or any(path.glob("record.toml")) or any(path.glob("*/record.toml"))
 
 
 class ExamplePath(click.Path):
@@ -53,10 +53,10 @@ class ExamplePath(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path that an argument stands for."""
-        found = None if Path(value).exists() else example_path(str(value))
-        if found is not None and not current_report().is_quiet:
-            ERRORS.print(f"{value}: not in this folder; the shipped example {found} is taken")
-        return super().convert(value if found is None else found, param, ctx)
+        example = None if Path(value).exists() else example_path(str(value))
+        if example is not None and not current_report().is_quiet:
+            ERRORS.print(f"{value}: not in this folder; the shipped example {example} is taken")
+        return super().convert(value if example is None else example, param, ctx)
 
 
 @click.command()

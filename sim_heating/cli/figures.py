@@ -15,17 +15,17 @@ def _numbers(_: click.Context, __: click.Parameter, value: str | None) -> list[i
     """Value of --only, `5,6,8` or `5-8,12`, as numbers of figures."""
     if value is None:
         return None
-    found: list[int] = []
+    numbers: list[int] = []
     for item in value.split(","):
         first, dash, last = item.strip().partition("-")
         try:
             begin = int(first)
-            found += range(begin, int(last) + 1) if dash else [begin]
+            numbers += range(begin, int(last) + 1) if dash else [begin]
         except ValueError:
             raise InputError(f"--only: `{item.strip()}` is not the number of a figure; write --only 5-8,12") from None
-    if not found:
+    if not numbers:
         raise InputError(f"--only: `{value}` holds no figure; write --only 5-8,12")
-    return found
+    return numbers
 
 
 @click.command()
@@ -61,19 +61,19 @@ def figures(
 
     require_writable(out, COMMAND, inputs=flights)
     with progress_line("figures") as progress:
-        found = draw_figures(flights, only, points=points, reference=reference, root=root, progress=progress)
-        names = write_figures(found, out) if found.drawn else []
-    for figure in found.drawn:
+        drawn = draw_figures(flights, only, points=points, reference=reference, root=root, progress=progress)
+        names = write_figures(drawn, out) if drawn.drawn else []
+    for figure in drawn.drawn:
         CONSOLE.print(f"Figure {figure.number}: {figure.title}")
         for line in figure.notes:
             CONSOLE.print(f"    {line}")
-        for said in figure.statements:
-            CONSOLE.print(f"    {said.verdict}: {said.paper} ({said.here})")
-    for number, reason in found.left_out.items():
+        for statement in figure.statements:
+            CONSOLE.print(f"    {statement.verdict}: {statement.paper} ({statement.here})")
+    for number, reason in drawn.left_out.items():
         CONSOLE.print(f"Figure {number} is left out: {reason}")
-    if found.statements:
-        CONSOLE.print(found.count)
-    if not found.drawn:
-        reasons = (f"figure {number}: {reason}" for number, reason in found.left_out.items())
+    if drawn.statements:
+        CONSOLE.print(drawn.count)
+    if not drawn.drawn:
+        reasons = (f"figure {number}: {reason}" for number, reason in drawn.left_out.items())
         raise InputError("figures: these flights give none of them, and nothing was written", *reasons)
     print_outputs(out, names, "figures.json")

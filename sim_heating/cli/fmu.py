@@ -115,9 +115,9 @@ def export(
         raise InputError("--fmi 3: the FMUs of a system are FMI 2.0; leave it out, or also give --out FILE.fmu")
     if out is not None:
         targets_of(platforms, int(fmi))
-    loaded, found = load_vehicle(vehicle, root=root), {}
+    loaded, results = load_vehicle(vehicle, root=root), {}
     if ssp is not None and trajectory is not None:
-        found["system"] = _export_system(loaded, ssp, trajectory, points, platforms, input_timing, root)
+        results["system"] = _export_system(loaded, ssp, trajectory, points, platforms, input_timing, root)
     if out is not None:
         with progress_line("fmu export") as progress:
             progress(0.1, COMPILING)
@@ -125,8 +125,8 @@ def export(
                 loaded, out, points, fmi=int(fmi), platforms=platforms, columns=reference == "columns",
                 input_timing=input_timing, progress=progress,
             )  # fmt: skip
-        found |= _print_export(out, image, fmi, platforms, _names(loaded, points))
-    report_results(found)
+        results |= _print_export(out, image, fmi, platforms, _names(loaded, points))
+    report_results(results)
 
 
 def _is_given(option: str) -> bool:
@@ -168,9 +168,9 @@ def _export_system(
     with error_context(f"{display_path(scenario)}, [trajectory]"):
         require_entry_source(flown.declared.trajectory)
     if flown.vehicle.directory.resolve() != vehicle.directory.resolve():
-        own = flown.vehicle.name
+        other = flown.vehicle.name
         raise InputError(
-            f"{display_path(scenario)}: flies `{own}`, not `{vehicle.name}`; export the heating of `{own}`"
+            f"{display_path(scenario)}: flies `{other}`, not `{vehicle.name}`; export the heating of `{other}`"
         )
     targets_of(platforms, FMI)
     with progress_line("fmu export") as progress:
@@ -189,15 +189,15 @@ def _export_system(
     }  # fmt: skip
 
 
-def _scenario_of(place: Path, vehicle: Vehicle, root: Path | None) -> Scenario:
+def _scenario_of(path: Path, vehicle: Vehicle, root: Path | None) -> Scenario:
     """A scenario; its vehicle may lie anywhere where it is the one that the command names."""
     from sim_heating.base.files import read_toml
     from sim_heating.inputs.scenario import ScenarioFile, load_scenario, make_scenario
 
-    declared = read_toml(place, ScenarioFile)
-    if (place.parent / declared.vehicle).resolve() == vehicle.directory.resolve():
-        return make_scenario(place, declared, vehicle, root=root)
-    return load_scenario(place, root=root)
+    declared = read_toml(path, ScenarioFile)
+    if (path.parent / declared.vehicle).resolve() == vehicle.directory.resolve():
+        return make_scenario(path, declared, vehicle, root=root)
+    return load_scenario(path, root=root)
 
 
 def _names(vehicle: Vehicle, points: tuple[str, ...] | None) -> list[str]:
@@ -242,5 +242,5 @@ def _print_export(
     about = f"FMI {fmi}.0, {content}{count} variables, {', '.join(platforms)}, {out.stat().st_size / 1e6:.2f} MB"
     CONSOLE.print(f"Wrote {out}: {about}", soft_wrap=True)
     report_files(None, [out])
-    found = {"fmi": f"{fmi}.0", "variables": count, "platforms": platforms, "bytes": out.stat().st_size}
-    return found if points is None else found | {"control_points": points}
+    results = {"fmi": f"{fmi}.0", "variables": count, "platforms": platforms, "bytes": out.stat().st_size}
+    return results if points is None else results | {"control_points": points}

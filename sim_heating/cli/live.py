@@ -108,8 +108,8 @@ def _make_records(journal: Path, link: Path | None, out: Path | None, root: Path
 
     if out is None:
         raise click.UsageError("--to-record needs --out, the directory of the records")
-    given = None if link is None else load_link(link, root=root)
-    records, notes = to_record(journal, out, given, root=root)
+    declared = None if link is None else load_link(link, root=root)
+    records, notes = to_record(journal, out, declared, root=root)
     for line in notes:
         print_warning(line)
     names = sorted(p.name for p in out.iterdir() if not p.name.startswith("."))
@@ -206,11 +206,11 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
     rows = [
         (
             point,
-            _bound(own.surface_K, own.surface_sigma_K, ".1f", ".1f"),
-            _bound(own.bondline_K, own.bondline_sigma_K, ".1f", ".1f"),
-            own.margin_K,
+            _bound(point_state.surface_K, point_state.surface_sigma_K, ".1f", ".1f"),
+            _bound(point_state.bondline_K, point_state.bondline_sigma_K, ".1f", ".1f"),
+            point_state.margin_K,
         )
-        for point, own in state.points.items()
+        for point, point_state in state.points.items()
     ]
     if rows:
         when = "" if state.time_s is None else f" at {state.time_s:.1f} s of flight"
@@ -218,9 +218,9 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
         print_table(Table(f"{engine.link.title}{when}, estimates +- sigma", columns, rows))
         # a row each: side by side six of them are wider than a terminal
         fitted = [
-            (point, name, _bound(found.value, found.sigma), found.unit)
-            for point, own in state.points.items()
-            for name, found in own.parameters.items()
+            (point, name, _bound(parameter.value, parameter.sigma), parameter.unit)
+            for point, point_state in state.points.items()
+            for name, parameter in point_state.parameters.items()
         ]
         heads = ["control point", "parameter", "estimate +- sigma", "unit"]
         print_table(Table("Parameters", [Column(h) for h in heads], fitted))
@@ -230,7 +230,7 @@ def _print_summary(engine: LinkEngine, state: State) -> None:
         f"{health.lost} lost, {health.late} late, {health.too_late} too late, {health.doubled} doubled; "
         f"{health.damaged} damaged, {health.jumps} clock jumps"
     )
-    removed = [one.text for one in state.removed]
+    removed = [removal.text for removal in state.removed]
     remarks = [line for line in engine.remarks.lines() if line not in removed]
     for line in (*removed, *remarks[:MOST_REMARKS]):
         print_warning(line)

@@ -15,15 +15,15 @@ def named_values(items: Sequence[str], option: str, example: str) -> dict[str, s
     example : a value of the option, for messages
     raises : InputError, one line, for an item without `=`, an empty part, or a repeated name
     """
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for item in items:
-        name, _equals, value = (part.strip() for part in item.rpartition("="))
+        name, _equals, value = (text.strip() for text in item.rpartition("="))
         if not (name and value):
             raise InputError(f"{option} {item}: write {option} {example}")
-        if name in found:
+        if name in values:
             raise InputError(f"{option}: {name} is given twice; leave one out")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def named_texts(example: str) -> Callable[[click.Context, click.Parameter, Sequence[str]], dict[str, str]]:

@@ -25,17 +25,17 @@ def _named_numbers(example: str, count: int) -> Callable[..., dict[str, Any]]:
         from sim_heating.base.files import plain_number
         from sim_heating.inputs.fit_settings import FLAT
 
-        found: dict[str, Any] = {}
+        by_name: dict[str, Any] = {}
         for name, text in named_values(values, option.opts[0], example).items():
             try:
-                numbers = [plain_number(part) for part in text.split(",")]
+                numbers = [plain_number(number) for number in text.split(",")]
             except ValueError:
                 numbers = []
             flat = text == FLAT and FLAT in example
             if len(numbers) != count and not flat:
                 raise InputError(f"{option.opts[0]} {name}={text}: write {option.opts[0]} {example}")
-            found[name] = FLAT if flat else numbers[0] if count == 1 else numbers
-        return found
+            by_name[name] = FLAT if flat else numbers[0] if count == 1 else numbers
+        return by_name
 
     return read
 
@@ -96,7 +96,7 @@ def parameter_options(command: F) -> F:
     return command
 
 
-def merged_settings(file: Path | None, **given: Any) -> FitSettings:
+def merged_settings(file: Path | None, **settings: Any) -> FitSettings:
     """Settings of a file with those of the command line, which prevail by key, and by name within a table.
 
     given  : keys of FitSettings; empty ones and None are not given
@@ -105,7 +105,7 @@ def merged_settings(file: Path | None, **given: Any) -> FitSettings:
     from sim_heating.base.files import check, read_toml
     from sim_heating.inputs.fit_settings import FitSettings
 
-    stated = {key: value for key, value in given.items() if value not in (None, [], {}, ())}
+    stated = {key: value for key, value in settings.items() if value not in (None, [], {}, ())}
     declared = {} if file is None else read_toml(file, FitSettings).model_dump(exclude_unset=True)
     for key, value in stated.items():
         by_name = isinstance(value, dict) and isinstance(declared.get(key), dict)

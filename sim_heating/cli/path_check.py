@@ -45,16 +45,16 @@ def check_path(path: str | os.PathLike[str], root: Path | None = None) -> Checke
     root   : folder in which files may name others
     raises : InputError with everything that is wrong, or that the path is not recognised
     """
-    place = Path(path)
-    if not os.path.lexists(place):
-        if place.name == str(path) and place.name in vehicle_names():
-            return _vehicle(place, root)
-        read_text(place)
-    if os.path.isdir(place):
-        return _directory(place, root)
-    if place.suffix == ".toml":
-        return _toml(place, root)
-    return _csv(place, root)
+    target = Path(path)
+    if not os.path.lexists(target):
+        if target.name == str(path) and target.name in vehicle_names():
+            return _vehicle(target, root)
+        read_text(target)
+    if os.path.isdir(target):
+        return _directory(target, root)
+    if target.suffix == ".toml":
+        return _toml(target, root)
+    return _csv(target, root)
 
 
 def descriptions(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
@@ -63,167 +63,167 @@ def descriptions(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
     path   : a TOML file, or a directory whose files of its own and of its folders are read; empty for another file
     raises : InputError where one of them is no TOML
     """
-    place = Path(path)
-    if place.name == str(path) and not os.path.lexists(place) and place.name in vehicle_names():
-        place = vehicle_directory(place)
-    if place.suffix == ".toml":
-        place = place.parent if place.name in (DECLARATION, VEHICLE) else place
-    files = sorted((*place.glob("*.toml"), *place.glob("*/*.toml"))) if place.is_dir() else [place]
+    target = Path(path)
+    if target.name == str(path) and not os.path.lexists(target) and target.name in vehicle_names():
+        target = vehicle_directory(target)
+    if target.suffix == ".toml":
+        target = target.parent if target.name in (DECLARATION, VEHICLE) else target
+    files = sorted((*target.glob("*.toml"), *target.glob("*/*.toml"))) if target.is_dir() else [target]
     texts = {
-        file.relative_to(place).as_posix() if file != place else file.name: dict(_described(read_toml_dict(file), ""))
+        file.relative_to(target).as_posix() if file != target else file.name: dict(_described(read_toml_dict(file), ""))
         for file in files
         if file.suffix == ".toml"
     }
-    return {file: found for file, found in texts.items() if found}
+    return {file: texts_of_file for file, texts_of_file in texts.items() if texts_of_file}
 
 
-def _described(value: Any, place: str) -> Iterator[tuple[str, str]]:
+def _described(value: Any, key_path: str) -> Iterator[tuple[str, str]]:
     """(key, text) of what describes in plain data."""
     if isinstance(value, list):
         for i, inner in enumerate(value, start=1):
-            yield from _described(inner, f"{place}[{i}]")
+            yield from _described(inner, f"{key_path}[{i}]")
     if isinstance(value, dict):
         for name, inner in value.items():
-            key = f"{place}.{name}".lstrip(".")
+            key = f"{key_path}.{name}".lstrip(".")
             # the `source` of a trajectory is one of several kinds
-            if name in DESCRIBING and isinstance(inner, str) and place != "trajectory":
+            if name in DESCRIBING and isinstance(inner, str) and key_path != "trajectory":
                 yield key, inner.strip()
             else:
                 yield from _described(inner, key)
 
 
-def _directory(place: Path, root: Path | None) -> CheckedPath:
-    names = sorted(p.name for p in place.iterdir())
+def _directory(path: Path, root: Path | None) -> CheckedPath:
+    names = sorted(p.name for p in path.iterdir())
     if DECLARATION in names and VEHICLE in names:
         raise InputError(
-            f"{display_path(place)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
+            f"{display_path(path)}: holds both {DECLARATION} and {VEHICLE}; a directory is one or the other"
         )
     if DECLARATION in names:
-        record = load_record(place, root=root)
+        record = load_record(path, root=root)
         other = other_start(record)
-        return CheckedPath("record", place, describe_record(record), [] if other is None else [other.in_words])
+        return CheckedPath("record", path, describe_record(record), [] if other is None else [other.in_words])
     if VEHICLE in names:
-        return _vehicle(place, root)
-    found = f"; it holds {', '.join(names[:8])}" if names else "; it is empty"
-    raise InputError(f"{display_path(place)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){found}")
+        return _vehicle(path, root)
+    contents = f"; it holds {', '.join(names[:8])}" if names else "; it is empty"
+    raise InputError(f"{display_path(path)}: is neither a record ({DECLARATION}) nor a vehicle ({VEHICLE}){contents}")
 
 
-def _toml(place: Path, root: Path | None) -> CheckedPath:
-    if place.name in (DECLARATION, VEHICLE):
-        return _directory(place.parent, root)
-    data = read_toml_dict(place)
+def _toml(path: Path, root: Path | None) -> CheckedPath:
+    if path.name in (DECLARATION, VEHICLE):
+        return _directory(path.parent, root)
+    data = read_toml_dict(path)
     if data.get("format") == "scenario/1":
-        return _scenario(place, root)
+        return _scenario(path, root)
     if data.get("format") == "campaign/1":
-        return _campaign(place, root)
+        return _campaign(path, root)
     if data.get("format") == "link/1":
-        return _link(place, root)
+        return _link(path, root)
     if data.get("format") == "study/1":
-        return _study(place, root)
+        return _study(path, root)
     if data.get("format") == "optimal-entry/1":
-        return _optimal_study(place, root)
-    if (vehicle := _vehicle_of(place)) is not None:
+        return _optimal_study(path, root)
+    if (vehicle := _vehicle_of(path)) is not None:
         return _vehicle(vehicle, root)
     if "density_kg_m3" in data:
-        read_toml(place, Material)
-        return CheckedPath("material", place, f"material {place.stem}")
-    raise InputError(f"{display_path(place)}: {_format_rule(data.get('format'))}")
+        read_toml(path, Material)
+        return CheckedPath("material", path, f"material {path.stem}")
+    raise InputError(f"{display_path(path)}: {_format_rule(data.get('format'))}")
 
 
-def _vehicle_of(place: Path) -> Path | None:
+def _vehicle_of(path: Path) -> Path | None:
     """Directory of the vehicle that a file is a part of: guidance, or a file of one of its folders; else None."""
     folders = ("aero", "control_points", "materials", "ratio_sources")
-    directory = place.parent.parent if place.parent.name in folders else place.parent
+    directory = path.parent.parent if path.parent.name in folders else path.parent
     return directory if (directory / VEHICLE).is_file() else None
 
 
-def _format_rule(found: object) -> str:
-    if found is None:
+def _format_rule(stated: object) -> str:
+    if stated is None:
         return f'key `format` is missing; a scenario begins with format = "scenario/1" (known: {", ".join(FORMATS)})'
-    return f"`format`: {found!r} is not a file of this kind{suggestion(str(found), FORMATS)}"
+    return f"`format`: {stated!r} is not a file of this kind{suggestion(str(stated), FORMATS)}"
 
 
-def _csv(place: Path, root: Path | None) -> CheckedPath:
-    text = read_text(place)
+def _csv(path: Path, root: Path | None) -> CheckedPath:
+    text = read_text(path)
     head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
     columns = {name.strip() for name in head.split(",")}
-    if "time_s" in columns and (place.parent / DECLARATION).is_file():
-        return _directory(place.parent, root)
-    if place.parent.name == "aero" and (vehicle := _vehicle_of(place)) is not None:
+    if "time_s" in columns and (path.parent / DECLARATION).is_file():
+        return _directory(path.parent, root)
+    if path.parent.name == "aero" and (vehicle := _vehicle_of(path)) is not None:
         return _vehicle(vehicle, root)
     if columns & {*RATIO_VARIABLES, "ratio"} and "time_s" not in columns:
-        return CheckedPath("ratio table", place, describe_table(read_ratio_table(place)))
+        return CheckedPath("ratio table", path, describe_table(read_ratio_table(path)))
     kinds = "a ratio table has columns " + ", ".join((*RATIO_VARIABLES, "ratio"))
-    raise InputError(f"{display_path(place)}: is not a record, vehicle, scenario or ratio table; {kinds}")
+    raise InputError(f"{display_path(path)}: is not a record, vehicle, scenario or ratio table; {kinds}")
 
 
-def _vehicle(place: Path, root: Path | None) -> CheckedPath:
+def _vehicle(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.inputs.ratio_sources import RatioSource
     from sim_heating.simulation.scenario_check import check_vehicle  # trajectories are slow to import
 
-    vehicle = load_vehicle(place, root=root)
+    vehicle = load_vehicle(path, root=root)
     check_vehicle(vehicle)
     for source in sorted((vehicle.directory / "ratio_sources").glob("*.toml")):
         read_toml(source, RatioSource)
-    return CheckedPath("vehicle", place, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
+    return CheckedPath("vehicle", path, f"vehicle {vehicle.name}: {len(vehicle.control_points)} control points")
 
 
-def _scenario(place: Path, root: Path | None) -> CheckedPath:
+def _scenario(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.simulation.scenario_check import check_scenario  # trajectories are slow to import
 
-    scenario = load_scenario(place, root=root)
+    scenario = load_scenario(path, root=root)
     check_scenario(scenario)
-    return CheckedPath("scenario", place, f"scenario {scenario.title or place.stem}")
+    return CheckedPath("scenario", path, f"scenario {scenario.title or path.stem}")
 
 
-def _campaign(place: Path, root: Path | None) -> CheckedPath:
+def _campaign(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.campaign.flights import record_directories
     from sim_heating.campaign.spec import load_campaign
     from sim_heating.simulation.scenario_check import check_scenario
 
-    campaign = load_campaign(place, root=root)
+    campaign = load_campaign(path, root=root)
     for source in campaign.flights:
         for scenario in source.scenarios[:1]:
             check_scenario(scenario)
         for record in [] if source.records is None else record_directories(source.records):
             load_record(record, root=root)
-    return CheckedPath("campaign", place, f"campaign {campaign.title}")
+    return CheckedPath("campaign", path, f"campaign {campaign.title}")
 
 
-def _link(place: Path, root: Path | None) -> CheckedPath:
+def _link(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.live.engine import check_estimate
     from sim_heating.live.sources import check_sources
     from sim_heating.live.sources.mapping import FieldMapping
     from sim_heating.live.spec import load_link
 
-    link = load_link(place, root=root)
+    link = load_link(path, root=root)
     mapping = FieldMapping(link)
     check_sources(link, mapping)
     check_estimate(link)
-    return CheckedPath("link", place, f"link {link.title}: {len(link.points)} control points")
+    return CheckedPath("link", path, f"link {link.title}: {len(link.points)} control points")
 
 
-def _study(place: Path, root: Path | None) -> CheckedPath:
+def _study(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.planning.study import load_study
     from sim_heating.simulation.scenario_check import check_scenario, check_triggers
 
-    study = load_study(place, root=root)
+    study = load_study(path, root=root)
     check_scenario(study.base)
     candidates = study.declared.next_flight.manoeuvre if study.declared.next_flight is not None else []
     for i, candidate in enumerate(candidates, start=1):
         spec = study.base.declared.trajectory.model_copy(update={"manoeuvre": tuple(candidate.flown)})
-        check_triggers(spec, study.vehicle, f"{display_path(place)}, [next_flight.manoeuvre] {i}")
+        check_triggers(spec, study.vehicle, f"{display_path(path)}, [next_flight.manoeuvre] {i}")
     if study.declared.dispersion is not None:
         from sim_heating.planning.dispersion.entry import DispersedEntry
 
         DispersedEntry(study).check()
-    return CheckedPath("study", place, f"study of {study.stamp}: {study.title}")
+    return CheckedPath("study", path, f"study of {study.stamp}: {study.title}")
 
 
-def _optimal_study(place: Path, root: Path | None) -> CheckedPath:
+def _optimal_study(path: Path, root: Path | None) -> CheckedPath:
     from sim_heating.planning.optimal.spec import load_optimal_study
 
-    return CheckedPath("study", place, f"study of an optimal entry: {load_optimal_study(place, root=root).title}")
+    return CheckedPath("study", path, f"study of an optimal entry: {load_optimal_study(path, root=root).title}")
 
 
 def describe_record(record: Record) -> str:

@@ -39,9 +39,11 @@ def reproduce(result: Path) -> None:
         again = out / block["folder"]
         same = 0
         for name in names:
-            found = list(_file_differences(folder / name, again / name))
-            same += not found
-            shown = found[:SHOWN] + ([f"{len(found) - SHOWN} more differences"] if len(found) > SHOWN else [])
+            differing = list(_file_differences(folder / name, again / name))
+            same += not differing
+            shown = differing[:SHOWN] + (
+                [f"{len(differing) - SHOWN} more differences"] if len(differing) > SHOWN else []
+            )
             differences += [f"{name}: {line}" for line in shown]
     for line in differences:
         CONSOLE.print(line)
@@ -81,10 +83,14 @@ def _stated(result: Path) -> tuple[dict[str, Any], Path, list[str]]:
     return block, folder, names
 
 
-def _above(folder: str, below: Path) -> str:
+def _above(folder: str, inner: Path) -> str:
     """Where a folder of results lies in that of a command, from where one below it does."""
-    parts, more = Path(folder).parts, below.parts
-    return Path(*parts[: len(parts) - len(more)]).as_posix() if parts[len(parts) - len(more) :] == more else "."
+    parts, below_parts = Path(folder).parts, inner.parts
+    return (
+        Path(*parts[: len(parts) - len(below_parts)]).as_posix()
+        if parts[len(parts) - len(below_parts) :] == below_parts
+        else "."
+    )
 
 
 def _block(path: Path) -> dict[str, Any] | None:
@@ -109,10 +115,10 @@ def _changed_inputs(block: dict[str, Any]) -> Iterator[str]:
     from sim_heating.base.files.provenance import input_digest, input_place
 
     for name, digest in block["inputs"].items():
-        place = input_place(name)
-        if not place.exists():
+        path = input_place(name)
+        if not path.exists():
             yield f"input {name}: is not there"
-        elif input_digest(place) != digest:
+        elif input_digest(path) != digest:
             yield f"input {name}: was changed since"
 
 
@@ -147,36 +153,36 @@ def _repeat(command: list[str], out: Path) -> None:
         raise RunError(f"sim-heating {' '.join(command)}: {last}")
 
 
-def _file_differences(before: Path, after: Path) -> Iterator[str]:
+def _file_differences(old: Path, new: Path) -> Iterator[str]:
     """How a file differs from the repeated one, a line each; none where the bytes are the same."""
-    if not before.is_file() or not after.is_file():
-        yield "is missing here" if not before.is_file() else "was not written again"
+    if not old.is_file() or not new.is_file():
+        yield "is missing here" if not old.is_file() else "was not written again"
         return
-    if before.read_bytes() == after.read_bytes():
+    if old.read_bytes() == new.read_bytes():
         return
-    yield from list(_contents_differences(before, after)) or ["has other bytes"]
+    yield from list(_contents_differences(old, new)) or ["has other bytes"]
 
 
-def _contents_differences(before: Path, after: Path) -> Iterator[str]:
+def _contents_differences(old: Path, new: Path) -> Iterator[str]:
     """Entries of JSON, columns of CSV, variables and attributes of netCDF that differ."""
     import json
 
     import numpy as np
 
-    if before.suffix == ".json":
-        yield from _entries("", json.loads(before.read_text("utf-8")), json.loads(after.read_text("utf-8")))
-    elif before.suffix == ".nc":
+    if old.suffix == ".json":
+        yield from _entries("", json.loads(old.read_text("utf-8")), json.loads(new.read_text("utf-8")))
+    elif old.suffix == ".nc":
         import xarray as xr
 
-        with xr.open_dataset(before, decode_times=False) as a, xr.open_dataset(after, decode_times=False) as b:
+        with xr.open_dataset(old, decode_times=False) as a, xr.open_dataset(new, decode_times=False) as b:
             yield from _entries("attribute ", dict(a.attrs), dict(b.attrs))
             for name in sorted({*a.variables, *b.variables}, key=str):
                 if name not in a.variables or name not in b.variables or not a[name].identical(b[name]):
                     yield f"variable {name}"
-    elif before.suffix == ".csv":
+    elif old.suffix == ".csv":
         import pandas as pd
 
-        then, now = (pd.read_csv(path, comment="#") for path in (before, after))
+        then, now = (pd.read_csv(path, comment="#") for path in (old, new))
         for name in sorted({*then.columns, *now.columns}):
             if name not in then or name not in now or len(then) != len(now):
                 yield f"column {name}: other rows"
@@ -187,13 +193,13 @@ def _contents_differences(before: Path, after: Path) -> Iterator[str]:
                     yield f"column {name}"
 
 
-def _entries(key: str, before: Any, after: Any) -> Iterator[str]:
+def _entries(key: str, old: Any, new: Any) -> Iterator[str]:
     """Entries of two JSON values that differ, with both values."""
-    if isinstance(before, dict) and isinstance(after, dict):
-        for name in {**before, **after}:  # in the order of the file
-            yield from _entries(f"{key}.{name}".lstrip("."), before.get(name), after.get(name))
-    elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        for i, pair in enumerate(zip(before, after, strict=True)):
+    if isinstance(old, dict) and isinstance(new, dict):
+        for name in {**old, **new}:  # in the order of the file
+            yield from _entries(f"{key}.{name}".lstrip("."), old.get(name), new.get(name))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for i, pair in enumerate(zip(old, new, strict=True)):
             yield from _entries(f"{key}[{i}]", *pair)
-    elif before != after:
-        yield f"{key}: {str(before)[:80]} then, {str(after)[:80]} now"
+    elif old != new:
+        yield f"{key}: {str(old)[:80]} then, {str(new)[:80]} now"

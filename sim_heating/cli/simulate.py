@@ -66,10 +66,10 @@ def run(scenario: Path, out: Path, plot_points: tuple[str, ...] | None, root: Pa
         flight = fly_beside(loaded, load_writers, progress)
         result = run(loaded, flight=flight, progress=progress)
         names = write_run(result, out, points=plot_points, progress=progress)
-    found = summary(result)
-    _print_with_margins(run_table(loaded.title, found, rmse_by_point(result)))
-    CONSOLE.print(limits_in_words(found))
-    _print_run_warnings(found)
+    contents = summary(result)
+    _print_with_margins(run_table(loaded.title, contents, rmse_by_point(result)))
+    CONSOLE.print(limits_in_words(contents))
+    _print_run_warnings(contents)
     print_outputs(out, names, "summary.json")
 
 
@@ -79,29 +79,29 @@ def _print_with_margins(table: Table) -> None:
     print_table(table, lambda i, k: "red" if margins[k] and (table.rows[i][k] or 0.0) < 0.0 else "")
 
 
-def _print_run_warnings(found: dict[str, Any]) -> None:
+def _print_run_warnings(contents: dict[str, Any]) -> None:
     """Print manoeuvres not flown, conditions outside tables, and the difference of the plug-in from the march.
 
-    found : summary of a run
+    contents : summary of a run
     """
     from sim_heating.march.history import rising_bondlines
     from sim_heating.trajectory.manoeuvres import NOT_FLOWN
 
-    for event in found["events"]:
+    for event in contents["events"]:
         if event["what"].endswith(NOT_FLOWN):
             print_warning(event["what"])
-    _print_range_warnings(found["control_points"])
-    for line in rising_bondlines(found["control_points"], SHOWN_NAMES):
+    _print_range_warnings(contents["control_points"])
+    for line in rising_bondlines(contents["control_points"], SHOWN_NAMES):
         CONSOLE.print(line)
-    if found["beyond_reference"]:
-        print_warning(found["beyond_reference"])
-    for label, c in found["compared"].items():
+    if contents["beyond_reference"]:
+        print_warning(contents["beyond_reference"])
+    for label, c in contents["compared"].items():
         if c["table_sigmas"] is not None:
             CONSOLE.print(
                 f"{label}: measured over predicted flux {c['flux_ratio']:.2f} where it is hot, "
                 f"{c['table_sigmas']:+.1f} sigma of its ratio table"
             )
-    difference = found["plugin_apart_K"]
+    difference = contents["plugin_apart_K"]
     if difference:
         CONSOLE.print(
             f"Plug-in alongside the host: surface temperatures within {max(difference.values()):.2f} K of the march"
@@ -119,10 +119,10 @@ def _print_range_warnings(points: dict[str, Any]) -> None:
     for variable, names in outside.items():
         every = [o for n in names for o in points[n]["outside_table"] if o["variable"] == variable]
         longest, farthest = max(o["duration_s"] for o in every), max(o["farthest"] for o in every)
-        more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
+        unlisted = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
         print_warning(
-            f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{more}, up to {longest:.0f} s "
-            f"and {farthest:.3g} beyond; the edge value was held (details in summary.json)"
+            f"{variable} lay outside the ratio tables of {', '.join(names[:SHOWN_NAMES])}{unlisted}, up to "
+            f"{longest:.0f} s and {farthest:.3g} beyond; the edge value was held (details in summary.json)"
         )
 
 
@@ -166,9 +166,9 @@ def demo(out: Path) -> None:
 
     popu, sts96 = (load_scenario(_scenario_folder() / f"{name}.toml") for name in ("popu_mach20", "sts96"))
     popu = with_installed_source(popu)
-    for folder, scenario, made in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
-        command = made.__name__.rpartition(".")[2]
-        require_writable(out / folder, command, expected=made.files_of(scenario), inputs=scenario.files)
+    for folder, scenario, module in (("popu", popu, run), ("records", popu, synthesize), ("sts96", sts96, run)):
+        command = module.__name__.rpartition(".")[2]
+        require_writable(out / folder, command, expected=module.files_of(scenario), inputs=scenario.files)
     with _process(_run_and_write, sts96.path, out / "sts96") as compared, progress_line("demo") as progress:
         flown = run.run(popu, progress=lambda f, text: progress(0.6 * f, f"POPU {text}"))
         names = [f"popu/{n}" for n in run.write_run(flown, out / "popu")]
@@ -176,14 +176,14 @@ def demo(out: Path) -> None:
         records = synthesize.synthesize(popu, flight=flown.flight)
         names += [f"records/{n}" for n in synthesize.write_records(popu, records, out / "records")]
         progress(0.8, "STS-96 entry to landing, in another process")
-        rmse_K, more = compared()
-    names += [f"sts96/{n}" for n in more]
-    found = run.summary(flown)
-    _print_with_margins(run_table(popu.title, found, {}))
-    CONSOLE.print(limits_in_words(found))
+        rmse_K, sts96_names = compared()
+    names += [f"sts96/{n}" for n in sts96_names]
+    contents = run.summary(flown)
+    _print_with_margins(run_table(popu.title, contents, {}))
+    CONSOLE.print(limits_in_words(contents))
     print_table(rmse_table(sts96.title, rmse_K))
-    _print_run_warnings(found)
-    print_outputs(out, names, {"popu": found, "sts96": {"rmse_K": rmse_K}})
+    _print_run_warnings(contents)
+    print_outputs(out, names, {"popu": contents, "sts96": {"rmse_K": rmse_K}})
 
 
 def with_installed_source(scenario: Scenario) -> Scenario:
@@ -304,13 +304,13 @@ def predict(
     ]
 
     def predicted(progress: Progress) -> list[Prediction]:
-        found = []
+        predictions = []
         for i, (record, (model, flow)) in enumerate(zip(loaded, models, strict=True)):
             progress(i / len(loaded), f"marching {record.name}")
             prediction = predict_record(record, model.without_effects(absent), flow=flow)
             _ = prediction.credibility  # kept with it: kernels are then loaded in one process alone
-            found.append(prediction)
-        return found
+            predictions.append(prediction)
+        return predictions
 
     with progress_line("predict") as progress:
         predictions = in_copy(predicted, load_writers, progress)
@@ -324,9 +324,9 @@ def predict(
     summaries = {p.record.name: summary(p) for p in predictions}
     print_table(prediction_table(list(summaries.values())))
     _print_range_warnings(summaries)
-    for name, found in summaries.items():
-        if found["beyond_reference"]:
-            print_warning(f"{name}: {found['beyond_reference']}")
+    for name, contents in summaries.items():
+        if contents["beyond_reference"]:
+            print_warning(f"{name}: {contents['beyond_reference']}")
     for line in filter(None, (undeclared_effects(record) for record in loaded if revised is None and not absent)):
         CONSOLE.print(line)
     print_outputs(out, map(str, names), "summary.json" if len(summaries) == 1 else {"records": summaries})

@@ -62,26 +62,26 @@ def update_tables(
             root=root,
             progress=progress,
         )
-    for part in report.update_report(updated):
-        if isinstance(part, str):
-            CONSOLE.print(part)
+    for section in report.update_report(updated):
+        if isinstance(section, str):
+            CONSOLE.print(section)
         else:
-            print_table(part)
-    place, made = updated.vehicle, updated.revision
-    if place is None or made is None:
+            print_table(section)
+    directory, revision = updated.vehicle, updated.revision
+    if directory is None or revision is None:
         CONSOLE.print("Dry run: nothing was written")
         report_results({"revision": None, "nodes_changed": updated.nodes_changed, "errors_K": updated.errors_K})
         return
-    why = revision_path(place, made.control_point, made.revision, "json")
+    why = revision_path(directory, revision.control_point, revision.revision, "json")
     picture = " and .png" if why.with_suffix(".png").is_file() else ""
-    effects = f" and {point_path(place, made.control_point)}" if made.effects else ""
-    line = f"Wrote {place / made.table}{effects}, revision {made.revision}; why: {why}{picture}"
+    effects = f" and {point_path(directory, revision.control_point)}" if revision.effects else ""
+    line = f"Wrote {directory / revision.table}{effects}, revision {revision.revision}; why: {why}{picture}"
     CONSOLE.print(line, soft_wrap=True)
-    report_files(None, [place / made.table, why])
+    report_files(None, [directory / revision.table, why])
     report_results(why)
 
 
-def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None) -> None:
+def _revert_table(vehicle: str, point: str | None, has_other_options: bool, root: Path | None) -> None:
     from sim_heating.closure.revise.revisions import revert, revising
     from sim_heating.closure.revise.update import check_target
     from sim_heating.inputs.vehicle import load_vehicle, vehicle_directory
@@ -89,7 +89,7 @@ def _revert_table(vehicle: str, point: str | None, more: bool, root: Path | None
     check_target(vehicle, None)
     if point is None:
         raise InputError("update-tables: give FIT, an estimate.json or its directory, or --revert POINT")
-    if more:
+    if has_other_options:
         raise InputError(f"--revert {point}: takes no other option; leave out --out and --dry-run")
     with progress_line("update-tables") as progress, revising(vehicle_directory(vehicle), progress):
         undone, now = revert(load_vehicle(vehicle, root=root), point)
@@ -276,19 +276,19 @@ def _tables_of_body_points(source: Path, vehicle: str, out: Path | None, farthes
         raise InputError("table --vehicle: give --out DIR, a folder for the tables of the control points")
     loaded = load_vehicle(vehicle, root=root)
     positions = {name: loaded.control_point(name).position_m for name in loaded.control_points}
-    made = tables_of_body_points(
+    tables = tables_of_body_points(
         source, positions, loaded.reference_length_m, farthest_m=farthest_m, reference=loaded.heating.reference
     )
-    paths = [out / f"{name}.csv" for name in made]
+    paths = [out / f"{name}.csv" for name in tables]
     for path in paths:
         if path.exists() and not replaces_others():
             raise InputError(f"{display_path(path)}: exists; choose another folder, or --force replaces it")
     out.mkdir(parents=True, exist_ok=True)
-    for path, one in zip(paths, made.values(), strict=True):
-        write_table(path, one)
+    for path, body_table in zip(paths, tables.values(), strict=True):
+        write_table(path, body_table)
         CONSOLE.print(f"Wrote {display_path(path)}", soft_wrap=True)
     report_files(None, paths)
-    far = [name for name in positions if name not in made]
+    far = [name for name in positions if name not in tables]
     if far:
         CONSOLE.print(f"No body point within {farthest_m:g} m: {', '.join(far)}", soft_wrap=True)
-    report_results({"control_points": list(made), "too_far": far})
+    report_results({"control_points": list(tables), "too_far": far})

@@ -23,16 +23,16 @@ def validate(paths: tuple[Path, ...], root: Path | None) -> None:
     checked: list[dict[str, Any]] = []
     for path in paths:
         try:
-            found = check_path(path, root)
+            result = check_path(path, root)
         except InputError as error:
             problems.extend(error.problems)
             checked.append({"path": path, "is_good": False, "problems": error.problems})
         else:
-            CONSOLE.print(f"{path}: good. {found.summary}", soft_wrap=True)
-            for line in found.notes:
+            CONSOLE.print(f"{path}: good. {result.summary}", soft_wrap=True)
+            for line in result.notes:
                 print_warning(line)
-            good = {"path": path, "is_good": True, "kind": found.kind, "summary": found.summary}
-            good |= {"descriptions": descriptions(path)} | ({"notes": list(found.notes)} if found.notes else {})
+            good = {"path": path, "is_good": True, "kind": result.kind, "summary": result.summary}
+            good |= {"descriptions": descriptions(path)} | ({"notes": list(result.notes)} if result.notes else {})
             checked.append(good)
     report_results({"paths": checked})
     if problems:

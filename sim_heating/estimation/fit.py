@@ -56,7 +56,7 @@ from sim_heating.estimation.inference.observability import (
 )
 from sim_heating.estimation.inference.outliers import Outlier, outlier_lines, without_outliers
 from sim_heating.estimation.inference.profile import Profile, profile
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, require_estimated
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import (
     PredictedSamples,
     RecordFit,
@@ -65,6 +65,7 @@ from sim_heating.estimation.record_fit import (
     marched_from,
     sensor_errors,
 )
+from sim_heating.estimation.unknowns import FitOptions, require_estimated
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.inputs.averaged_record import averaged_record
@@ -133,16 +134,16 @@ class FitResult:
 
     def __repr__(self) -> str:
         values = zip(self.labels, self.fit.values, self.bounds.sigma, strict=True)
-        found = ", ".join(f"{label}={value:.5g} +- {sigma:.2g}" for label, value, sigma in values)
+        estimates = ", ".join(f"{label}={value:.5g} +- {sigma:.2g}" for label, value, sigma in values)
         names = ", ".join(record_fit.record.name for record_fit in self.problem.record_fits)
-        return f"<FitResult of {names}: {found}; {self.fit.status.name.lower()}>"
+        return f"<FitResult of {names}: {estimates}; {self.fit.status.name.lower()}>"
 
     @cached_property
     def credibility(self) -> Statement:
         """What supports the estimate, factor by factor."""
         facts = of_several([p.facts("estimate", with_peak=False) for p in self.after])
         excess = rms_normalised_residual(self.samples())
-        found = replace(
+        facts_of_fit = replace(
             facts,
             topics=facts.topics | {"estimates", "sensitivities"},
             sigma=True,
@@ -155,7 +156,7 @@ class FitResult:
             holds=self._holds(),
             varied=held_out(*self._pooled_rmse_K()),
         )
-        return assess(found)
+        return assess(facts_of_fit)
 
     def _holds(self) -> Answer:
         """Whether the search converged to values within their bounds."""
@@ -170,8 +171,8 @@ class FitResult:
         both = [(e["fit"]["rmse_K"], e["holdout"]["rmse_K"]) for e in errors if e["fit"] and e["holdout"]]
         if not both:
             return None, None
-        fitted, held = (float(np.sqrt(np.mean(np.square(x)))) for x in zip(*both, strict=True))
-        return fitted, held
+        fitted_K, held_out_K = (float(np.sqrt(np.mean(np.square(x)))) for x in zip(*both, strict=True))
+        return fitted_K, held_out_K
 
     @property
     def parameters(self) -> dict[str, EstimatedValue]:
@@ -301,8 +302,8 @@ class FitResult:
         check_profiles([name], self.labels, self.innovations)
         at = self.labels.index(name)
         corrected, white = self.bounds.covariance[at, at], self.bounds.white[at, at]
-        known = np.isfinite(corrected) and np.isfinite(white) and corrected > 0.0 and white > 0.0
-        return profile(self.problem, self.fit, name, float(corrected / white) if known else 1.0)
+        is_bounded = np.isfinite(corrected) and np.isfinite(white) and corrected > 0.0 and white > 0.0
+        return profile(self.problem, self.fit, name, float(corrected / white) if is_bounded else 1.0)
 
     def samples(self) -> list[PredictedSamples]:
         """The fitted channels at the values found [K], as the march or the filter predicts them.
@@ -367,13 +368,13 @@ def estimate(
     """
     if profiles and process_noise is not None:
         raise InputError(WITHOUT_NOISE.format(profiles[0]))
-    given = [records] if isinstance(records, (Record, str, os.PathLike)) else records
-    loaded = load_records(given)
+    listed = [records] if isinstance(records, (Record, str, os.PathLike)) else records
+    loaded = load_records(listed)
     check_joint_records(loaded)
     checked = [without_stuck_sensors(record) for record in loaded]
     loaded, notes = [record for record, _ in checked], [line for _, lines in checked for line in lines]
     cleaned = [without_outliers(record) for record in loaded]
-    loaded, outliers = [record for record, _ in cleaned], [o for _, found in cleaned for o in found]
+    loaded, outliers = [record for record, _ in cleaned], [o for _, of_record in cleaned for o in of_record]
     notes += outlier_lines(outliers, {record.name: record for record in loaded})
     fewer = [averaged_record(record) for record in loaded]
     loaded, averaged = [record for record, _ in fewer], [line for _, lines in fewer for line in lines]
@@ -388,9 +389,9 @@ def estimate(
         ties=ties,
         starts=starts,
     )
-    wanted, omitted, optional = _wanted(parameters, loaded, options)
+    names, omitted, optional = _wanted(parameters, loaded, options)
     condition = joint_reference(loaded, reference)
-    remaining = _remaining_names(wanted, omitted, loaded)
+    remaining = _remaining_names(names, omitted, loaded)
     options = _without(options, set(omitted), Owners(loaded))
     first = {} if settings is None else settings.first_values
     problem = FitProblem(loaded, remaining, condition, options)
@@ -411,9 +412,13 @@ def estimate(
         fit, innovations = _fit_filtered(problem, process_noise, fit, progress)
     wanted_profiles = problem.owners.labels(profiles)
     check_profiles(wanted_profiles, [u.label for u in problem.unknowns], innovations)
-    found = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
-    LOG.info("%r in %d iterations", found, fit.iterations)
-    return replace(found, profiles={name: found.profile(name) for name in wanted_profiles}) if profiles else found
+    fit_result = replace(_fit_result(problem, fit, omitted, notes, innovations), outliers=tuple(outliers))
+    LOG.info("%r in %d iterations", fit_result, fit.iterations)
+    return (
+        replace(fit_result, profiles={name: fit_result.profile(name) for name in wanted_profiles})
+        if profiles
+        else fit_result
+    )
 
 
 def check_profiles(names: Sequence[str], labels: Sequence[str], innovations: Innovations | None) -> None:
@@ -465,13 +470,13 @@ def declared_model(record: Record, reasons: Mapping[str, str] | None = None) -> 
     if any(c.sensor.noise_sigma_K is None for c in problem.record_fits[0].channels):
         problem.update_noise(nothing)
     problem.correct_meshes(nothing)
-    found = problem.evaluate(nothing)
-    if not np.isfinite(found.log_likelihood):
+    evaluation = problem.evaluate(nothing)
+    if not np.isfinite(evaluation.log_likelihood):
         raise RunError(
             f"{record.name}: the declared model cannot be marched along the record; see `sim-heating predict`"
         )
     fit = Fit(
-        (), nothing, np.zeros((0, 0)), found.log_likelihood, found.log_likelihood, np.zeros((0, 0)), nothing,
+        (), nothing, np.zeros((0, 0)), evaluation.log_likelihood, evaluation.log_likelihood, np.zeros((0, 0)), nothing,
         np.zeros(0, dtype=bool), (), Status.CONVERGED, 0, 0.0, np.zeros((1, 0)),
     )  # fmt: skip
     return replace(_fit_result(problem, fit, dict(reasons or {}), notes, None), outliers=tuple(outliers))
@@ -492,21 +497,21 @@ def _wanted(
     if both is not None:
         raise InputError(f"{both}: is fixed, and named to be estimated; do one of the two")
     by_default = _default_labels(names, owners)
-    wanted = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
-    require_estimated(options, owners, wanted)
+    labels = [n for n in dict.fromkeys((*by_default, *owners.labels(named))) if n not in fixed_labels]
+    require_estimated(options, owners, labels)
     tied = {label for tie in options.ties for label in owners.labels(tie)}
     chosen = {*owners.labels((*named, *options.normal_priors, *(options.bounds or {}))), *tied}
     omitted = {n: _fixed_at(n, owners, fixed) for n in by_default if n in fixed_labels}
-    for label in wanted:
-        of, reasons = owners.covered(label), {}
+    for label in labels:
+        covered, reasons = owners.covered(label), {}
         if label not in tied:  # of tied ones the value is that of where the variable changes
-            reasons = constant_variables([label], of)
-        reasons |= parameters_without_heating([label], of)
+            reasons = constant_variables([label], covered)
+        reasons |= parameters_without_heating([label], covered)
         if label not in chosen:
-            reasons = unsupported_derivatives([label], of) | reasons
+            reasons = unsupported_derivatives([label], covered) | reasons
         omitted |= reasons
     thermal = frozenset(n for n in by_default if not n.startswith("ratio.")) - chosen
-    return wanted, omitted, thermal
+    return labels, omitted, thermal
 
 
 def _default_labels(names: Sequence[str] | None, owners: Owners) -> list[str]:
@@ -588,9 +593,9 @@ def check_joint_records(records: Sequence[Record], do: str = "estimate") -> None
             )
 
 
-def first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
+def first_values(problem: FitProblem, begin: Mapping[str, float]) -> FloatArray:
     """Start of the fit: as given, prior means, and for a ratio without a table the likeliest of some magnitudes."""
-    first = np.array([given.get(p.name, p.value) for p in problem.parameters])
+    first = np.array([begin.get(p.name, p.value) for p in problem.parameters])
     bare = [k for k, u in enumerate(problem.unknowns) if u.parameter.name == "ratio.d0" and first[k] == 0.0]
     for k in bare:
         tried = np.tile(first, (len(MAGNITUDES_TRIED), 1))
@@ -602,14 +607,14 @@ def first_values(problem: FitProblem, given: Mapping[str, float]) -> FloatArray:
 
 def _information(problem: FitProblem, values: FloatArray) -> FloatArray:
     check_parameters(problem.parameters)
-    found = problem.evaluate(values)
-    if not np.isfinite(found.log_likelihood):
+    evaluation = problem.evaluate(values)
+    if not np.isfinite(evaluation.log_likelihood):
         raise RunError("estimate: the declared model cannot be marched along the record; see `sim-heating predict`")
-    return found.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
+    return evaluation.information + np.diag([p.sigma**-2.0 for p in problem.parameters])
 
 
 def _least_determined(problem: FitProblem, values: FloatArray) -> dict[str, str]:
-    """The least determined parameter of a problem with the reason, as `least_determined`, at a parameter vector."""
+    """The least determined parameter of a problem at a vector, and why it should be omitted; empty for none."""
     labels = [u.label for u in problem.unknowns]
     d0 = {i: abs(v) for u, v in zip(problem.unknowns, values, strict=True) for i in u.records if is_d0(u.parameter)}
     declared = [mean_ratio(record_fit.record) for record_fit in problem.record_fits]
@@ -648,9 +653,9 @@ def _fit(problem: FitProblem, first: FloatArray, settings: NewtonSettings | None
     """Newton's iteration, in turn with the noise of the sensors that declare none, and again with meshes corrected."""
     steps = [0]
 
-    def report(at: FloatArray, log_posterior: float) -> None:
+    def report(vector: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
-        LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, at)
+        LOG.debug("iteration %d: log posterior %.4f at %s", steps[0], log_posterior, vector)
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}")
 
     unknown_noise = any(
@@ -685,15 +690,15 @@ def _with_noisy_conditions(problem: FitProblem, fit: Fit, settings: NewtonSettin
     noises = [heating_noise(record_fit, fit.values) for record_fit in problem.record_fits]
     pairs = list(zip(problem.record_fits, noises, strict=True))
     noisy = problem.with_model_errors([None if n is None else noise_error(r, fit.values, n) for r, n in pairs])
-    found = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
-    return noisy, replace(found, iterations=fit.iterations + found.iterations)
+    refined = maximise(noisy.evaluate, noisy.parameters, fit.values, noisy.log_likelihoods, settings)
+    return noisy, replace(refined, iterations=fit.iterations + refined.iterations)
 
 
 def _fit_filtered(problem: FitProblem, noise: ProcessNoise, first: Fit, progress: Progress) -> tuple[Fit, Innovations]:
     """The fit on the innovations of the filter, starting from one without process noise."""
     steps = [first.iterations]
 
-    def report(at: FloatArray, log_posterior: float) -> None:
+    def report(vector: FloatArray, log_posterior: float) -> None:
         steps[0] += 1
         progress(_part_done(steps[0]), f"iteration {steps[0]}: log posterior {log_posterior:.2f}, filtered")
 
@@ -741,22 +746,22 @@ def predict_fit(record_fit: RecordFit, values: FloatArray, error: FloatArray = N
     It ends there because the ratio of a short segment need not be valid far from it.
     Source: docs/theory/estimation_statistics.md, equation 1, without the correction of equation 31.
     """
-    own, record = record_fit.values(values), record_fit.record
-    errors = {s.name: sensor_errors(s, own) for s in record.sensors}
+    of_record, record = record_fit.values(values), record_fit.record
+    errors = {s.name: sensor_errors(s, of_record) for s in record.sensors}
     wanted_s = record.time_s[record.fit_mask() | record.holdout_mask()]
     begin = record_fit.begin_s
     # a shifted sample is read later than it was recorded
     end = min(float(wanted_s.max()) + max(record_fit.shift_s(values), 0.0), record_fit.conditions.time_s[-1])
-    initial_K, known, flown = record_fit.initial_K(values), record_fit.model_error, record
+    initial_K, model_error, flown = record_fit.initial_K(values), record_fit.model_error, record
     profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K])
-    if known is not None and known.flight is not None:
+    if model_error is not None and model_error.flight is not None:
         if record_fit.flight_names:
-            flown = known.flight.record(np.array([own[n] for n in record_fit.flight_names]))
+            flown = model_error.flight.record(np.array([of_record[n] for n in record_fit.flight_names]))
         elif len(error) > 0:
-            flown = known.flight.record(known.along_flight(error))
+            flown = model_error.flight.record(model_error.along_flight(error))
     marched, model = marched_from(flown, record_fit.model_at(values), begin, end, profile)
-    found = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
-    return replace(found, record=record)
+    prediction = predict_record(marched, model, skew_s=-record_fit.shift_s(values), errors=errors)
+    return replace(prediction, record=record)
 
 
 def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds:
@@ -775,15 +780,15 @@ def fit_bounds(samples: Sequence[PredictedSamples], fit: Fit) -> CramerRaoBounds
     for s in samples:
         if id(s.record_fit) in noisy:
             continue
-        found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
+        scored = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
         name = f"{s.record_fit.record.name}/{s.channel.sensor.name}"
-        channels.append(Residuals(name, s.time_s, found.score, found.information, s.jacobian[:, ~fit.on_bound]))
+        channels.append(Residuals(name, s.time_s, scored.score, scored.information, s.jacobian[:, ~fit.on_bound]))
     # a parameter on its bound does not move with the data; left in, it would widen the bounds of the others
     free = cramer_rao_bounds(channels, fit.prior_information[~fit.on_bound])
-    place = np.ix_(~fit.on_bound, ~fit.on_bound)
-    whole, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
-    whole[place], white[place] = free.covariance, free.white
-    return replace(free, covariance=whole, white=white)
+    free_block = np.ix_(~fit.on_bound, ~fit.on_bound)
+    corrected, white = np.zeros_like(fit.covariance), np.zeros_like(fit.covariance)
+    corrected[free_block], white[free_block] = free.covariance, free.white
+    return replace(free, covariance=corrected, white=white)
 
 
 def start_warnings(record_fits: Sequence[RecordFit]) -> list[str]:
@@ -823,13 +828,14 @@ def _different_tables(records: Sequence[Record]) -> list[str]:
     first: dict[str, Record] = {}
     lines: dict[str, str] = {}
     for record in records:
-        one = first.setdefault(record.declared.control_point, record)
-        a, b = one.ratio_table, record.ratio_table
+        earlier = first.setdefault(record.declared.control_point, record)
+        a, b = earlier.ratio_table, record.ratio_table
         same = a is b or (a is not None and b is not None and _same_nodes(a, b))
         if not same:
+            names = f"{earlier.name} and {record.name}"
             lines.setdefault(
                 record.declared.control_point,
-                f"{one.name} and {record.name} declare different ratio tables; a common estimate is relative to each",
+                f"{names} declare different ratio tables; a common estimate is relative to each",
             )
     return list(lines.values())
 
@@ -837,7 +843,7 @@ def _different_tables(records: Sequence[Record]) -> list[str]:
 def _same_nodes(a: RatioTable, b: RatioTable) -> bool:
     """Whether two tables have the same ratios at the same nodes."""
     pairs = ((*a.axes, a.ratio), (*b.axes, b.ratio))
-    return all(np.array_equal(own, other) for own, other in zip(*pairs, strict=True))
+    return all(np.array_equal(array, other) for array, other in zip(*pairs, strict=True))
 
 
 def fit_warnings(problem: FitProblem, fit: Fit, samples: Sequence[PredictedSamples]) -> list[str]:

@@ -47,8 +47,9 @@ from sim_heating.estimation.inference.observability import (
     variables_of,
     without_stuck_sensors,
 )
-from sim_heating.estimation.problem import FitOptions, FitProblem, joint_reference, without_action
+from sim_heating.estimation.problem import FitProblem, joint_reference
 from sim_heating.estimation.record_fit import SKEW_SPAN_S
+from sim_heating.estimation.unknowns import FitOptions, without_action
 from sim_heating.heating.effects import EffectUse, use
 from sim_heating.inputs.points import point_of_record, point_of_vehicle
 from sim_heating.inputs.record import Record, Sensor, load_record
@@ -148,8 +149,8 @@ class ParameterList:
 
     def __repr__(self) -> str:
         identified = sum(p.identified == YES for p in self.parameters)
-        found = "" if self.record is None else f", {identified} identified by {self.record}"
-        return f"<ParameterList of {self.control_point}: {len(self.parameters)} parameters{found}>"
+        identified_by = "" if self.record is None else f", {identified} identified by {self.record}"
+        return f"<ParameterList of {self.control_point}: {len(self.parameters)} parameters{identified_by}>"
 
     def __getitem__(self, name: str) -> ListedParameter:
         """The parameter of a name, by which a layer may be called too.
@@ -207,14 +208,14 @@ def scenario_parameters(scenario: Scenario, *, effects: Sequence[str] = ()) -> l
     raises  : InputError for an unknown effect
     """
     uses = tuple(use(name) for name in effects)
-    found = []
+    lists = []
     for name in scenario.names:
         point = scenario.vehicle.control_point(name)
         model = point_of_vehicle(scenario.vehicle, point, effects=(*scenario.effects(name), *uses))
         listed = _listed(model, point.sensors)
         surfaces = scenario.vehicle.surfaces
-        found.append(ParameterList(name, tuple(p for p in listed if not is_of_absent_surface(p.name, surfaces))))
-    return found
+        lists.append(ParameterList(name, tuple(p for p in listed if not is_of_absent_surface(p.name, surfaces))))
+    return lists
 
 
 # What exists ----------------------------------------------------------------------------------------------------------
@@ -224,32 +225,32 @@ def _listed(model: PointModel, sensors: Sequence[Sensor]) -> list[ListedParamete
     """All parameters of a model and its sensors, without bounds from readings."""
     absent = MAGNITUDES[1] if model.ratio is not None else MAGNITUDES[0]
     names: dict[int, list[str]] = {}
-    for name, place in model.places.items():
-        if place >= 0:
-            names.setdefault(place, []).append(name)
+    for name, entry in model.places.items():
+        if entry >= 0:
+            names.setdefault(entry, []).append(name)
     has_coating = insulation_layer(model.construction) > 0
-    found = []
+    entries = []
     for same in names.values():
         # the role of a tile's layer comes before its own name; a wall without a coating has no such roles
         name = same[0] if has_coating or len(same) == 1 or not same[0].startswith(INSULATION) else same[1]
         if name == absent or (name.startswith("stack.coating.") and not has_coating):
             continue
         definition, others = model.definition(name), tuple(n for n in same if n != name)
-        found.append(_entry(definition, model.value(name), _owner(name, model), others, name))
+        entries.append(_entry(definition, model.value(name), _owner(name, model), others, name))
     for used in model.effects:
         for parameter in used.effect.parameters:
             name = f"{EFFECT_PREFIX}{used.effect.name}.{parameter.name}"
             definition = model.definition(name)
-            found.append(_entry(definition, model.value(name), f"effect {used.effect.name}", name=name))
+            entries.append(_entry(definition, model.value(name), f"effect {used.effect.name}", name=name))
     of_record = RECORD_PARAMETERS | {CLOCK_SKEW.name: replace(CLOCK_SKEW, lower=-SKEW_SPAN_S, upper=SKEW_SPAN_S)}
-    found += [_entry(p, p.value, "thermocouples and clock") for p in of_record.values()]
+    entries += [_entry(p, p.value, "thermocouples and clock") for p in of_record.values()]
     for sensor in sensors:
         if sensor.used:
-            for what, parameter in SENSOR.items():
-                nominal = sensor.tau_s if what == "tau_s" else parameter.value
-                name = f"{SENSOR_PREFIX}{sensor.name}.{what}"
-                found.append(_entry(parameter, nominal, f"thermocouple {sensor.name}", name=name))
-    return found
+            for kind, parameter in SENSOR.items():
+                nominal = sensor.tau_s if kind == "tau_s" else parameter.value
+                name = f"{SENSOR_PREFIX}{sensor.name}.{kind}"
+                entries.append(_entry(parameter, nominal, f"thermocouple {sensor.name}", name=name))
+    return entries
 
 
 def _entry(
@@ -269,8 +270,8 @@ def _owner(name: str, model: PointModel) -> str:
         return "contacts of the layers"
     if name.startswith("stack.coating.") or name == "stack.emissivity_factor":
         return f"layer {layers[0]}, the outermost"
-    own = layer_parameter(name)
-    layer = layers[insulation] if own is None or own[0] == "rsi" else own[0]
+    matched = layer_parameter(name)
+    layer = layers[insulation] if matched is None or matched[0] == "rsi" else matched[0]
     return f"layer {layer}{', the insulation' if insulation > 0 and layer == layers[insulation] else ''}"
 
 
@@ -278,19 +279,22 @@ def _owner(name: str, model: PointModel) -> str:
 
 
 def _judged(
-    listed: Sequence[ListedParameter], record: Record, effects: Sequence[EffectUse], given: Mapping[str, float] | None
+    listed: Sequence[ListedParameter],
+    record: Record,
+    effects: Sequence[EffectUse],
+    reference: Mapping[str, float] | None,
 ) -> tuple[ListedParameter, ...]:
     """The parameters with their bounds from a record, and whether it identifies them."""
     names = [p.name for p in listed]
-    problem = FitProblem([record], names, joint_reference([record], given), FitOptions(effects))
+    problem = FitProblem([record], names, joint_reference([record], reference), FitOptions(effects))
     labels = [u.parameter.name for u in problem.unknowns]
     begin = first_values(problem, {})
     _set_noise(problem, dict(zip(labels, begin, strict=True)))
-    found = problem.evaluate(begin)
-    if not np.isfinite(found.log_likelihood):
+    evaluation = problem.evaluate(begin)
+    if not np.isfinite(evaluation.log_likelihood):
         raise RunError(f"{record.name}: the declared model cannot be marched along it; see `sim-heating predict`")
     order = [labels.index(name) for name in names]
-    information = found.information[np.ix_(order, order)]
+    information = evaluation.information[np.ix_(order, order)]
     return _with_bounds(listed, information, record, begin[order])
 
 
@@ -299,20 +303,20 @@ def _set_noise(problem: FitProblem, values: Mapping[str, float]) -> None:
 
     The latter holds the model's error too, and is taken where readings are too few to tell their noise.
     """
-    (own,) = problem.record_fits
-    record, undeclared = own.record, [c for c in own.channels if c.sensor.noise_sigma_K is None]
-    found = {
+    (record_fit,) = problem.record_fits
+    record, undeclared = record_fit.record, [c for c in record_fit.channels if c.sensor.noise_sigma_K is None]
+    noise_K = {
         c.number: noise_of_readings(record.time_s, record.temperatures_K([c.sensor])[0], c.sensor.lsb_K)
         for c in undeclared
     }
-    own.sigma_K |= {number: sigma for number, sigma in found.items() if sigma is not None}
-    if None not in found.values():
+    record_fit.sigma_K |= {number: sigma for number, sigma in noise_K.items() if sigma is not None}
+    if None not in noise_K.values():
         return
     magnitude = [n for n in values if n == MAGNITUDES[1]]  # without a table the declared model has no heating
     declared = FitProblem([record], magnitude, problem.reference, problem.options)
     declared.update_noise(np.array([values[n] for n in magnitude]))
     misfit = declared.record_fits[0].sigma_K
-    own.sigma_K |= {number: misfit[number] for number, sigma in found.items() if sigma is None}
+    record_fit.sigma_K |= {number: misfit[number] for number, sigma in noise_K.items() if sigma is None}
 
 
 def _with_bounds(
@@ -326,9 +330,9 @@ def _with_bounds(
     names = [p.name for p in listed]
     impossible = constant_variables(names, [record]) | parameters_without_heating(names, [record])
     doubtful = unsupported_derivatives(names, [record])
-    wanted = _wanted_bounds(listed, record, values)
+    limits = _wanted_bounds(listed, record, values)
     # rounding of a march gives parameters without any effect a trace of information
-    informed = np.diag(information) * wanted**2 > LEAST_INFORMATION  # never where the sigma of a prior is 0
+    informed = np.diag(information) * limits**2 > LEAST_INFORMATION  # never where the sigma of a prior is 0
     alone = 1.0 / np.sqrt(np.where(informed, np.diag(information), 1.0))
     rho = information * np.outer(alone, alone)
     usable = [k for k, n in enumerate(names) if informed[k] and n not in impossible]
@@ -343,7 +347,7 @@ def _with_bounds(
         chosen = list(dict.fromkeys([k, *fitted]))
         with_heating = float(np.sqrt(covariance(information[np.ix_(chosen, chosen)])[0, 0]))
         near = sorted((j for j in usable if j != k and abs(rho[k, j]) > CONFOUNDED), key=lambda j: -abs(rho[k, j]))
-        identified = YES if with_all[k] < wanted[k] else JOINTLY if with_heating < wanted[k] else NO
+        identified = YES if with_all[k] < limits[k] else JOINTLY if with_heating < limits[k] else NO
         if identified != NO and p.name in doubtful:
             identified = WEAKLY
         done.append(
@@ -353,7 +357,7 @@ def _with_bounds(
                 sigma_with_heating=with_heating,
                 sigma_with_all=float(with_all[k]),
                 identified=identified,
-                reason=doubtful.get(p.name, "") if identified != NO else _too_wide(p, with_heating / float(wanted[k])),
+                reason=doubtful.get(p.name, "") if identified != NO else _too_wide(p, with_heating / float(limits[k])),
                 confounded_with=tuple((names[j], float(rho[k, j])) for j in near),
             )
         )
@@ -370,7 +374,7 @@ def _marginal_sigmas(
     usable : parameters that the readings depend on;  fitted : those among them that are unknown without a prior, the
              heating; of other parameters without a prior none is unknown but the one whose bound it is
     """
-    found = np.full(len(prior_sigma), np.inf)
+    sigmas = np.full(len(prior_sigma), np.inf)
     prior = np.array([0.0 if sigma == 0.0 else sigma**-2.0 for sigma in prior_sigma])
     known_before = [k for k in usable if prior[k] > 0.0 or k in fitted]
     for k in usable:
@@ -378,8 +382,8 @@ def _marginal_sigmas(
         C = covariance(information[np.ix_(chosen, chosen)] + np.diag(prior[chosen]))
         at = chosen.index(k)
         gained = 1.0 / C[at, at] - prior[k]
-        found[k] = gained**-0.5 if gained > 0.0 else np.inf
-    return found
+        sigmas[k] = gained**-0.5 if gained > 0.0 else np.inf
+    return sigmas
 
 
 def _wanted_bounds(listed: Sequence[ListedParameter], record: Record, values: FloatArray) -> FloatArray:
@@ -390,18 +394,18 @@ def _wanted_bounds(listed: Sequence[ListedParameter], record: Record, values: Fl
     """
     d0 = [abs(v) for p, v in zip(listed, values, strict=True) if p.name == MAGNITUDES[1]]
     ratio, excursion = d0[0] if d0 else mean_ratio(record), deviations([record])
-    wanted = []
+    limits = []
     for p in listed:
         variables = list(variables_of(p.name))
         if math.isfinite(p.prior_sigma):
-            wanted.append(BOUND_OVER_PRIOR * p.prior_sigma)
+            limits.append(BOUND_OVER_PRIOR * p.prior_sigma)
         elif variables:
-            wanted.append(ratio / max(float(np.prod(excursion[variables])), LEAST_EXCURSION))
+            limits.append(ratio / max(float(np.prod(excursion[variables])), LEAST_EXCURSION))
         elif p.name in MAGNITUDES:
-            wanted.append(1.0 if p.name == MAGNITUDES[0] else ratio)
+            limits.append(1.0 if p.name == MAGNITUDES[0] else ratio)
         else:  # of a user-defined effect
-            wanted.append(BOUND_OVER_PRIOR * max(abs(p.nominal), min(p.upper - p.lower, 1.0)))
-    return np.array(wanted)
+            limits.append(BOUND_OVER_PRIOR * max(abs(p.nominal), min(p.upper - p.lower, 1.0)))
+    return np.array(limits)
 
 
 def _too_wide(p: ListedParameter, bound: float) -> str:
@@ -422,9 +426,9 @@ def contents(lists: Sequence[ParameterList]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "lists": [
-            {"control_point": found.control_point, "record": found.record,
-             "parameters": [p.as_json() for p in found.parameters]}
-            for found in lists
+            {"control_point": of_point.control_point, "record": of_point.record,
+             "parameters": [p.as_json() for p in of_point.parameters]}
+            for of_point in lists
         ],
     }  # fmt: skip
 
@@ -447,12 +451,12 @@ def write_parameters(
 def parameter_tables(lists: Sequence[ParameterList]) -> list[Table]:
     """Tables for a reader: one for each thing that has parameters; what control points have in common appears once."""
     groups: dict[tuple[str, tuple[ListedParameter, ...]], list[str]] = {}
-    for found in lists:
-        for owner in dict.fromkeys(p.belongs_to for p in found.parameters):
-            own = tuple(p for p in found.parameters if p.belongs_to == owner)
-            groups.setdefault((owner, own), []).append(found.control_point)
+    for of_point in lists:
+        for owner in dict.fromkeys(p.belongs_to for p in of_point.parameters):
+            listed = tuple(p for p in of_point.parameters if p.belongs_to == owner)
+            groups.setdefault((owner, listed), []).append(of_point.control_point)
     tables = []
-    for (owner, own), points in groups.items():
+    for (owner, listed), points in groups.items():
         where = (
             ""
             if len(lists) == 1
@@ -463,25 +467,27 @@ def parameter_tables(lists: Sequence[ParameterList]) -> list[Table]:
                 + (f" and {len(points) - SHOWN_POINTS} more" if len(points) > SHOWN_POINTS else "")
             )
         )
-        tables.append(Table(f"{owner[0].upper()}{owner[1:]}{where}", *_rows(own, lists[0].record is not None)))
+        tables.append(Table(f"{owner[0].upper()}{owner[1:]}{where}", *_rows(listed, lists[0].record is not None)))
     return tables
 
 
-def _rows(own: Sequence[ListedParameter], judged: bool) -> tuple[list[Column], list[list[Any]]]:
+def _rows(listed: Sequence[ListedParameter], judged: bool) -> tuple[list[Column], list[list[Any]]]:
     columns = [
         Column("parameter"), Column("nominal", is_text=True), Column("prior", is_text=True),
         Column("bounds", is_text=True),
     ]  # fmt: skip
-    rows: list[list[Any]] = [[p.name, _nominal(p), _prior(p), _bounds(p)] for p in own]
+    rows: list[list[Any]] = [[p.name, _nominal(p), _prior(p), _bounds(p)] for p in listed]
     if not judged:
-        return [*columns, Column("meaning", is_text=True)], [[*row, p.text] for row, p in zip(rows, own, strict=True)]
+        return [*columns, Column("meaning", is_text=True)], [
+            [*row, p.text] for row, p in zip(rows, listed, strict=True)
+        ]
     columns += [Column("sigma", format=".2g"), Column("identified", is_text=True), Column("remark", is_text=True)]
-    reasons = {(p.identified, p.reason) for p in own}
-    if len(own) > 1 and len(reasons) == 1 and own[0].reason and not any(p.confounded_with for p in own):
-        ends = f"{own[0].name} to {own[-1].name}, all {len(own)}"  # each would have the same line
-        return columns, [[ends, "", "", "", None, own[0].identified, own[0].reason]]
+    reasons = {(p.identified, p.reason) for p in listed}
+    if len(listed) > 1 and len(reasons) == 1 and listed[0].reason and not any(p.confounded_with for p in listed):
+        ends = f"{listed[0].name} to {listed[-1].name}, all {len(listed)}"  # each would have the same line
+        return columns, [[ends, "", "", "", None, listed[0].identified, listed[0].reason]]
     return columns, [
-        [*row, _finite(p.sigma_with_heating), p.identified, _remark(p)] for row, p in zip(rows, own, strict=True)
+        [*row, _finite(p.sigma_with_heating), p.identified, _remark(p)] for row, p in zip(rows, listed, strict=True)
     ]
 
 
@@ -489,19 +495,19 @@ def _remark(p: ListedParameter) -> str:
     """What is most like a parameter, by its last name where the rest is the same, or why it is not identified."""
     if not p.confounded_with:
         return p.reason
-    (name, rho), *more = p.confounded_with
+    (name, rho), *others = p.confounded_with
     owner = f"{p.name.rpartition('.')[0]}."
-    return f"like {name.removeprefix(owner)} ({rho:+.2f}){f', {len(more)} more' if more else ''}"
+    return f"like {name.removeprefix(owner)} ({rho:+.2f}){f', {len(others)} more' if others else ''}"
 
 
 def _all_in_one(lists: Sequence[ParameterList]) -> Table:
     """All lists as one table, for CSV."""
     keys = [k for k in ListedParameter.__dataclass_fields__ if k not in ("other_names", "confounded_with")]
     rows = [
-        [found.control_point, *(_cell(getattr(p, k)) for k in keys),
+        [of_point.control_point, *(_cell(getattr(p, k)) for k in keys),
          " ".join(p.other_names), " ".join(f"{n}:{rho:.3f}" for n, rho in p.confounded_with)]
-        for found in lists
-        for p in found.parameters
+        for of_point in lists
+        for p in of_point.parameters
     ]  # fmt: skip
     return Table("Parameters", ["control_point", *keys, "other_names", "confounded_with"], rows)
 

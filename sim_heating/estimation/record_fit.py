@@ -134,16 +134,16 @@ class RecordFit:
         """
         return {**self.fixed, **dict(zip(self.names, vector[self.index], strict=True))}
 
-    def add(self, total: FloatArray, own: FloatArray) -> None:
+    def add(self, total: FloatArray, contribution: FloatArray) -> None:
         """Add to a (parameter,) vector or a (parameter, parameter) matrix that of the record's unknowns.
 
-        total : changed in place;  own : (unknown of the record,) or (unknown, unknown)
+        total : changed in place;  contribution : (unknown of the record,) or (unknown, unknown)
         """
-        at = self.index if own.ndim == 1 else np.ix_(self.index, self.index)
+        at = self.index if contribution.ndim == 1 else np.ix_(self.index, self.index)
         if self.has_ties:  # += with an index array would add only one of two tied unknowns
-            np.add.at(total, at, own)
+            np.add.at(total, at, contribution)
         else:
-            total[at] += own
+            total[at] += contribution
 
     @property
     def has_ties(self) -> bool:
@@ -275,8 +275,8 @@ class RecordFit:
     @cached_property
     def lags(self) -> bool:
         """Whether a thermocouple of the record lags, or its lag is unknown."""
-        own = (*self.sensor_names, *self.fixed)
-        return any(s.tau_s > 0.0 for s in self.record.sensors) or any(n.endswith(LAG_NAME) for n in own)
+        names = (*self.sensor_names, *self.fixed)
+        return any(s.tau_s > 0.0 for s in self.record.sensors) or any(n.endswith(LAG_NAME) for n in names)
 
     @cached_property
     def read_s(self) -> FloatArray:
@@ -347,8 +347,8 @@ class RecordFit:
 
         Source: docs/theory/estimation_statistics.md, equation 31.
         """
-        found = self.sensed(march, vector)
-        return replace(found, temperature_K=found.temperature_K + self.correction_K)
+        sensed = self.sensed(march, vector)
+        return replace(sensed, temperature_K=sensed.temperature_K + self.correction_K)
 
     def lag_offset(self, vector: FloatArray, *, sensitive: bool = True) -> Sensed | None:
         """What the lags of the thermocouples add to the plain march, and its derivatives; None where none lags.
@@ -363,10 +363,10 @@ class RecordFit:
             return None
         march = LinearMarch([self.track(vector, sensitive=sensitive)], self.time_s, self.history(self.time_s))
         plain = march.march(*set_parameters(march, [self], [vector]))[0]
-        found, at = self.sensed(plain, vector), np.searchsorted(self.read_s, self.sample_s)
+        lagged, at = self.sensed(plain, vector), np.searchsorted(self.read_s, self.sample_s)
         return Sensed(
-            found.temperature_K - plain.temperature_K[:, at], found.rate_K_s - plain.rate_K_s[:, at],
-            found.sensitivity - plain.sensitivity[:, at], found.per_lag_K_s,
+            lagged.temperature_K - plain.temperature_K[:, at], lagged.rate_K_s - plain.rate_K_s[:, at],
+            lagged.sensitivity - plain.sensitivity[:, at], lagged.per_lag_K_s,
         )  # fmt: skip
 
 
@@ -496,10 +496,10 @@ class PredictedSamples:
 
         S_i of docs/theory/estimation_statistics.md, equation 14.
         """
-        whole = np.zeros((len(self.mean_K), self.unknowns))
-        for k, place in enumerate(self.record_fit.index):  # two tied unknowns have one place
-            whole[:, place] += self.sensitivity[:, k]
-        return whole
+        jacobian = np.zeros((len(self.mean_K), self.unknowns))
+        for k, column in enumerate(self.record_fit.index):  # two tied unknowns have one place
+            jacobian[:, column] += self.sensitivity[:, k]
+        return jacobian
 
 
 def lane_groups(record_fits: Iterable[RecordFit], shares: int = 1) -> list[list[RecordFit]]:
@@ -520,8 +520,8 @@ def group_march(group: Sequence[RecordFit]) -> LinearMarch:
     """Linearised march of a group of records on common times, one lane each."""
     # candidates for one record have its conditions in common
     flights = {id(record_fit.conditions): record_fit.conditions for record_fit in group}
-    places, time = list(flights), group[0].time_s
-    tracks = [replace(record_fit.track(), flight=places.index(id(record_fit.conditions))) for record_fit in group]
+    records, time = list(flights), group[0].time_s
+    tracks = [replace(record_fit.track(), flight=records.index(id(record_fit.conditions))) for record_fit in group]
     histories = np.stack([condition_history(conditions.at(time)) for conditions in flights.values()])
     return LinearMarch(tracks, time, histories)
 
@@ -572,8 +572,8 @@ def march_times(
     # 1e-9: an interval of the longest step exactly, but for rounding, is one step
     pieces = np.ceil(span / longest_step_s - 1e-9).astype(int)
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
-    within = (np.arange(pieces.sum()) - first) * np.repeat(span / pieces, pieces)
-    return np.append(np.repeat(knots[:-1], pieces) + within, knots[-1])
+    into_interval = (np.arange(pieces.sum()) - first) * np.repeat(span / pieces, pieces)
+    return np.append(np.repeat(knots[:-1], pieces) + into_interval, knots[-1])
 
 
 def declared_profile(record_fit: RecordFit) -> FloatArray:
@@ -652,7 +652,7 @@ def sensor_errors(sensor: Sensor, values: Mapping[str, float]) -> SensorErrors:
     Used in docs/theory/estimation_statistics.md, equation 1.
     """
     bias, gain, drift = (
-        values.get(sensor_parameter(sensor, what), SENSOR[what].value) for what in ("bias", "gain", "drift")
+        values.get(sensor_parameter(sensor, kind), SENSOR[kind].value) for kind in ("bias", "gain", "drift")
     )
     return SensorErrors(bias, gain, lag_s(sensor, values), drift)
 
@@ -667,12 +667,12 @@ def lag_s(sensor: Sensor, values: Mapping[str, float]) -> float:
     return values.get(sensor_parameter(sensor, "tau_s"), sensor.tau_s) + values.get(COMMON_LAG.name, 0.0)
 
 
-def sensor_parameter(sensor: Sensor, what: str) -> str:
+def sensor_parameter(sensor: Sensor, kind: str) -> str:
     """Dotted name of a parameter of a sensor, as `sensor.NAME.bias` [K]; the others are those of parameters.SENSOR.
 
     Parameters b, g and tau of docs/theory/estimation_statistics.md, equation 1.
     """
-    return f"{SENSOR_PREFIX}{sensor.name}.{what}"
+    return f"{SENSOR_PREFIX}{sensor.name}.{kind}"
 
 
 def sensor_definition(record: Record, name: str) -> Parameter | None:
@@ -687,13 +687,13 @@ def sensor_definition(record: Record, name: str) -> Parameter | None:
         return RECORD_PARAMETERS[name]
     if not name.startswith(SENSOR_PREFIX):
         return None
-    sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
-    known = {s.name: s for s in record.used_sensors}
-    if sensor not in known:
-        raise InputError(f"{record.name}: `{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
-    if what not in SENSOR:
-        raise InputError(f"{record.name}: `{name}`: unknown sensor parameter `{what}`{suggestion(what, SENSOR)}")
-    return replace(SENSOR[what], value=known[sensor].tau_s) if what == "tau_s" else SENSOR[what]
+    sensor, _, kind = name.removeprefix(SENSOR_PREFIX).rpartition(".")
+    by_name = {s.name: s for s in record.used_sensors}
+    if sensor not in by_name:
+        raise InputError(f"{record.name}: `{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, by_name)}")
+    if kind not in SENSOR:
+        raise InputError(f"{record.name}: `{name}`: unknown sensor parameter `{kind}`{suggestion(kind, SENSOR)}")
+    return replace(SENSOR[kind], value=by_name[sensor].tau_s) if kind == "tau_s" else SENSOR[kind]
 
 
 def least_sigma_K(sensor: Sensor) -> float:
@@ -746,19 +746,19 @@ def mesh_error_K(record_fit: RecordFit, vector: FloatArray) -> FloatArray:
     Second order holds for smooth solutions. Source: docs/theory/estimation_statistics.md, equation 31.
     """
     fine, initial = halve_elements(record_fit.mesh), record_fit.refined_K(vector)
-    coarse, found = _temperatures_K(
+    coarse, refined = _temperatures_K(
         record_fit, vector, [(record_fit.mesh, record_fit.initial_K(vector)), (fine, initial)]
     )
     # T_1 - T_0 + (T_1 - T_0) / 3
-    error = 4.0 / 3.0 * (found - coarse)
+    error = 4.0 / 3.0 * (refined - coarse)
     for _ in range(1, MOST_HALVINGS):
         # a larger correction is outside the range in which the error falls to a quarter with each halving
         if np.max(np.abs(error)) < SMALL_CORRECTION_K:
             return error
         finer = halve_elements(fine)
-        initial, fine, last = None if initial is None else interpolate_profile(initial, fine, finer), finer, found
-        (found,) = _temperatures_K(record_fit, vector, [(fine, initial)])
-        before, error = error, found - coarse + (found - last) / 3.0
+        initial, fine, last = None if initial is None else interpolate_profile(initial, fine, finer), finer, refined
+        (refined,) = _temperatures_K(record_fit, vector, [(fine, initial)])
+        before, error = error, refined - coarse + (refined - last) / 3.0
         if np.max(np.abs(error - before)) < SETTLED_K:
             return error
     raise RunError(f"after {MOST_HALVINGS} halvings of the elements it still changes by more than {SETTLED_K:g} K")
@@ -774,5 +774,5 @@ def _temperatures_K(
         for mesh, initial in meshes
     ]
     history = record_fit.history(record_fit.time_s)
-    found = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))
-    return [record_fit.sensed(f, vector).temperature_K for f in found]
+    marched = LinearMarch(tracks, record_fit.time_s, history).march([record_fit.shift_s(vector)] * len(tracks))
+    return [record_fit.sensed(f, vector).temperature_K for f in marched]

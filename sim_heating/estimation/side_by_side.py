@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parallel.processes import in_turn
 from sim_heating.base.parallel.threads import in_threads, thread_count
+from sim_heating.estimation.fit_marches import LastMarches
 from sim_heating.estimation.inference.newton import Evaluation, Fit, Iteration, NewtonSettings, iteration, next_request
-from sim_heating.estimation.problem import FitProblem, LastMarches
+from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import RecordFit, group_march, lane_groups, set_parameters
 from sim_heating.march.linearised import Linearised, LinearMarch
 
@@ -39,11 +40,11 @@ class JointMarch:
 
     def __init__(self, problems: Sequence[FitProblem]) -> None:
         self.problems = tuple(problems)
-        place = {record_fit: (i, k) for i, p in enumerate(problems) for k, record_fit in enumerate(p.record_fits)}
+        position = {record_fit: (i, k) for i, p in enumerate(problems) for k, record_fit in enumerate(p.record_fits)}
         # a group marches as many sensitivities in all lanes as its widest record has; the longest marches begin first
-        ordered = sorted(place, key=lambda record_fit: -record_fit.march_columns)
+        ordered = sorted(position, key=lambda record_fit: -record_fit.march_columns)
         self._groups = [
-            _LaneGroup(tuple(place[record_fit] for record_fit in group), tuple(group), group_march(group))
+            _LaneGroup(tuple(position[record_fit] for record_fit in group), tuple(group), group_march(group))
             for group in lane_groups(ordered, shares=thread_count())
         ]
 
@@ -56,7 +57,7 @@ class JointMarch:
         Nothing is marched where all problems already have results for these vectors.
         """
         # at the first evaluation after a screening all starts are marched already
-        if all(problem.has_cached(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
+        if all(problem.marches.has(vector) for problem, vector in zip(self.problems, vectors, strict=True)):
             return [True] * len(self.problems)
 
         def one(k: int) -> list[Linearised | None]:
@@ -71,11 +72,14 @@ class JointMarch:
                 # one record that fails makes its own problem fail and no other in its lanes
                 if result is not None:
                     marched[i][k] = result
-        whole = [len(found) == len(problem.record_fits) for problem, found in zip(self.problems, marched, strict=True)]
+        is_complete = [
+            len(by_record) == len(problem.record_fits)
+            for problem, by_record in zip(self.problems, marched, strict=True)
+        ]
         for i, problem in enumerate(self.problems):
-            if whole[i]:
-                problem.cache_march(vectors[i], marched[i])
-        return whole
+            if is_complete[i]:
+                problem.marches.store(vectors[i], marched[i])
+        return is_complete
 
     def evaluate(self, vectors: Sequence[FloatArray]) -> list[Evaluation]:
         """Evaluation of each problem at its own parameter vector, as FitProblem.evaluate returns it.
@@ -106,26 +110,26 @@ def maximise_together(
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
     begin = [None] * len(problems) if starts is None else list(starts)
-    own = settings if isinstance(settings, Sequence) else [settings] * len(problems)
+    settings_of = settings if isinstance(settings, Sequence) else [settings] * len(problems)
     # of all problems first: a prior that is invalid is told before any work
-    every = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, own, strict=True)]
+    every = [iteration(p.parameters, first, s) for p, first, s in zip(problems, begin, settings_of, strict=True)]
     # the richest first, as they mostly take the most steps: a long fit that begins last has a process for itself
     order = sorted(range(len(problems)), key=lambda k: -len(problems[k].parameters))
     richest, searches = [problems[k] for k in order], [every[k] for k in order]
 
     def of_fractions(vectors: Mapping[int, FloatArray]) -> list[FloatArray]:
-        asked = list(vectors.items())
-        return in_threads(lambda i: richest[asked[i][0]].log_likelihoods(asked[i][1]), len(asked))
+        requests = list(vectors.items())
+        return in_threads(lambda i: richest[requests[i][0]].log_likelihoods(requests[i][1]), len(requests))
 
-    def of_some(numbers: Iterator[int], together: int) -> dict[int, tuple[Fit, LastMarches]]:
+    def of_some(numbers: Iterator[int], count: int) -> dict[int, tuple[Fit, LastMarches]]:
         lanes = _Lanes(richest)
-        fits = iterate_together(searches, numbers, together, lanes.evaluate, of_fractions)
-        return {k: (fit, richest[k].last_marches) for k, fit in fits.items()}
+        fits = iterate_together(searches, numbers, count, lanes.evaluate, of_fractions)
+        return {k: (fit, richest[k].marches.latest) for k, fit in fits.items()}
 
-    found = dict(zip(order, in_turn(of_some, len(order)), strict=True))
-    for k, (_, marches) in found.items():
-        problems[k].last_marches = marches
-    return [found[k][0] for k in range(len(problems))]
+    outcomes = dict(zip(order, in_turn(of_some, len(order)), strict=True))
+    for k, (_, marches) in outcomes.items():
+        problems[k].marches.latest = marches
+    return [outcomes[k][0] for k in range(len(problems))]
 
 
 class _Lanes:
@@ -147,13 +151,13 @@ class _Lanes:
 def iterate_together(
     searches: Sequence[Iteration],
     numbers: Iterator[int],
-    together: int,
+    count: int,
     evaluate: Callable[[Mapping[int, FloatArray]], Sequence[Evaluation]],
     log_likelihoods: Callable[[Mapping[int, FloatArray]], Sequence[FloatArray]],
 ) -> dict[int, Fit]:
     """The fits that some iterations end with, several evaluated side by side; a further one begins where one has ended.
 
-    searches : all iterations;  numbers : of those that are taken, one after another;  together : how many at a time
+    searches : all iterations;  numbers : of those that are taken, one after another;  count : how many at a time
     evaluate : from (parameter,) vectors by the number of their iteration, the evaluation at each, in their order
     log_likelihoods : from (candidate, parameter) vectors by number, the (candidate,) log likelihoods [-] of each, in
                their order
@@ -164,7 +168,7 @@ def iterate_together(
     requests: dict[int, FloatArray] = {}
     fits: dict[int, Fit] = {}
     while True:
-        requests |= {k: next(searches[k]) for k in islice(numbers, together - len(requests))}
+        requests |= {k: next(searches[k]) for k in islice(numbers, count - len(requests))}
         if not requests:
             return fits
         answers: dict[int, Evaluation | FloatArray] = dict(zip(requests, evaluate(requests), strict=True))

@@ -195,7 +195,7 @@ def smooth_directions(s: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _smooth_directions(depths: bytes) -> FloatArray:
-    """As `smooth_directions`: control points of one wall have the same ones."""
+    """(node, direction) directions [-] of the process over diffusion depths in bytes; points of one wall share them."""
     # profiles bend near the surface and are smooth deep in the wall: in the logarithm they are alike
     z = np.log1p(np.frombuffer(depths))
     x = np.sqrt(5.0) * np.abs(z[:, np.newaxis] - z) / START_LENGTH

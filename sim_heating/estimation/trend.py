@@ -135,16 +135,17 @@ def trend(
 ) -> Trend:
     """Fit parameters, by default the magnitude of the ratio alone, to short segments of a record one after another.
 
-    length_s : length of a segment [s]
-    names    : dotted names of the parameters
-    start    : where the first segment starts, or what makes it (starts.STARTS); by default at the declared
-               temperatures, and where readings begin later at the first of them, the heating until then unknown
-    fixed    : values of parameters that are not estimated but differ from the declared ones
-    priors, bounds : as `estimate` takes them, the same for every segment
+    length_s  : length of a segment [s]
+    names     : dotted names of the parameters
+    start     : where the first segment starts, or what makes it (starts.STARTS); by default at the declared
+                temperatures, and where readings begin later at the first of them, the heating until then unknown
+    fixed     : values of parameters that are not estimated but differ from the declared ones
+    priors    : name -> mean and standard deviation of another prior, infinite for a flat one; or a whole Parameter
+    bounds    : name -> least and greatest value; priors and bounds hold for every segment
     reference : values of ratio variables that derivatives are about ([deg], [-]), where not the record's own
-    progress : called with the fraction done and a line of text
-    returns  : the segments whose fit converged, each with its mean ratio [-] and the sigma of it
-    raises   : InputError where no segment has enough samples, RunError where no fit of those that have converges
+    progress  : called with the fraction done and a line of text
+    returns   : the segments whose fit converged, each with its mean ratio [-] and the sigma of it
+    raises    : InputError where no segment has enough samples, RunError where no fit of those that have converges
 
     The founding paper's sequence of five-second segments for the trend with Reynolds number ("Trends in Shuttle Entry
     Heating from the Correlation of Flight Test Maneuvers", figure 9). Source: docs/theory/clocks_and_starts.md,
@@ -214,9 +215,9 @@ def trend(
         if last is not None:
             of_start = len(problem.record_fits[0].march_names)
             with_before = gain[:, of_start:] @ carried @ last.with_ratios
-        own = _of_march(problem.record_fits[0], fit.covariance) @ slope
-        ratios = np.block([[ratios, (slope @ with_before)[:, np.newaxis]], [slope @ with_before, slope @ own]])
-        last = _Fitted(problem, fit, float(read_s[-1]), misfit, np.column_stack([with_before, own]))
+        gradient = _of_march(problem.record_fits[0], fit.covariance) @ slope
+        ratios = np.block([[ratios, (slope @ with_before)[:, np.newaxis]], [slope @ with_before, slope @ gradient]])
+        last = _Fitted(problem, fit, float(read_s[-1]), misfit, np.column_stack([with_before, gradient]))
         segments.append(segment)
     if not segments:
         nothing = f"{record.name}: no segment of {length_s:g} s can be fitted"
@@ -226,14 +227,14 @@ def trend(
 
 
 def _made_start(
-    record: Record, names: Sequence[str], about: tuple[float, ...], fixed: Mapping[str, float] | None,
+    record: Record, names: Sequence[str], reference: tuple[float, ...], fixed: Mapping[str, float] | None,
     start: Start | StartMaker,
 ) -> Start:  # fmt: skip
     """The start of the first segment, its temperatures estimated."""
-    problem = FitProblem([record], names, about, FitOptions(fixed=fixed))
+    problem = FitProblem([record], names, reference, FitOptions(fixed=fixed))
     of_record = problem.record_fits[0]
-    made = start(record, of_record.model, of_record.mesh) if callable(start) else start
-    return with_estimated_profile(made)
+    first_start = start(record, of_record.model, of_record.mesh) if callable(start) else start
+    return with_estimated_profile(first_start)
 
 
 def _check_read_after(record: Record, start_s: float, read_s: float, length_s: float) -> None:
@@ -305,8 +306,8 @@ def _carried_values(problem: FitProblem, last: _Fitted) -> FloatArray:
 
 def _of_march(record_fit: RecordFit, covariance: FloatArray) -> FloatArray:
     """The part of a covariance that belongs to the unknowns of the march, those of its start included."""
-    own = record_fit.index[: record_fit.march_columns]
-    return covariance[np.ix_(own, own)]
+    of_march = record_fit.index[: record_fit.march_columns]
+    return covariance[np.ix_(of_march, of_march)]
 
 
 def _next_start(last: _Fitted, time_s: float, *, unknown: bool) -> tuple[Start, FloatArray]:
@@ -317,8 +318,8 @@ def _next_start(last: _Fitted, time_s: float, *, unknown: bool) -> tuple[Start, 
     """
     record_fit, values = last.problem.record_fits[0], last.fit.values
     T, S = state_at(record_fit, values, time_s)
-    own, vectors = np.linalg.eigh(last.of_march)
-    root = np.sqrt(np.maximum(own, 0.0))
+    eigenvalues, vectors = np.linalg.eigh(last.of_march)
+    root = np.sqrt(np.maximum(eigenvalues, 0.0))
     spread, count = S @ (vectors * root), DIRECTIONS
     if unknown:
         begin = record_fit.begin_s if last.misfit > 1.0 else last.last_s
@@ -365,8 +366,8 @@ def state_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> tuple[
         record_fit.model_at(values), record_fit.mesh, record_fit.march_names, np.array([time_s]), nodes,
         declared.initial_K, declared.initial_columns,
     )  # fmt: skip
-    found = LinearMarch([track], time, record_fit.history(time)).march()[0]
-    return found.temperature_K[:, 0], found.sensitivity[:, 0]
+    marched = LinearMarch([track], time, record_fit.history(time)).march()[0]
+    return marched.temperature_K[:, 0], marched.sensitivity[:, 0]
 
 
 def refined_at(record_fit: RecordFit, values: FloatArray, time_s: float) -> FloatArray:
@@ -411,11 +412,11 @@ def _segment(
             slope[k] = np.mean(factor * linear[:, LINEAR_RATIO[name]])
     sigma = float(np.sqrt(slope @ _of_march(record_fit, fit.covariance) @ slope))
     m, condition = len(record_fit.march_names), tuple(float(v) for v in np.mean(x, axis=0))
-    found = Segment(
+    segment = Segment(
         begin, end, count, condition, float(np.mean(ratio)), sigma, fit.values[:m], fit.sigma[:m],
         float(np.mean(declared)), misfit,
     )  # fmt: skip
-    return found, slope
+    return segment, slope
 
 
 def _ratios_with_effects(
@@ -426,10 +427,10 @@ def _ratios_with_effects(
     The ratio is film coefficient over h_ref of the march, as effects may depend on the temperature of the wall.
     """
     model = record_fit.model_at(values)
-    more = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + RATIO_STEP})
+    raised_model = model.with_parameters({RATIO_ITSELF: model.value(RATIO_ITSELF) + RATIO_STEP})
     # without the values that a fit sets or fixes
     declared_model = replace(record_fit.model, parameters={})
-    ensemble = Ensemble([model, more, declared_model], [record_fit.mesh] * 3)
+    ensemble = Ensemble([model, raised_model, declared_model], [record_fit.mesh] * 3)
     initial = record_fit.initial_K(values)
     if initial is not None:
         for i in range(3):

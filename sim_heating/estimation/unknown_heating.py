@@ -78,14 +78,14 @@ def temperatures_at(
 
     Derived in docs/theory/equations_march.md, equations 4 to 8.
     """
-    nodes, found = tuple(range(mesh.nodes)), []
+    nodes, temperatures_K = tuple(range(mesh.nodes)), []
     for first in range(0, len(histories), LANES):
         lanes = histories[first : first + LANES]
         tracks = [
             Track(model, mesh, (), np.array([end_s]), nodes, initial_K, flight=flight) for flight in range(len(lanes))
         ]
-        found += [f.temperature_K[:, 0] for f in LinearMarch(tracks, time_s, np.stack(lanes)).march()]
-    return np.array(found)
+        temperatures_K += [f.temperature_K[:, 0] for f in LinearMarch(tracks, time_s, np.stack(lanes)).march()]
+    return np.array(temperatures_K)
 
 
 def _intervals(begin_s: float, end_s: float) -> list[tuple[float, float]]:

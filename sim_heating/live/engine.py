@@ -99,11 +99,11 @@ def check_estimate(link: Link) -> None:
                 f"`{CLOCK_SKEW.name}` is in `fix` and in `parameters`; give what is known of it as the mean of its "
                 "`prior`, and estimate it"
             )
-        own, skew_s = link.declared.estimate, clock_skew_s(link)
-        if not -own.jump_s < skew_s < own.lateness_s:
+        settings, skew_s = link.declared.estimate, clock_skew_s(link)
+        if not -settings.jump_s < skew_s < settings.lateness_s:
             raise InputError(
                 f"`{CLOCK_SKEW.name}` = {skew_s:g} s: readings would belong outside the window in which samples are "
-                f"waited for, from {-own.jump_s:g} to {own.lateness_s:g} s; raise `lateness_s` or `jump_s`"
+                f"waited for, from {-settings.jump_s:g} to {settings.lateness_s:g} s; raise `lateness_s` or `jump_s`"
             )
         check_estimated({p.name: p.sensors for p in link.points}, names)
 
@@ -114,15 +114,19 @@ def make_estimator(link: Link) -> LiveEstimator:
     raises : InputError for a parameter that a running estimate cannot have
     """
     check_estimate(link)
-    own, names = link.declared.estimate, parameters_of(link)
-    priors = {name: Prior(mean, sigma) for name, (mean, sigma) in own.prior.items()}
+    settings, names = link.declared.estimate, parameters_of(link)
+    priors = {name: Prior(mean, sigma) for name, (mean, sigma) in settings.prior.items()}
     with error_context(f"{display_path(link.path)}, [estimate]"):
         options = LiveOptions(
-            lateness_s=own.lateness_s, jump_s=own.jump_s, linearise_s=own.linearise_s, start=own.start,
-            ratio_noise=(own.wander, own.wander_s) if own.wander > 0.0 else None, corrects_mesh=own.corrects_mesh,
-        )  # fmt: skip
+            lateness_s=settings.lateness_s,
+            jump_s=settings.jump_s,
+            linearise_s=settings.linearise_s,
+            start=settings.start,
+            ratio_noise=(settings.wander, settings.wander_s) if settings.wander > 0.0 else None,
+            corrects_mesh=settings.corrects_mesh,
+        )
         points: ConditionsOfFrame
-        fixed = {name: value for name, value in own.fix.items() if name != CLOCK_SKEW.name}
+        fixed = {name: value for name, value in settings.fix.items() if name != CLOCK_SKEW.name}
         if link.vehicle is not None:
             points = VehiclePoints(link.vehicle, link.names, parameters=fixed)
         else:
@@ -221,18 +225,18 @@ class LinkEngine:
         returns : number of bodies by source
         """
         decoders = [decoder_of(self.link, source) for source in self.link.declared.source]
-        taken: Counter[int] = Counter()
+        counts: Counter[int] = Counter()
         for entry in islice(read_journal(path), most):
-            taken[entry.source] += 1
+            counts[entry.source] += 1
             message = message_of(decoders[entry.source], entry.body, time.monotonic())
             if message is not None:
                 self.give(message)
-            if sum(taken.values()) % IN_A_ROW == 0:
+            if sum(counts.values()) % IN_A_ROW == 0:
                 self.advance()
         self.advance()
-        if taken:
-            self.remarks.add(f"goes on from a journal of {sum(taken.values())} messages")
-        return dict(taken)
+        if counts:
+            self.remarks.add(f"goes on from a journal of {sum(counts.values())} messages")
+        return dict(counts)
 
     def _tell_journal(self) -> None:
         assert self.journal is not None
@@ -368,9 +372,9 @@ def _limits(link: Link, point: str) -> dict[str, float]:
     """Temperature limits of a control point [K]; none of one that a record declares."""
     if link.vehicle is None:
         return {}
-    own = link.vehicle.control_point(point).limits
-    given = {"surface_K": own.surface_K, "bondline_K": own.bondline_K}
-    return {name: limit for name, limit in given.items() if limit is not None}
+    declared = link.vehicle.control_point(point).limits
+    limits = {"surface_K": declared.surface_K, "bondline_K": declared.bondline_K}
+    return {name: limit for name, limit in limits.items() if limit is not None}
 
 
 def _left_out(read: Innovation) -> str:

@@ -67,12 +67,12 @@ class _Faults:
             self._remark(f"connections: {context.get('message', '')} {error!r}; recording goes on")
 
     @contextlib.contextmanager
-    def caught(self, what: str) -> Iterator[None]:
+    def caught(self, activity: str) -> Iterator[None]:
         """An error within the block is a remark."""
         try:
             yield
         except Exception as error:
-            self._remark(f"{what}: {error!r}; recording goes on")
+            self._remark(f"{activity}: {error!r}; recording goes on")
 
 
 _Item = Message | _Failed | None
@@ -110,14 +110,14 @@ async def run_link(
     raises   : InputError where a source or an output cannot be opened
     """
     link, stop = engine.link, stop or Stop()
-    told = _Faults(engine.remarks.add)
+    faults = _Faults(engine.remarks.add)
     loop, queue = asyncio.get_running_loop(), asyncio.Queue[_Item](WAITING)
     worker = ThreadPoolExecutor(1, thread_name_prefix="estimate")
     readers: list[asyncio.Task[None]] = []
-    taken: dict[int, Counter[bytes]] = defaultdict(Counter)
+    written: dict[int, Counter[bytes]] = defaultdict(Counter)
     started: list[Output] = []
     handled = loop.get_exception_handler()
-    loop.set_exception_handler(told.of_loop)
+    loop.set_exception_handler(faults.of_loop)
     try:
         await loop.run_in_executor(worker, engine.prepare)
         stop.has_begun = True
@@ -126,16 +126,16 @@ async def run_link(
             started.append(output)
         if resume and engine.journal is not None:
             for entry in read_journal(engine.journal.path):
-                taken[entry.source][_digest(entry.body)] += 1
+                written[entry.source][_digest(entry.body)] += 1
         streams = [open_sources(link, i, engine.remarks.add) for i in range(len(link.declared.source))]
         if not streams:
             raise InputError(f"{link.path}: has no [[source]]; add one, or give --replay RECORD")
-        readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, taken))) for s in streams]
-        publish = _publisher(engine, started, on_state, told)
+        readers = [asyncio.create_task(_read(engine, s, queue, _skipped(link, s.number, written))) for s in streams]
+        publish = _publisher(engine, started, on_state, faults)
         publish(False)  # a reader that comes before the first sample finds a link that waits
-        if taken and engine.journal is not None:
+        if written and engine.journal is not None:
             again = loop.run_in_executor(
-                worker, engine.resume, engine.journal.path, sum(c.total() for c in taken.values())
+                worker, engine.resume, engine.journal.path, sum(c.total() for c in written.values())
             )
             await _meanwhile(again, publish, loop.time())
         await _take_all(engine, queue, len(readers), worker, stop, publish)
@@ -146,14 +146,14 @@ async def run_link(
         if waiting is not None:
             await _weighed(engine, waiting, stop, publish)
         last = engine.state()
-        _publish(last, started, on_state, told)
+        _publish(last, started, on_state, faults)
         return last
     finally:
         for task in readers:
             task.cancel()
         await asyncio.gather(*readers, return_exceptions=True)
         for output in started:
-            with told.caught("ending a page or display"):
+            with faults.caught("ending a page or display"):
                 await output.stop()
         worker.shutdown(wait=not stop.at_once, cancel_futures=stop.at_once)
         engine.stop()
@@ -184,11 +184,11 @@ def _digest(body: bytes) -> bytes:
     return hashlib.blake2b(body, digest_size=16).digest()
 
 
-def _skipped(link: Link, number: int, taken: Mapping[int, Counter[bytes]]) -> Counter[bytes]:
+def _skipped(link: Link, number: int, written: Mapping[int, Counter[bytes]]) -> Counter[bytes]:
     """Digests of bodies of a source that begins again with its first one, and that the journal has already."""
     source = link.declared.source[number]
     begins_again = isinstance(source, Replay) or (isinstance(source, Network) and source.transport == "file")
-    return Counter(taken.get(number)) if begins_again else Counter()
+    return Counter(written.get(number)) if begins_again else Counter()
 
 
 async def _read(engine: LinkEngine, stream: SourceStream, queue: asyncio.Queue[_Item], skip: Counter[bytes]) -> None:
@@ -284,26 +284,28 @@ def _give(engine: LinkEngine, batch: Sequence[Message]) -> None:
 
 def _waiting(queue: asyncio.Queue[_Item]) -> list[Message]:
     """Messages that wait for the engine; they are in the journal already."""
-    found: list[Message] = []
+    messages: list[Message] = []
     while not queue.empty():
         item = queue.get_nowait()
         if isinstance(item, Message):
-            found.append(item)
-    return found
+            messages.append(item)
+    return messages
 
 
 def _publisher(
-    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults
+    engine: LinkEngine, outputs: Sequence[Output], on_state: Callable[[State], None] | None, faults: _Faults
 ) -> Callable[[bool], None]:
     """What publishes the state now; with True the last one, with the link's health now, while the engine is busy."""
 
     def publish(is_busy: bool) -> None:
-        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state, told)
+        _publish(engine.last_state() if is_busy else engine.state(), outputs, on_state, faults)
 
     return publish
 
 
-def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None, told: _Faults) -> None:
+def _publish(
+    state: State, outputs: Sequence[Output], on_state: Callable[[State], None] | None, faults: _Faults
+) -> None:
     if on_state is not None:
         on_state(state)
     if outputs:
@@ -311,7 +313,7 @@ def _publish(state: State, outputs: Sequence[Output], on_state: Callable[[State]
 
         published = Published(state)
         for output in outputs:
-            with told.caught("a page or display"):
+            with faults.caught("a page or display"):
                 output.publish(published)
 
 

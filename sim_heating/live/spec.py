@@ -440,10 +440,10 @@ class Link:
 
         What a property's name cannot hold is an underscore there: heating/left_wing of `left wing`.
         """
-        given = self.declared.output.jsbsim
-        if given is None:
+        settings = self.declared.output.jsbsim
+        if settings is None:
             return {}
-        prefix = given.prefix.rstrip("/")
+        prefix = settings.prefix.rstrip("/")
         return {name: f"{prefix}/{_property_name(name)}" for name in self.names}
 
     def file(self, name: str, key: str) -> Path:
@@ -453,15 +453,15 @@ class Link:
 
 def _property_name(name: str) -> str:
     """A name as a part of a JSBSim property: letters of English, digits, `_`, `-` and `.`, no digit in front."""
-    found = re.sub(r"[^A-Za-z0-9_.-]", "_", name)
-    return found if re.match(r"[A-Za-z_]", found) else f"_{found}"
+    allowed = re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+    return allowed if re.match(r"[A-Za-z_]", allowed) else f"_{allowed}"
 
 
 def load_link(path: str | os.PathLike[str] | Link, *, root: str | os.PathLike[str] | None = None) -> Link:
     """Read and check a link file, its vehicle or records, and its scenario.
 
     path   : of the TOML file; a link that has been loaded is returned as it is
-    root   : folder that it may name files in, as `load_scenario` takes it
+    root   : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
 
     >>> from sim_heating.live.spec import load_link
@@ -482,30 +482,30 @@ def make_link(
     path     : file that its names are relative to; it need not exist
     raises   : InputError with one line a problem
     """
-    place = Path(path)
+    file = Path(path)
     if not isinstance(declared, LinkFile):
-        declared = check(dict(declared), LinkFile, display_path(place))
-    roots = roots_of(place, root)
+        declared = check(dict(declared), LinkFile, display_path(file))
+    roots = roots_of(file, root)
     vehicle, records = None, {}
     if declared.vehicle is not None:
-        vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
-        roots = roots_of(place, root, vehicle.directory)
-        given = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
+        vehicle = load_vehicle(vehicle_place(file, declared.vehicle, root=root), root=root)
+        roots = roots_of(file, root, vehicle.directory)
+        sensors_of = {p.name: tuple(p.sensors) for p in vehicle.control_points.values()}
     else:
         loaded = load_records([roots.existing(r, "`records`") for r in declared.records or []], root=root)
         names = [r.declared.control_point for r in loaded]
-        raise_problems(_apart(loaded, place))
+        raise_problems(_apart(loaded, file))
         if (name := repeated_name(names)) is not None:
-            raise InputError(f"{display_path(place)}: two records are of control point {name}; leave one out")
+            raise InputError(f"{display_path(file)}: two records are of control point {name}; leave one out")
         records = dict(zip(names, loaded, strict=True))
-        given = {name: tuple(r.sensors) for name, r in records.items()}
-    points = _points(declared, given, place)
+        sensors_of = {name: tuple(r.sensors) for name, r in records.items()}
+    points = _points(declared, sensors_of, file)
     scenario = None
     if declared.ahead.scenario is not None:
         scenario = load_scenario(roots.existing(declared.ahead.scenario, "[ahead]: `scenario`"), root=root)
     columns = _columns(declared, vehicle, {p.name: records[p.name] for p in points} if records else {})
     own_root = None if root is None else Path(root)
-    link = Link(place, declared, vehicle, records, points, columns, scenario, roots, own_root)
+    link = Link(file, declared, vehicle, records, points, columns, scenario, roots, own_root)
     raise_problems([*_scenario_problems(link), *_property_problems(link)])
     return link
 
@@ -520,8 +520,8 @@ def replayed(
     """
     source = {"kind": "replay", "record": str(Path(record).absolute()), "speed": float(speed)}
     if link is None:
-        place = Path(record).absolute().with_suffix(".toml")
-        return make_link({"format": "link/1", "records": [source["record"]], "source": [source]}, place, root=root)
+        file = Path(record).absolute().with_suffix(".toml")
+        return make_link({"format": "link/1", "records": [source["record"]], "source": [source]}, file, root=root)
     declared = link.declared.model_dump(
         exclude_unset=True,
         exclude={"time": True, "conditions": True, "sensor": True, "output": {"jsbsim"}},  # a record is no JSBSim
@@ -529,16 +529,19 @@ def replayed(
     return make_link(declared | {"source": [source]}, link.path, root=root)
 
 
-def _points(declared: LinkFile, given: Mapping[str, tuple[Sensor, ...]], place: Path) -> tuple[LinkPoint, ...]:
+def _points(declared: LinkFile, sensors_of: Mapping[str, tuple[Sensor, ...]], file: Path) -> tuple[LinkPoint, ...]:
     """The control points that are followed."""
     chosen = declared.control_points
     if chosen is None:
-        chosen = [name for name, sensors in given.items() if sensors] or list(given)
-    unknown = [name for name in chosen if name not in given]
+        chosen = [name for name, sensors in sensors_of.items() if sensors] or list(sensors_of)
+    unknown = [name for name in chosen if name not in sensors_of]
     raise_problems(
-        [f"{display_path(place)}: `control_points`: unknown control point `{n}`{suggestion(n, given)}" for n in unknown]
+        [
+            f"{display_path(file)}: `control_points`: unknown control point `{n}`{suggestion(n, sensors_of)}"
+            for n in unknown
+        ]
     )
-    return tuple(LinkPoint(name, given[name]) for name in chosen)
+    return tuple(LinkPoint(name, sensors_of[name]) for name in chosen)
 
 
 def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, Record]) -> tuple[str, ...]:
@@ -556,11 +559,11 @@ def _columns(declared: LinkFile, vehicle: Vehicle | None, records: Mapping[str, 
     return tuple(dict.fromkeys([*needed, *declared.conditions]))
 
 
-def _apart(records: Sequence[Record], place: Path) -> list[str]:
+def _apart(records: Sequence[Record], file: Path) -> list[str]:
     """Records whose conditions differ: a frame holds one value of each column."""
     first = records[0].conditions
     return [
-        f"{display_path(place)}: `records`: {r.name} and {records[0].name} differ in their conditions, as in their own "
+        f"{display_path(file)}: `records`: {r.name} and {records[0].name} differ in their conditions, as in their own "
         "h_ref_kg_m2_s; follow one of them, or the control points of a vehicle"
         for r in records[1:]
         if first.names != r.conditions.names
@@ -582,7 +585,7 @@ def _property_problems(link: Link) -> list[str]:
     """Two control points whose properties in a JSBSim would be one."""
     if (folder := repeated_name(list(link.property_folders.values()))) is None:
         return []
-    both = " and ".join(name for name, own in link.property_folders.items() if own == folder)
+    both = " and ".join(name for name, other in link.property_folders.items() if other == folder)
     return [
         f"{display_path(link.path)}, [output.jsbsim]: control points {both} would both be {folder} in JSBSim; follow "
         "one of them, or rename one"

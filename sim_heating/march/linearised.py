@@ -146,7 +146,7 @@ def perturbation(model: PointModel, name: str) -> tuple[float, bool]:
 
 
 @dataclass(frozen=True)
-class _PerturbedLane:
+class PerturbedLane:
     """One perturbed lane of a track: the nominal point, or that point with a parameter or its ratio table perturbed.
 
     columns : those of the parameter, or of all parameters of the linear ratio, which act as the ratio itself does
@@ -177,25 +177,25 @@ def _sides(both: bool) -> tuple[float, ...]:
     return (1.0, -1.0) if both else (1.0,)
 
 
-def _perturbed_lanes(i: int, track: Track) -> list[_PerturbedLane]:
+def _perturbed_lanes(i: int, track: Track) -> list[PerturbedLane]:
     """The perturbed lanes of a track, the nominal one first; none for a track without sensitivities."""
-    lanes = [_PerturbedLane(i)] if track.columns else []
+    lanes = [PerturbedLane(i)] if track.columns else []
     # A lag mixes earlier values of dr/dp into the present ratio, so that one lane cannot serve all parameters.
     remembered = any(used.effect.lags for used in track.model.effects)
     shared = () if remembered else tuple(k for k, name in enumerate(track.names) if name in LINEAR_RATIO)
     if shared:
         by, both = perturbation(track.model, RATIO_ITSELF)
-        lanes += [_PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
+        lanes += [PerturbedLane(i, shared, RATIO_ITSELF, side * by, both, at_faces=True) for side in _sides(both)]
     for column, name in enumerate(track.names):
         if column not in shared:
             (by, both), at_faces = perturbation(track.model, name), track.model.at_faces(name)
-            lanes += [_PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
+            lanes += [PerturbedLane(i, (column,), name, side * by, both, at_faces) for side in _sides(both)]
     tables = range(len(track.names), len(track.names) + len(track.table_errors))
     # Where the balance is affine in the ratio, a whole unit of the error gives the exact derivative.
     both = _curved_in_ratio(track.model)
     by = PERTURBATION if both else 1.0
     return lanes + [
-        _PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
+        PerturbedLane(i, (column,), by=side * by, both=both, at_faces=True)
         for column in tables
         for side in _sides(both)
     ]

@@ -84,7 +84,7 @@ class Plan:
 def parts_of(study: Study) -> dict[str, StudyPart]:
     """The parts that a study asks for, by the names of its tables."""
     parts = {"dispersion": DISPERSION, "envelope": ENVELOPE, "next_flight": NEXT_FLIGHT, "optimal": OPTIMAL}
-    return {name: part for name, part in parts.items() if getattr(study.declared, name) is not None}
+    return {name: study_part for name, study_part in parts.items() if getattr(study.declared, name) is not None}
 
 
 def plan(
@@ -121,7 +121,7 @@ def plan(
     if not parts:
         raise InputError(f"{study.path}: has no table that asks for a result; add one, such as [dispersion]")
     done = Plan(study)
-    expected = [SUMMARY, PAGE, *(name for part in parts.values() for name in part.files(study))]
+    expected = [SUMMARY, PAGE, *(name for study_part in parts.values() for name in study_part.files(study))]
     # One thread for linear algebra: its split among threads changes last digits, and results are to be the same bytes
     # on any number of cores.
     seed = None if study.declared.dispersion is None else study.declared.dispersion.seed
@@ -131,9 +131,9 @@ def plan(
     ):
         if engine.scheduler is not None:
             require_scheduler(engine.scheduler)
-        for i, (name, part) in enumerate(parts.items()):
+        for i, (name, study_part) in enumerate(parts.items()):
             try:
-                done.results[name] = part.run(study, folder, engine, _within(progress, name, i, len(parts)))
+                done.results[name] = study_part.run(study, folder, engine, _within(progress, name, i, len(parts)))
             except (InputError, RunError) as error:
                 # A part that fails does not take the results of the others with it.
                 if isinstance(error, InputError) and len(parts) == 1:

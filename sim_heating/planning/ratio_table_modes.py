@@ -62,30 +62,30 @@ def table_modes(vehicle: Vehicle, point: str, path: FloatArray, factor: float = 
     factor : on the sigma that the table states
     raises : InputError where a ratio is not above 0
     """
-    known = table_posterior(vehicle, point)
+    posterior = table_posterior(vehicle, point)
     mean = vehicle.control_point(point).ratio.ratio.ravel()
-    if known is None:
+    if posterior is None:
         return np.zeros((mean.size, 0))
     if not np.min(mean) > 0.0:
         raise InputError(
             f"{point}: its ratio table holds {np.min(mean):g}; only ratios above 0 can be dispersed; set `tables = 0`"
         )
-    W = node_weights(known.prior.axes, path)
+    W = node_weights(posterior.prior.axes, path)
     nodes = np.unique(W.indices)
-    own = W[:, nodes].toarray()
-    K = known.covariance(np.arange(mean.size), nodes)
+    weights = W[:, nodes].toarray()
+    K = posterior.covariance(np.arange(mean.size), nodes)
     # Lognormal with the mean and covariance of the table: with a sigma of most of the ratio a normal error would make
     # negative ratios.
     G = np.log1p(np.maximum(factor**2 * K / np.outer(mean, mean[nodes]), LEAST_COVARIANCE))
-    along = own @ G[nodes] @ own.T
-    variance, vectors = np.linalg.eigh(0.5 * (along + along.T))
+    covariance = weights @ G[nodes] @ weights.T
+    variance, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     order = np.argsort(variance)[::-1]
     variance, vectors = np.maximum(variance[order], 0.0), vectors[:, order]
     total = float(np.sum(variance))
     if total == 0.0:
         return np.zeros((mean.size, 0))
     count = int(np.searchsorted(np.cumsum(variance), (1.0 - LOST) * total)) + 1
-    modes = G @ own.T @ (vectors[:, :count] / np.sqrt(variance[:count]))
+    modes = G @ weights.T @ (vectors[:, :count] / np.sqrt(variance[:count]))
     # An eigenvector has either sign; a fixed one makes a positive number mean a hotter table.
     signs = np.where(np.sum(modes, axis=0) < 0.0, -1.0, 1.0)
     return np.asarray(modes * signs)
@@ -109,11 +109,11 @@ def covariance_root(vehicle: Vehicle, point: str) -> FloatArray | None:
 
     raises : InputError where the table was changed without a revision
     """
-    known = table_posterior(vehicle, point)
-    if known is None:
+    posterior = table_posterior(vehicle, point)
+    if posterior is None:
         return None
-    nodes = np.arange(known.ratio.size)
-    values, vectors = np.linalg.eigh(known.covariance(nodes, nodes))
+    nodes = np.arange(posterior.ratio.size)
+    values, vectors = np.linalg.eigh(posterior.covariance(nodes, nodes))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
@@ -172,8 +172,8 @@ def peak_sensitivities(
     """
     peaks: list[PointPeaks] = []
     for first in range(0, len(models), LANES):
-        own = slice(first, first + LANES)
-        peaks += _march_linearised(models[own], meshes[own], roots[own], flights[own])
+        lanes = slice(first, first + LANES)
+        peaks += _march_linearised(models[lanes], meshes[lanes], roots[lanes], flights[lanes])
     return peaks
 
 

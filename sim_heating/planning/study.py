@@ -116,12 +116,12 @@ class Study:
 
     def optimal(self) -> OptimalStudy | None:
         """The optimal entry that the study asks for; None where it has no [optimal]."""
-        given = self.declared.optimal
-        if given is None:
+        stated = self.declared.optimal
+        if stated is None:
             return None
         where = f"{display_path(self.path)}, [optimal]"
         names = {"format": "optimal-entry/1", "title": self.title, "vehicle": self.vehicle.name}
-        return optimal_study(check({**names, **given}, OptimalStudyFile, where), self.vehicle, where)
+        return optimal_study(check({**names, **stated}, OptimalStudyFile, where), self.vehicle, where)
 
 
 def load_study(
@@ -134,77 +134,77 @@ def load_study(
 
     path    : of the study's TOML file; a study that has been loaded is returned as it is
     vehicle : name or directory of a vehicle to fly instead of the study's own; any revision of it is accepted
-    root    : folder that it may name files in, as `load_scenario` takes it
+    root    : folder that it may name files in; by default the nearest above it that holds `scenarios`
     raises  : InputError with one line a problem
     """
     if isinstance(path, Study):
         return path if vehicle is None else load_study(path.path, vehicle, root=path.root)
-    place = Path(path)
-    declared = read_toml(place, StudyFile)
-    named = vehicle_place(place, declared.vehicle, root=root) if vehicle is None else vehicle
+    study_path = Path(path)
+    declared = read_toml(study_path, StudyFile)
+    named = vehicle_place(study_path, declared.vehicle, root=root) if vehicle is None else vehicle
     loaded = load_vehicle(named, root=root)
     # A study of another revision would answer another question; --vehicle asks for that on purpose.
     if vehicle is None and declared.revision not in (None, loaded.revision):
         raise InputError(
-            f'{display_path(place)}: `revision`: the study needs "{declared.revision}" and {loaded.name} is at '
+            f'{display_path(study_path)}: `revision`: the study needs "{declared.revision}" and {loaded.name} is at '
             f'"{loaded.revision}"; change one of them'
         )
-    base = _base(place, declared, loaded, root)
-    points, digest = _limited_points(place, declared, base), _hash(place, declared, base)
-    study = Study(place, declared, base, points, digest, None if root is None else Path(root).absolute())
+    base = _base(study_path, declared, loaded, root)
+    points, digest = _limited_points(study_path, declared, base), _hash(study_path, declared, base)
+    study = Study(study_path, declared, base, points, digest, None if root is None else Path(root).absolute())
     study.optimal()
     return study
 
 
-def _base(place: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
+def _base(study_path: Path, declared: StudyFile, vehicle: Vehicle, root: str | os.PathLike[str] | None) -> Scenario:
     """The base entry as a scenario of the study's vehicle and control points."""
-    given: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
-    source = place
-    given |= {"control_points": declared.control_points, "effect": [e.model_dump() for e in declared.effect]}
+    contents: dict[str, Any] = {"format": "scenario/1", "vehicle": declared.vehicle, "title": declared.title}
+    source = study_path
+    contents |= {"control_points": declared.control_points, "effect": [e.model_dump() for e in declared.effect]}
     if declared.scenario is not None:
-        source = roots_of(place, root, vehicle.directory).named(declared.scenario, "`scenario`")
+        source = roots_of(study_path, root, vehicle.directory).named(declared.scenario, "`scenario`")
         if not os.path.isfile(source):
-            raise InputError(f"{display_path(place)}: `scenario`: the file {display_path(source)} does not exist")
+            raise InputError(f"{display_path(study_path)}: `scenario`: the file {display_path(source)} does not exist")
         flown = read_toml(source, ScenarioFile)
         if flown.heating.schedules:
             raise InputError(
                 f"{display_path(source)}, [heating]: a study has no {' and '.join(flown.heating.schedules)} in time; "
                 "fly a scenario without, and declare them in the stacks"
             )
-        given["heating"] = dict.fromkeys(flown.heating.left_out.values(), False)
+        contents["heating"] = dict.fromkeys(flown.heating.left_out.values(), False)
         effect = [e.model_dump() for e in flown.effect]
-        copied = {"trajectory": flown.trajectory, "effect": effect, "heating": given["heating"]}
-        own = {k: v for k, v in given.items() if k in ("format", "vehicle", "title")}
+        copied = {"trajectory": flown.trajectory, "effect": effect, "heating": contents["heating"]}
+        head = {k: v for k, v in contents.items() if k in ("format", "vehicle", "title")}
         # Checked by itself first, so that its own problems are reported with its path and all others with the study's.
-        make_scenario(source, check(own | copied, ScenarioFile, display_path(source)), vehicle, root=root)
-        given["trajectory"] = flown.trajectory
-        given["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
+        make_scenario(source, check(head | copied, ScenarioFile, display_path(source)), vehicle, root=root)
+        contents["trajectory"] = flown.trajectory
+        contents["effect"] = [e.model_dump() for e in (*flown.effect, *declared.effect)]
     else:
-        given["trajectory"] = declared.trajectory
-    file = check({k: v for k, v in given.items() if v is not None}, ScenarioFile, display_path(place))
-    return make_scenario(source, file, vehicle, error_file=place, root=root)
+        contents["trajectory"] = declared.trajectory
+    file = check({k: v for k, v in contents.items() if v is not None}, ScenarioFile, display_path(study_path))
+    return make_scenario(source, file, vehicle, error_file=study_path, root=root)
 
 
-def _limited_points(place: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
+def _limited_points(study_path: Path, declared: StudyFile, base: Scenario) -> tuple[LimitedPoint, ...]:
     """The control points with the study's limits, or the vehicle's own where the study gives none."""
-    given = {limit.control_point: limit for limit in declared.limit}
-    named = [("limit", name) for name in given]
+    limits = {limit.control_point: limit for limit in declared.limit}
+    named = [("limit", name) for name in limits]
     candidates = declared.next_flight.manoeuvre if declared.next_flight is not None else []
     named += [("next_flight", name) for c in candidates for name in c.control_points]
     raise_problems([
-        f"{display_path(place)}, [{table}]: `{name}` is not among the study's control points; add it there"
+        f"{display_path(study_path)}, [{table}]: `{name}` is not among the study's control points; add it there"
         for table, name in dict.fromkeys(named)
         if name not in base.names
     ])  # fmt: skip
     points = []
     for name in base.names:
-        point, limit = base.vehicle.control_point(name), given.get(name, Limit(control_point=name))
+        point, limit = base.vehicle.control_point(name), limits.get(name, Limit(control_point=name))
         bondline = point.limits.bondline_K if limit.bondline_K is None else limit.bondline_K
         points.append(LimitedPoint(point, limit.surface_K or point.limits.surface_K, bondline))
     return tuple(points)
 
 
-def _hash(place: Path, declared: StudyFile, base: Scenario) -> str:
+def _hash(study_path: Path, declared: StudyFile, base: Scenario) -> str:
     """SHA-256 over the study, the base entry, all files of the vehicle, and user-defined effects."""
     digest = hashlib.sha256(declared.model_dump_json().encode())
     digest.update(base.declared.model_dump_json(exclude={"vehicle", "title"}).encode())

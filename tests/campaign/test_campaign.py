@@ -73,7 +73,7 @@ def report(home: Path) -> dict[str, Any]:
 
 
 @pytest.mark.thorough
-def test_the_flights_together_find_the_truth_with_smaller_bounds_than_each_alone(report: dict[str, Any]) -> None:
+def test_joint_flights_find_the_truth_with_smaller_bounds(report: dict[str, Any]) -> None:
     (joint,) = report["joint"]
     assert joint["flights"] == list(FITTED)
     for name, truth in TRUTH.items():
@@ -93,7 +93,7 @@ def test_the_revised_tables_predict_a_flight_that_was_not_fitted(report: dict[st
 
 
 @pytest.mark.thorough
-def test_a_campaign_of_the_same_files_repeats_nothing_and_one_that_lost_a_fit_repeats_that_fit(
+def test_campaign_repeats_only_a_fit_that_was_lost(
     home: Path, report: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = home / "out"
@@ -212,13 +212,13 @@ def test_fits_of_one_point_take_the_name_that_all_its_records_allow() -> None:
         Carried(((coating, heat),), of_coating, "one of"),
         Carried(((coating,),), of_coating, "found"),
     ]
-    assert [tuple(c.found) for c in agreed(records)] == [(coating,)] * 3
+    assert [tuple(c.by_effect) for c in agreed(records)] == [(coating,)] * 3
     assert agreed(records)[0].estimates == {"effect.coating-thickness.coating_factor": (1.2, 0.01)}
     # one record for each name: both take the same
-    assert len({tuple(c.found) for c in agreed(records[:2])}) == 1
+    assert len({tuple(c.by_effect) for c in agreed(records[:2])}) == 1
     # without a name in common every record keeps its own
     apart = [Carried(((heat,),), of_heat, "found"), Carried(((coating,),), of_coating, "found")]
-    assert [tuple(c.found) for c in agreed(apart)] == [(heat,), (coating,)]
+    assert [tuple(c.by_effect) for c in agreed(apart)] == [(heat,), (coating,)]
 
 
 @pytest.mark.thorough

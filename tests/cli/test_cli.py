@@ -142,7 +142,7 @@ def test_a_key_in_the_chart_of_a_sensor_gives_the_error_of_this_sensor(predicted
 
 
 @needs_browser
-def test_the_pages_of_records_and_predictions_fit_a_screen_a_telephone_and_paper(predicted: Path) -> None:
+def test_record_and_prediction_pages_fit_screen_telephone_and_paper(predicted: Path) -> None:
     pages = "record/report.html", "predicted/report.html", "predicted/record/report.html"
     assert_fits(*(predicted.parent / page for page in pages))
 

@@ -240,7 +240,7 @@ ratio.scale = [0.0, 1.0]
 
 
 @pytest.mark.thorough
-def test_what_is_fixed_and_known_before_comes_from_a_file_and_the_line_and_is_stated(
+def test_fixed_values_and_priors_come_from_file_and_command_line(
     workdir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "fit.toml").write_text(SETTINGS)

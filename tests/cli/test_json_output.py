@@ -49,9 +49,7 @@ def test_every_command_states_wrong_usage_as_an_object(
     assert output.err == f"error: {found['error']['message']}\n"
 
 
-def test_the_object_of_a_prediction_has_its_files_and_the_contents_of_its_summary(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_of_a_prediction_has_its_files_and_its_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     found = run_json(capsys, "predict", str(TILE), "--out", str(out))
     assert found["error"] is None

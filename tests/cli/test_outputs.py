@@ -78,7 +78,7 @@ def test_a_changed_result_is_a_persons_file(workdir: Path, capsys: pytest.Captur
 
 
 @pytest.mark.thorough
-def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_the_other(workdir: Path) -> None:
+def test_two_commands_at_once_into_one_directory_do_not_mix_results(workdir: Path) -> None:
     runs = [
         subprocess.Popen(
             [sys.executable, "-m", "sim_heating", "predict", f"records/{name}", "--out", "out"],
@@ -110,7 +110,7 @@ def test_of_two_commands_at_once_into_one_directory_none_mixes_its_results_with_
     ],
 )
 @posix
-def test_a_command_killed_at_a_file_operation_leaves_whole_results_and_can_be_repeated(
+def test_command_killed_at_a_file_operation_leaves_whole_results(
     command: str, fresh: bool, moments: tuple[int, ...], tmp_path: Path
 ) -> None:
     """A sample; `python -m benchmarks kills` goes through all commands and all operations."""
@@ -137,7 +137,7 @@ def test_force_replaces_files_of_these_names_and_no_other(workdir: Path, capsys:
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
-def test_force_replaces_the_results_of_another_command_but_not_a_changed_one(
+def test_force_replaces_results_of_another_command_but_no_changed_one(
     workdir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = workdir / "out"

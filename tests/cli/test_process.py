@@ -91,7 +91,7 @@ from sim_heating.__main__ import {entry}
 """
 
 
-def test_a_command_ends_with_what_libraries_do_at_the_exit_and_takes_down_no_module() -> None:
+def test_command_ends_with_library_exit_handlers_and_no_module_teardown() -> None:
     """As other programs call it, it leaves the process as it is."""
     printed = {
         entry: subprocess.run(
@@ -319,9 +319,7 @@ def test_a_disk_that_is_full_names_the_file_and_keeps_the_earlier_result(workdir
     ("command", "given", "least"),
     [("run", "short.toml", 5), ("synthesize", "short.toml", 5), ("predict", str(PRACTICE / "p06"), 4)],
 )
-def test_a_flight_in_a_copy_of_the_process_has_the_same_files_as_one_in_the_process(
-    command: str, given: str, least: int, workdir: Path
-) -> None:
+def test_flight_in_a_copied_process_has_the_same_files(command: str, given: str, least: int, workdir: Path) -> None:
     """That of a shell has its flight, or its prediction, in a copy, where there are two cores; this one has neither."""
     made = subprocess.run([*MODULE, command, given, "--out", "shell"], env=ENVIRONMENT, capture_output=True)
     assert made.returncode == 0, made.stderr.decode()

@@ -85,7 +85,7 @@ def test_what_is_not_identified_has_no_bound():
     assert np.isinf(line(np.zeros(5)).sigma(("b",))[0])
 
 
-def test_two_equal_flights_halve_the_variance_of_a_parameter_with_a_flat_prior():
+def test_two_equal_flights_halve_the_variance_under_a_flat_prior():
     x = np.linspace(0.0, 1.0, 6)
     assert line(x).sigma(("b",), 2) == pytest.approx(line(x).sigma(("b",)) / np.sqrt(2.0))
 
@@ -123,7 +123,7 @@ def test_a_criterion_does_not_depend_on_units():
         assert design_criterion(criterion, a * units, b * units) == pytest.approx(design_criterion(criterion, a, b))
 
 
-def test_twice_the_excursion_halves_a_bound_and_twice_the_samples_divide_it_by_the_root_of_two():
+def test_bound_falls_with_excursion_and_with_the_root_of_samples():
     information = np.array([[2.0, 0.4], [0.4, 1.0]])
     found = sensitivity_to_effort(("ratio.d_alpha", "ratio.scale"), information, np.zeros(2))
     assert found == {"ratio.d_alpha": pytest.approx({"larger": 0.5, "longer": np.sqrt(0.5)})}
@@ -149,7 +149,7 @@ def test_longer_words_faster_samples_and_better_clocks_never_hurt(planned_experi
         assert bound(planned_experiment.without([channel.sensor.name])) >= bound(planned_experiment)
 
 
-def test_more_pressure_conducts_more_so_that_the_coating_cools_and_the_tile_warms(planner, planned):
+def test_more_pressure_cools_the_coating_and_warms_the_tile(planner, planned):
     """On a fully catalytic wall: on another one fewer atoms at a higher pressure warm the coating."""
     record, start = planner.record(planned, planner.instruments)
     assert record.declared.heating.catalysis is not None
@@ -261,7 +261,7 @@ def test_a_whole_design_reports_its_result(flap_design):
     assert kinds >= {"word", "rate", "clock", "pressure", "without", "extra sensor"}
 
 
-def test_the_page_of_a_design_says_in_words_what_a_sensor_alone_does_not_identify(flap_design):
+def test_page_of_a_design_names_what_a_sensor_alone_does_not_identify(flap_design):
     """Nothing but the thermocouple at the surface sees a manoeuvre of half a minute."""
     page = (flap_design / "report.html").read_text().replace("<wbr>", "")
     (row,) = re.findall("<td>without</td><td[^>]*>BODYFLAP_surface</td>(.*)</tr>", page)
@@ -281,7 +281,7 @@ def test_a_design_states_what_supports_it(flap_design):
     assert ">Credibility</h2>" in (flap_design / "report.html").read_text()
 
 
-def test_simulated_fits_that_err_as_the_bounds_say_are_evidence_for_a_design(planner, planned, planned_experiment):
+def test_simulated_fits_within_the_bounds_are_evidence_for_a_design(planner, planned, planned_experiment):
     """Errors twice as large are not, nor are fits that failed."""
     names = planned_experiment.names
     fits = RepeatedFits(names, np.outer([-1.0, 1.0], planned_experiment.sigma(names)), failed=0)

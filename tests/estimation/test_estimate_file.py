@@ -60,7 +60,7 @@ def test_an_estimate_is_shown_in_one_line_with_its_values() -> None:
     assert shown.endswith("; converged)")
 
 
-def test_sigma_and_correlation_give_back_the_covariance_of_any_choice_of_parameters() -> None:
+def test_sigma_and_correlation_give_back_the_covariance() -> None:
     estimate = check(good(), Estimate, "here")
     np.testing.assert_allclose(estimate.covariance(NAMES), COVARIANCE, rtol=1e-12)
     np.testing.assert_allclose(estimate.covariance(NAMES[::2]), COVARIANCE[::2, ::2], rtol=1e-12)

@@ -96,7 +96,7 @@ def mid_entry(nodes: int, at_s: float, profile: int) -> FitProblem:
 
 
 @pytest.mark.parametrize("nodes", [8, 10, 14])
-def test_mesh_of_few_nodes_that_starts_from_a_profile_is_corrected_to_the_exact_march(nodes: int) -> None:
+def test_coarse_mesh_from_a_profile_is_corrected_to_the_exact_march(nodes: int) -> None:
     at, problem, exact = np.zeros(1), mid_entry(nodes, 300.0, 400), mid_entry(100, 300.0, 400)
     before = problem.samples(at)
     for p in (problem, exact):
@@ -123,7 +123,7 @@ def test_a_profile_on_halved_elements_is_the_same_between_the_nodes() -> None:
     np.testing.assert_allclose(halved[1::2], 0.5 * (profile[1:] + profile[:-1]))
 
 
-def test_steps_of_a_march_are_those_of_the_conditions_and_none_is_longer_than_allowed() -> None:
+def test_steps_of_a_march_follow_the_conditions_up_to_the_longest_step() -> None:
     conditions = record_of("popu").conditions
     begin, end = conditions.time_s[3] + 0.25, conditions.time_s[40] - 0.5
     thin = replace(conditions, columns={k: v[::3] for k, v in conditions.columns.items()})

@@ -72,7 +72,7 @@ def test_only_the_manoeuvre_has_more_samples_than_one_a_second(flights: tuple[Sc
     assert between[-1] < window.end_s + 5.0  # the elevon trims behind
 
 
-def test_the_alpha_derivative_of_a_fast_popu_has_no_bias_from_samples_of_a_second(
+def test_fast_popu_gives_an_unbiased_alpha_derivative_at_one_hertz(
     flights: tuple[Scenario, Flight, Flight],
 ) -> None:
     scenario, every_frame, kept = flights

@@ -129,7 +129,7 @@ def test_linear_wall_is_filtered_as_by_the_textbook(steps, when, fraction_lost):
     assert np.sum(filtered.log_likelihood) == pytest.approx(dense.log_likelihood, rel=1e-9)
 
 
-def test_a_start_that_is_uncertain_along_two_profiles_is_filtered_as_by_the_textbook(steps):
+def test_start_uncertain_along_two_profiles_is_filtered_as_in_the_textbook(steps):
     model, mesh = linear_wall()
     samples = wall_samples(WHEN["several in a step"], mesh)
     profiles = np.array([5.0 * np.ones(9), np.linspace(8.0, -3.0, 9)]).T
@@ -302,12 +302,12 @@ def test_a_ratio_that_lags_is_filtered_as_in_the_plain_march(plug, hot):
     np.testing.assert_allclose(found / scale, marched.sensitivity / scale, atol=1e-5)
 
 
-def test_gradient_without_noise_of_the_process_is_that_of_the_log_likelihood(plug, hot):
+def test_gradient_without_process_noise_is_that_of_the_log_likelihood(plug, hot):
     difference, exact, _ = gradients(plug, hot, noise_K2_s=0.0, sigma_K=0.0, away=0.02)
     np.testing.assert_allclose(exact, difference, rtol=1e-5)
 
 
-def test_gradient_with_noise_of_the_process_is_good_to_a_twentieth_of_a_sigma_where_the_model_is_right(plug, hot):
+def test_gradient_with_process_noise_is_good_to_a_twentieth_of_a_sigma(plug, hot):
     # what is left out is how the gain changes with a parameter: 4 % of the score's sigma for the coating's thickness,
     # below 0.1 % for the others; far off the mark, where the score is 50 sigma, it is 0.2 to 7 sigma
     for noise_K2_s in (0.0, 0.05):

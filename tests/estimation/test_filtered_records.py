@@ -27,7 +27,7 @@ def test_a_calibration_is_its_tangent_at_the_reading():
     np.testing.assert_allclose(slope * T + constant, 3.0 + 0.9 * T + 5e-5 * T**2, rtol=1e-12)
 
 
-def test_filtered_temperatures_are_nearer_the_truth_than_a_march_with_the_declared_heating():
+def test_filtered_temperatures_are_nearer_the_truth_than_the_march():
     record, _ = practice_record("p06")
     declared, true = practice_model("p06", true=False), practice_model("p06")
     mesh, t = pack([declared]).meshes[0], record.conditions.time_s

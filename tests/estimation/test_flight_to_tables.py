@@ -106,14 +106,12 @@ def test_the_truth_is_within_the_bounds_of_the_estimates_of_the_flight(
 
 
 @pytest.mark.parametrize("scenario", FITTED)
-def test_a_popu_determines_alpha_and_a_flap_manoeuvre_the_flap_to_a_fifth_of_the_table_error(
-    flown_records: FlownRecords, scenario: str
-) -> None:
+def test_popu_and_flap_manoeuvre_determine_derivatives_to_a_fifth(flown_records: FlownRecords, scenario: str) -> None:
     derivative = DERIVATIVE[scenario]
     assert flown_records.estimate(scenario).parameters[derivative].sigma < 0.2 * TRUTH[derivative]
 
 
-def test_derivatives_are_left_out_that_a_flight_cannot_tell_or_a_table_cannot_hold(flown_records: FlownRecords) -> None:
+def test_uninformed_and_unsupported_derivatives_are_left_out(flown_records: FlownRecords) -> None:
     left_out = flown_records.estimate("popu_mach20").not_estimated
     assert "is constant" in left_out["ratio.d_bodyflap"]
     assert "and is known to 0.1; name it" in left_out["ratio.d_beta"]  # it varies by some hundredths of a degree

@@ -28,7 +28,7 @@ def parts() -> tuple[FitProblem, FitProblem]:
     )
 
 
-def test_likelihoods_add_up_and_a_common_parameter_has_the_information_of_both() -> None:
+def test_joined_likelihoods_and_information_add_up() -> None:
     joint = FitProblem.joined(parts(), [{SLOPE: ""}] * 2)
     assert [u.label for u in joint.unknowns] == ["ratio.scale@A", SLOPE, "ratio.scale@B"]
     at = {"ratio.scale@A": 0.01, "ratio.scale@B": -0.02, SLOPE: 0.0015}
@@ -40,7 +40,7 @@ def test_likelihoods_add_up_and_a_common_parameter_has_the_information_of_both()
     assert found.information[0, 2] == 0.0
 
 
-def test_a_common_value_is_the_mean_of_own_ones_by_their_weights_and_is_better_known() -> None:
+def test_common_value_is_the_weighted_mean_of_the_separate_ones() -> None:
     common, own = (FitProblem.joined(parts(), [owners] * 2) for owners in ({SLOPE: ""}, {}))
     together, apart = (fit_problem(p, np.zeros(len(p.unknowns))) for p in (common, own))
     value, sigma = together.parameters[SLOPE]

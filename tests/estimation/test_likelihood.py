@@ -97,7 +97,7 @@ def test_mirrored_intervals_have_the_same_likelihood_and_opposite_scores() -> No
 
 
 @given(st.floats(-60.0, 60.0), st.floats(1e-6, 100.0), st.floats(1e-3, 30.0))
-def test_anywhere_the_information_is_positive_and_at_most_that_of_an_unrounded_sample(
+def test_information_is_positive_and_at_most_that_of_an_unrounded_sample(
     centre: float, width: float, sigma: float
 ) -> None:
     found = likelihood(interval((centre - 0.5 * width) * sigma, (centre + 0.5 * width) * sigma), 0.0, sigma)
@@ -136,7 +136,7 @@ def test_an_unrounded_sample_has_the_normal_density() -> None:
     assert found.information_cross[0] == approx(2.0 * 1.5 / 2.0)
 
 
-def test_a_word_of_ever_finer_steps_becomes_an_unrounded_sample_to_second_order() -> None:
+def test_fine_word_converges_to_an_unrounded_sample_to_second_order() -> None:
     """log P - log step is log density of the middle, and its error falls by four when the step is halved."""
     density = likelihood(reading_intervals(sensor(), [1.3]), 0.0, 1.0)
     for name in ("log_likelihood", "score", "information", "information_log_sigma"):
@@ -171,7 +171,7 @@ def test_the_ends_of_a_words_span_are_open() -> None:
     assert ends.upper_K.tolist() == [257.5, 262.5, math.inf]
 
 
-def test_a_lost_sample_has_no_information_and_a_prediction_without_value_gives_nan() -> None:
+def test_lost_sample_has_no_information_and_lost_prediction_is_nan() -> None:
     samples = reading_intervals(WORD, [500.0, math.nan])
     found = likelihood(samples, [500.0, 500.0], 1.0)
     for name in Likelihood.__dataclass_fields__:
@@ -202,7 +202,7 @@ def test_expected_information_is_the_mean_over_the_words_that_may_be_read(mean: 
     assert expected_information(WORD, mean, sigma) == approx(mean_information, rel=1e-12)
 
 
-def test_expected_information_of_fine_words_is_that_of_noise_with_a_twelfth_of_the_step_squared() -> None:
+def test_fine_words_add_a_twelfth_of_the_step_squared_to_the_noise() -> None:
     """Rounding adds step^2 / 12 to the variance (Sheppard), on either side of where the code takes the closed form."""
     for bits in (16, 17, 20, 32):
         fine = sensor(bits=bits, range_K=[255.0, 1530.0])

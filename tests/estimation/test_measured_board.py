@@ -28,7 +28,7 @@ def rmse(residual_K: np.ndarray, until_s: float = np.inf) -> np.ndarray:
     return np.sqrt(np.mean(residual_K[:, board().time_s <= until_s] ** 2, axis=1))
 
 
-def test_stand_and_convection_lower_the_error_of_plain_conduction_at_every_depth() -> None:
+def test_stand_and_convection_lower_the_error_at_every_depth() -> None:
     plain, stand = rmse(predict(bare(board())).residual_K), rmse(predict(board()).residual_K)
     assert np.all(stand < plain)
     assert np.all(rmse(in_gas().residual_K) < 0.25 * plain)

@@ -169,7 +169,7 @@ def flown():
     return plain.with_model_error(error)
 
 
-def test_a_flights_error_has_one_likelihood_as_an_unknown_and_integrated_out(flown):
+def test_flight_error_has_one_likelihood_estimated_or_integrated_out(flown):
     unknown, scale = flown.with_flight_unknowns(), np.array([0.03])
     f = np.zeros(len(unknown.unknowns) - 1)
     for _ in range(2):  # readings are linear in it: one step finds the most probable error

@@ -123,7 +123,7 @@ def test_powells_singular_maximum_is_reached() -> None:
     assert fit.log_likelihood == approx(0.0, abs=1e-6)
 
 
-def test_a_decay_far_from_its_start_is_reached_by_shorter_steps_and_every_step_is_uphill() -> None:
+def test_distant_decay_is_reached_by_shorter_steps_all_uphill() -> None:
     time = np.linspace(0.0, 4.0, 30)
     evaluate = decay(time, 100.0 * np.exp(-0.7 * time))
     fit = maximise(evaluate, parameters(2, lower=-1.0, upper=1e3), start=[5.0, 4.0])
@@ -176,7 +176,7 @@ def test_candidates_come_in_one_batch_and_lead_to_the_same_maximum() -> None:
     np.testing.assert_array_equal(one.history, batch.history)
 
 
-def test_where_whole_steps_keep_failing_derivatives_are_evaluated_where_a_step_ends_and_nowhere_else() -> None:
+def test_failed_steps_cost_one_derivative_evaluation() -> None:
     # with 0.4 of the information every whole step is 2.5 times too long, and lowers the likelihood
     design, fractions = np.array([[1.0, 0.3], [0.2, 2.0]]), (0.5, 0.1)
     exact = line(design, np.array([3.0, -1.0]))
@@ -201,7 +201,7 @@ def test_where_whole_steps_keep_failing_derivatives_are_evaluated_where_a_step_e
         assert any(np.array_equal(p, asked[k + 1]) for p in asked[k])
 
 
-def test_a_maximum_beyond_a_bound_stops_at_it_and_the_rest_is_the_maximum_given_it() -> None:
+def test_maximum_beyond_a_bound_is_the_maximum_on_the_bound() -> None:
     design = np.array([[1.0, 0.5], [0.5, 1.0], [0.2, -0.3]])
     data = np.array([-3.0, 2.0, 0.1])
     fit = maximise(line(design, data), parameters(2, value=1.0, lower=0.0))
@@ -264,7 +264,7 @@ def test_steps_into_what_the_model_cannot_evaluate_are_shortened() -> None:
     assert fit.values[0] == approx(3.0, rel=1e-3)
 
 
-def test_a_gradient_that_belongs_to_another_function_is_reported_as_divergence() -> None:
+def test_gradient_of_another_function_is_reported_as_divergence() -> None:
     def evaluate(p: FloatArray) -> Evaluation:
         return Evaluation(-0.5 * float(p @ p), 2.0 * p, np.eye(1))
 
@@ -301,7 +301,7 @@ def test_nothing_to_estimate_is_refused() -> None:
         maximise(ROSENBROCK, [])
 
 
-def test_a_search_ends_early_only_where_its_gains_would_not_lead_to_the_likelihood_that_is_needed():
+def test_search_ends_early_where_the_needed_likelihood_is_out_of_reach():
     start = [3.0, -1.0, 0.0, 1.0]
     whole = maximise(POWELL, parameters(4), start)
     reached = np.array([POWELL(at).log_likelihood for at in whole.history])

@@ -120,7 +120,7 @@ def test_steps_one_by_one_or_many_at_once_are_the_batch_filter(flown, batch, str
         np.testing.assert_array_equal(estimate.state_covariance, filtered.covariance)
 
 
-def test_final_estimate_and_covariance_are_those_of_the_batch_filter_with_the_prior(flown, batch):
+def test_final_estimate_is_that_of_the_batch_filter_with_the_prior(flown, batch):
     tracks, time_s, histories = flown
     o = online(tracks, histories)
     run(o, tracks, time_s, histories, 5)
@@ -165,7 +165,7 @@ def test_a_filter_that_went_back_goes_on_with_the_same_bits(flown, remembers):
         np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
-def test_innovations_with_running_parameters_have_the_variance_that_they_claim():
+def test_innovations_with_running_parameters_have_their_stated_variance():
     # readings that the model itself gives, at parameters drawn from the prior
     tracks, time_s, histories = points()
     rng, chi2, count = np.random.default_rng(3), 0.0, 0

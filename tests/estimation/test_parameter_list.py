@@ -33,7 +33,7 @@ def listed() -> ParameterList:
     return parameter_list(PRACTICE / "p06")
 
 
-def test_the_stated_bound_is_that_of_the_parameter_with_the_default_heating_at_the_declared_values() -> None:
+def test_stated_bound_is_that_with_the_default_heating() -> None:
     record = load_record(TILE)
     names = ["ratio.scale", "ratio.d_alpha", "ratio.d_logre", COATING]
     problem = FitProblem([record], names, joint_reference([record]))
@@ -63,7 +63,7 @@ def test_what_cannot_be_identified_states_why(listed: ParameterList) -> None:
     assert "no reading depends on it" in listed["stack.moisture.boil_K"].reason  # nothing boils that is not there
 
 
-def test_what_no_lamp_test_has_is_one_line_and_its_layers_have_their_own_names() -> None:
+def test_lamp_test_lists_its_layers_and_one_line_for_what_it_lacks() -> None:
     lamp = parameter_list(BOARD)
     assert lamp["ratio.d0"].identified == "no"
     assert "h_ref is 0 throughout" in lamp["ratio.d0"].reason
@@ -76,7 +76,7 @@ def test_what_no_lamp_test_has_is_one_line_and_its_layers_have_their_own_names()
     assert conductivity.name == f"stack.{conductivity.belongs_to.split()[1].strip(',')}.conductivity_factor"
 
 
-def test_noise_that_is_not_declared_is_that_of_the_readings_and_not_the_misfit_of_the_model() -> None:
+def test_undeclared_noise_is_that_of_the_readings_not_the_misfit() -> None:
     """p08 lacks an effect: the misfit of its declared model is several times the noise of its readings."""
     declared = load_record(PRACTICE / "p08")
     silent = declared.with_sensors([s.model_copy(update={"noise_sigma_K": None}) for s in declared.sensors])
@@ -124,7 +124,7 @@ def test_a_point_of_a_record_is_refused(capsys: pytest.CaptureFixture[str]) -> N
     assert "is for scenarios" in capsys.readouterr().err
 
 
-def test_a_vehicle_without_control_surfaces_is_offered_no_derivative_against_them() -> None:
+def test_vehicle_without_control_surfaces_has_no_derivative_to_them() -> None:
     """Neither of a scenario nor of a record; a surface that moved, or that the table knows, has its derivatives."""
     flown = load_record(PRACTICE / "p06")
     still = flown.conditions.with_columns(

@@ -69,7 +69,7 @@ def test_a_ratio_below_0_is_remarked_with_its_duration() -> None:
 
 
 @pytest.mark.thorough
-def test_a_misfit_is_not_taken_for_the_noise_of_a_sensor_without_being_told() -> None:
+def test_misfit_taken_as_noise_of_a_sensor_is_a_remark() -> None:
     """p04 lacks a transition, which a fit of the magnitude leaves; p06 lacks nothing, and its noise is that found."""
     found = {}
     for name in ("p04", "p06"):
@@ -81,7 +81,7 @@ def test_a_misfit_is_not_taken_for_the_noise_of_a_sensor_without_being_told() ->
     assert "no noise is declared" in found["p04"][0].message
 
 
-def test_readings_at_the_end_of_their_range_are_counted_where_the_model_goes_on() -> None:
+def test_readings_stuck_at_the_end_of_their_range_are_counted() -> None:
     """A recorder whose span ends 60 K below the peak of p06: its readings there say no more than `at least`."""
     record = load_record(PRACTICE / "p06")
     first = record.used_sensors[0]

@@ -64,7 +64,7 @@ def likely(hits: int, trials: int, probability: float = 0.95) -> bool:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("phi", "lost"), [(0.0, 0.0), (0.6, 0.0), (0.6, 0.2)])
-def test_95_percent_bounds_cover_the_truth_95_times_in_100_though_noise_is_coloured(phi: float, lost: float) -> None:
+def test_bounds_cover_the_truth_at_their_rate_with_coloured_noise(phi: float, lost: float) -> None:
     rng, n, trials = np.random.default_rng(11), 300, 200
     time, design = np.arange(n, dtype=float), slow_design(n)
     hits = np.zeros(3, dtype=int)
@@ -110,7 +110,7 @@ def test_the_fit_does_not_hide_colour_that_it_took_up() -> None:
     assert np.all(np.abs(corrected.mean(axis=0) - [1.0, 0.5]) < 3.0 * error)
 
 
-def test_noise_larger_than_declared_widens_the_bounds_and_a_prior_stays_as_it_is() -> None:
+def test_noise_above_the_declared_widens_bounds_but_no_prior() -> None:
     rng, n = np.random.default_rng(15), 4000
     data = 3.0 * rng.normal(size=n)
     design = np.stack([np.ones(n), np.zeros(n)], axis=1)
@@ -133,7 +133,7 @@ def test_two_sensors_bound_a_parameter_like_one_with_all_their_samples() -> None
     assert both.dof == approx(2 * n - 1)
 
 
-def test_a_sensor_that_the_model_misses_by_far_leaves_every_combination_a_variance() -> None:
+def test_sensor_with_a_large_misfit_leaves_every_combination_a_variance() -> None:
     n, rng = 40, np.random.default_rng(0)
     time = np.arange(n, dtype=float)
     cosines = np.stack([np.cos(np.pi * k * (time + 0.5) / n) for k in range(6)], axis=1)
@@ -186,7 +186,7 @@ def test_covariance_is_the_inverse_information_whatever_the_units() -> None:
     np.testing.assert_allclose(covariance(M) * np.outer(s, s), np.linalg.inv(M / np.outer(s, s)), rtol=1e-9)
 
 
-def test_an_elevon_that_follows_alpha_makes_their_derivatives_a_direction_that_is_described() -> None:
+def test_elevon_that_follows_alpha_is_described_as_a_common_direction() -> None:
     alpha = np.linspace(-5.0, 5.0, 40)
     J = np.stack([np.ones(40), alpha, 0.4 * alpha + 1e-5 * np.sin(alpha)], axis=1)
     (found,) = directions(J.T @ J, NAMES)
@@ -202,7 +202,7 @@ def test_parameters_that_cancel_move_together() -> None:
     assert found.describe() == "the data do not separate ratio.d_alpha and ratio.d_elevon: they may change together"
 
 
-def test_what_the_data_do_not_identify_has_no_finite_bound_and_the_rest_keeps_its_own() -> None:
+def test_unidentified_parameter_has_no_finite_bound_and_others_keep_theirs() -> None:
     J = np.stack([np.ones(9), np.arange(9.0) - 4.0, 2.0 * (np.arange(9.0) - 4.0)], axis=1)
     C = covariance(J.T @ J)
     assert np.sqrt(np.diag(C)).tolist() == approx([1.0 / 3.0, math.inf, math.inf])
@@ -214,7 +214,7 @@ def test_correlated_but_identified_parameters_are_no_singular_direction() -> Non
     """Coating and skew of correlation -0.96: eigenvalues 1 -+ 0.96."""
     M = np.array([[1.0, 0.96], [0.96, 1.0]]) * np.outer([3.0, 50.0], [3.0, 50.0])
     assert directions(M, ["coating", "skew"]) == []
-    (near,) = directions(M, ["coating", "skew"], below=0.1)
+    (near,) = directions(M, ["coating", "skew"], threshold=0.1)
     assert near.eigenvalue == approx(0.04)
     assert correlation(covariance(M))[0, 1] == approx(-0.96)
 
@@ -222,7 +222,7 @@ def test_correlated_but_identified_parameters_are_no_singular_direction() -> Non
 # Noise ---------------------------------------------------------------------------------------------------------------
 
 
-def test_noise_of_unrounded_samples_is_the_sum_of_squares_over_the_degrees_of_freedom() -> None:
+def test_unrounded_noise_is_the_sum_of_squares_over_degrees_of_freedom() -> None:
     r = np.random.default_rng(19).normal(0.0, 2.0, 50)
     found = estimate_noise(ReadingIntervals(r, r), np.zeros(50), fitted=4)
     assert found.sigma_K == approx(math.sqrt(r @ r / 46.0), rel=1e-6)
@@ -231,7 +231,7 @@ def test_noise_of_unrounded_samples_is_the_sum_of_squares_over_the_degrees_of_fr
 
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 8.0])
-def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sigma: float) -> None:
+def test_noise_on_either_side_of_a_word_step_is_within_its_limits(sigma: float) -> None:
     rng, trials = np.random.default_rng(20), 80
     mean = np.linspace(600.0, 900.0, 200)
     found = [
@@ -243,7 +243,7 @@ def test_noise_below_and_above_the_step_of_a_word_is_found_within_its_limits(sig
     assert all(f.is_bounded_below for f in found)
 
 
-def test_noise_that_rounding_hides_is_bounded_from_above_alone_and_described_so() -> None:
+def test_noise_hidden_by_rounding_is_bounded_from_above_alone() -> None:
     mean = np.linspace(600.0, 900.0, 60)
     found = estimate_noise(reading_intervals(WORD, quantise(WORD, mean)), mean)
     assert not found.is_bounded_below
@@ -313,7 +313,7 @@ def test_a_gap_is_a_time_and_no_neighbourhood() -> None:
     assert whiteness(time, noise, lags=1).statistic == approx((pairs.sum() / 9.0 / power) ** 2 * 9.0 * 14.0 / 12.0)
 
 
-def test_normality_distinguishes_gaussian_from_uniform_and_thins_long_series() -> None:
+def test_normality_test_tells_gaussian_from_uniform_and_thins_long_series() -> None:
     rng = np.random.default_rng(26)
     assert normality(rng.normal(size=300)).p_value > 0.01
     assert normality(rng.uniform(size=300)).p_value < 1e-4
@@ -343,7 +343,7 @@ def test_chi_square_of_repetitions_is_uniform() -> None:
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
-def test_residuals_of_a_coarse_word_pass_all_tests_that_their_rounding_errors_fail() -> None:
+def test_coarse_word_residuals_pass_tests_that_rounding_errors_fail() -> None:
     """Slow ramp, step of 5 K, noise 0.5 K: rounding makes a saw of the plain residual."""
     rng, time = np.random.default_rng(29), np.arange(300.0)
     mean = 700.0 + 0.6 * time
@@ -392,7 +392,7 @@ def test_the_noise_of_readings_is_found_without_a_model(sigma: float) -> None:
     assert noise_of_readings(t, reading) == pytest.approx(sigma, rel=0.25)
 
 
-def test_the_noise_of_a_recorder_that_averages_is_not_that_of_its_neighbours_alone() -> None:
+def test_averaging_recorder_has_more_noise_than_its_neighbours_show() -> None:
     white = np.random.default_rng(12).normal(0.0, 1.0, 4004)
     averaged = np.convolve(white, np.full(5, 0.2), "valid")
     found = noise_of_readings(np.arange(4000.0), averaged)

@@ -63,7 +63,7 @@ def test_behind_a_ramp_a_thermocouple_is_late_by_its_time_constant():
     np.testing.assert_allclose(lagging(5.0 * t, t, 2.0, at_rest=False), 5.0 * (t - 2.0), atol=1e-12)
 
 
-def test_a_sine_is_reduced_and_delayed_as_by_the_transfer_function_of_a_first_order_lag():
+def test_sine_passes_a_lag_as_its_transfer_function_states():
     t, w, tau = np.arange(0.0, 200.0, 0.05), 0.4, 3.0
     expected = np.sin(w * t - np.arctan(w * tau)) / np.hypot(1.0, w * tau)
     late = t > 100.0
@@ -136,7 +136,7 @@ def test_time_constant_and_skew_are_found_together_from_a_manoeuvre():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("skew_s", [0.0, 1.2, -1.2])
-def test_lag_and_skew_are_found_where_a_cold_wall_meets_full_heating_at_once(tmp_path, skew_s):
+def test_lag_and_skew_are_estimated_at_a_step_of_heating(tmp_path, skew_s):
     """The thermocouple rests until the flight begins, whatever the skew: not behind a ramp of its first seconds."""
     faults = f'[measurements]\nclock_skew_s = {skew_s}\n[[measurements.fault]]\nsensor = "V09T9527"\ntau_s = 8.0\n'
     (tmp_path / "glide.toml").write_text(gliding(120.0, "V09T9527") + faults)
@@ -170,7 +170,7 @@ def test_a_declared_lag_is_in_the_fit_and_in_the_prediction_after_it():
     assert without.after[0].segment_errors()["fit"]["rmse_K"] > 1.0
 
 
-def test_without_process_noise_the_filter_predicts_what_the_lagging_march_predicts():
+def test_filter_without_process_noise_predicts_the_lagging_march():
     record = with_lags(surface_record(), TAU_S)
     names = ["ratio.scale", "sensors.tau_s", "clock.skew"]
     chosen = in_segments(record.time_s, [POPU_S])

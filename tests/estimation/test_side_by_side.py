@@ -90,7 +90,7 @@ def counts(observed: int, rate: np.ndarray) -> Evaluation:
     return Evaluation(float(value), observed / rate - 1.0, np.array([[observed / rate[0] ** 2]]))
 
 
-def test_an_iteration_begins_where_another_has_ended_and_no_more_go_together():
+def test_iteration_begins_where_another_has_ended():
     observed, at_once = [40, 12, 3, 5], []
     rate = Parameter("rate", "1", 1.0)
     searches = [iteration([rate], [12.0]) for _ in observed]

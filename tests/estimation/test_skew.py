@@ -32,14 +32,14 @@ def test_lead_thins_the_coating_that_is_found_and_lag_thickens_it():
 
 
 @pytest.mark.thorough
-def test_lead_at_which_the_coating_is_none_grows_with_thickness_and_falls_with_temperature():
+def test_lead_without_coating_grows_with_thickness_and_falls_when_hot():
     zero = {(mil, K): curve(Tile(mil, K)).zero_s for mil, K in ((10.0, 1300.0), (20.0, 1300.0), (10.0, 1100.0))}
     assert zero[10.0, 1300.0] < 0.6 * zero[20.0, 1300.0]
     assert zero[10.0, 1300.0] < 0.8 * zero[10.0, 1100.0]
     assert 1.0 < zero[10.0, 1300.0] < 1.5  # the paper: negative by a lead of one second
 
 
-def test_lead_beyond_that_stops_at_the_bound_and_is_reported_as_a_clock_error():
+def test_lead_beyond_the_bound_is_reported_as_a_clock_error():
     fit = estimate([record(Tile(10.0, 1300.0, skew_s=-2.0, noise_K=1.0))], NAMES)
     assert any("is on its bound" in line for line in fit.warnings)
     assert any("estimate clock.skew as well" in line for line in fit.warnings)

@@ -61,7 +61,7 @@ def test_estimates_from_an_estimated_profile_are_within_their_bounds(name, time_
     assert fit.fit.values[0] == pytest.approx(truth["parameters"]["ratio.scale"], abs=2e-3)
 
 
-def test_start_before_the_first_reading_or_outside_the_conditions_is_refused():
+def test_start_before_readings_or_outside_conditions_is_refused():
     record = practice_record("p06")[0]
     with pytest.raises(InputError, match="fewer than two readings before -5 s to start from"):
         estimate([record], ["ratio.scale"], starts=[partial(profile_start, time_s=-5.0)])

@@ -43,7 +43,7 @@ def test_schedule_holds_all_samples_and_divides_the_seconds_after_a_jump(schedul
     assert finest[1] == 1.0
 
 
-def test_linearised_march_in_the_schedule_is_the_march_that_divides_its_own_steps(schedule):
+def test_scheduled_linearised_march_is_the_march_that_divides_its_steps(schedule):
     ensemble = pack([bare()])
     own = ensemble.march(SECONDS, JUMP)[1:, [0, 2]]
     assert ensemble.counters.steps[0] == len(schedule) - 1
@@ -78,4 +78,4 @@ def test_a_fit_keeps_the_schedule_of_its_first_march():
 def test_records_on_common_times_share_one_schedule():
     record, _ = practice_record("p06")
     both = FitProblem([record, record], ["ratio.scale"], (40.0, 0.0, 5.0, 0.0, 0.0))
-    assert len(both.groups) == 1
+    assert len(both.marches.groups) == 1

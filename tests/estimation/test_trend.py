@@ -75,7 +75,7 @@ def test_trend_in_reynolds_number_is_recovered_within_its_bounds(lost):
 
 
 @pytest.mark.thorough
-def test_jet_spikes_in_the_derived_density_mislead_unless_the_jets_are_a_regressor():
+def test_jet_spikes_mislead_unless_the_jets_are_a_regressor():
     record = remade({"ratio.d_alpha": 3e-4}, jets_gain=0.5)
     names, about = ["ratio.scale", "ratio.d_alpha"], {"alpha_deg": 40.0}
     plain = estimate([record], names, reference=about)
@@ -93,7 +93,7 @@ def test_segments_longer_than_their_data_or_of_no_length_are_refused():
         trend(replace(record, thermocouples=lost), 20.0)
 
 
-def test_one_segment_that_says_nothing_does_not_flatten_the_others_on_the_page():
+def test_uninformative_segment_does_not_flatten_the_others_on_the_page():
     """Where h_ref is near 0, at the end of an entry: 60 +- 250 beside ratios of 0.1."""
     found = trend(remade({}), 50.0)
     lost = replace(found.segments[-1], ratio=60.0, sigma=250.0)
@@ -119,7 +119,7 @@ def test_trend_on_a_coarse_mesh_is_corrected_from_segment_to_segment():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("case", ["record begins late", "circuit start"])
-def test_bounds_of_consecutive_segments_hold_after_lost_readings_and_at_an_explicit_start(case):
+def test_segment_bounds_hold_after_lost_readings_and_an_explicit_start(case):
     """A small count of `python -m benchmarks segments`, with seeds that it does not use."""
     found = repeat(case, [(1000, k) for k in range(6)])
     assert combine_pvalues(found.p_value).pvalue > 1e-3

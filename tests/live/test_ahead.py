@@ -116,7 +116,7 @@ def test_a_prediction_is_what_the_estimator_has_when_the_future_has_come(source,
 
 
 @pytest.mark.thorough
-def test_what_readings_have_said_and_a_start_that_is_not_known_are_carried_on(source, futures) -> None:
+def test_knowledge_from_readings_and_an_uncertain_start_are_carried_on(source, futures) -> None:
     before = read_until(source, futures, 30.0, NOW_S)
     frame = frame_of(futures.planned.at(np.array([NOW_S])))
     planned = LookAhead(source, {}, futures, 60.0).predict(before.estimates(), frame)[POINT].futures["planned"]
@@ -159,7 +159,7 @@ def test_sigma_is_that_of_sampled_parameters(source, futures, now) -> None:
     assert np.std(ends, axis=0) == pytest.approx([own.surface_sigma_K[-1], own.bondline_sigma_K[-1]], rel=0.12)
 
 
-def test_a_ratio_that_wanders_is_carried_on_and_as_uncertain_as_in_the_long_run(source, futures) -> None:
+def test_wandering_ratio_is_carried_on_with_its_long_run_uncertainty(source, futures) -> None:
     options = LiveOptions(start="declared", linearise_s=np.inf, ratio_noise=(0.02, 30.0))
     estimator = LiveEstimator(source, NAMES, PRIORS, options)
     flown = futures.nominal.at(np.arange(0.0, NOW_S + 0.125, 0.25))
@@ -178,7 +178,7 @@ def test_a_ratio_that_wanders_is_carried_on_and_as_uncertain_as_in_the_long_run(
     assert sigma[-1] >= later.surface_sigma_K
 
 
-def test_a_known_estimate_has_no_sigma_and_passes_a_limit_for_certain_or_not_at_all(source, futures) -> None:
+def test_exact_estimate_passes_a_limit_certainly_or_not_at_all(source, futures) -> None:
     known = followed(source, futures, NOW_S, {n: Prior(p.mean, 1e-9) for n, p in PRIORS.items()}).estimates()
     frame = frame_of(futures.planned.at(np.array([NOW_S])))
     peak = LookAhead(source, {}, futures, 60.0).predict(known, frame)[POINT].futures["planned"].peak_surface_K
@@ -256,7 +256,7 @@ def test_a_limit_that_stopping_now_does_not_keep_is_told_as_too_late(source, fut
     assert ahead.futures["nominal"].probability > 0.05
 
 
-def test_without_a_scenario_the_present_conditions_held_are_the_only_future(source, now) -> None:
+def test_held_conditions_are_the_only_future_without_a_scenario(source, now) -> None:
     ahead = LookAhead(source, {POINT: {"surface_K": 2000.0}}, None, 60.0).predict(*now)[POINT]
     assert (list(ahead.futures), ahead.knock_off) == (["held"], "unknown")
 
@@ -276,7 +276,7 @@ def test_instants_that_move_together_pass_a_limit_together() -> None:
     assert p == pytest.approx(0.15866, abs=0.003)  # 1 sigma
 
 
-def test_surface_and_bondline_that_are_independent_pass_with_the_probability_of_either() -> None:
+def test_independent_limits_are_passed_with_the_probability_of_either() -> None:
     loading = np.zeros((2, 5, 2))
     loading[0, 2, 0], loading[1, 4, 1] = 10.0, 10.0
     p = passing_probability(predicted(10.0, loading), np.array([1000.0, 1000.0]))
@@ -295,7 +295,7 @@ def test_a_stop_returns_to_the_nominal_angle_at_the_rate_of_the_manoeuvre(future
     assert alpha == pytest.approx([35.0, 35.0, 37.0, 40.0, 40.0])
 
 
-def test_the_place_on_the_flight_is_that_of_its_velocity_whatever_the_clock_says(futures) -> None:
+def test_position_on_the_flight_follows_velocity_and_not_the_clock(futures) -> None:
     there = frame_of(futures.planned.at(np.array([100.0])))
     later = Frame(there.time_s + 5000.0, there.values)
     nominal = futures.after(later)["nominal"].at(np.array([5100.0, 5150.0]))
@@ -322,7 +322,7 @@ def test_a_flight_without_a_column_of_the_frames_is_refused() -> None:
 
 
 @pytest.mark.thorough
-def test_a_link_with_a_scenario_publishes_its_three_futures_every_second_of_flight() -> None:
+def test_link_with_a_scenario_publishes_three_futures_every_second() -> None:
     # no reading tells the slopes of the table: with their wide priors no limit would be kept for sure
     one = {"parameters": ["ratio.scale"]}
     made = link(ahead={"scenario": "../popu_mach20.toml", "horizon_s": 60.0}, estimate=one)
@@ -357,7 +357,7 @@ def test_futures_begin_as_often_as_the_link_states(every_s: float, again: bool) 
     assert engine.ahead.due(latest + 30.0) == again
 
 
-def test_a_scenario_that_cannot_be_flown_leaves_the_conditions_held_and_is_told() -> None:
+def test_scenario_that_cannot_be_flown_leaves_held_conditions_and_a_remark() -> None:
     made = link(ahead={"scenario": "../popu_mach20.toml"})
     assert made.scenario is not None
     spec = made.scenario.declared.trajectory

@@ -73,7 +73,7 @@ def test_coarse_words_that_stay_while_little_changes_are_not_stuck() -> None:
     assert checks.failures == []
 
 
-def test_a_stuck_sensor_is_taken_out_soon_after_a_moment_that_does_not_depend_on_arrival() -> None:
+def test_stuck_sensor_is_removed_at_a_time_independent_of_arrival() -> None:
     indicated, truth = measured(2)
     indicated["middle"][100:] = indicated["middle"][100]
     (failure,) = failures(indicated, truth)
@@ -118,7 +118,7 @@ def test_all_sensors_off_together_is_a_wrong_model_and_takes_none_out() -> None:
     assert failures(indicated, truth) == []
 
 
-def test_a_sensor_away_from_its_neighbours_after_an_alarm_is_undecided_until_it_is_not_away() -> None:
+def test_sensor_away_from_neighbours_after_an_alarm_is_undecided() -> None:
     indicated, truth = measured(5)
     indicated["surface"][80:160] += 8.0
     whole = {n: T[:240] for n, T in indicated.items()}
@@ -130,7 +130,7 @@ def test_a_sensor_away_from_its_neighbours_after_an_alarm_is_undecided_until_it_
     assert not after.undecided
 
 
-def test_a_sensor_that_sticks_after_an_alarm_is_taken_out_if_the_model_was_right_for_it() -> None:
+def test_sensor_stuck_after_an_alarm_is_removed_where_the_model_was_right() -> None:
     indicated, truth = measured(2)
     indicated["middle"][100:] = indicated["middle"][100]
     (failure,) = checked(indicated, truth, doubted_from=0).failures

@@ -100,7 +100,7 @@ def same(a: Record, b: Record) -> bool:
 
 
 @pytest.mark.thorough
-def test_a_link_that_was_killed_goes_on_from_its_journal_with_the_same_bits(short: Path, tmp_path, followed: State):
+def test_killed_link_goes_on_from_its_journal_with_the_same_bits(short: Path, tmp_path, followed: State):
     made = replaying(short)
     engine = LinkEngine(made, journal_of(made, tmp_path))
     for message in messages_of(made)[:120]:
@@ -163,7 +163,7 @@ def sensor_apart(messages: list[Message], field: str, by_s: float, since_s: floa
     return found
 
 
-def test_the_clock_of_one_thermocouple_that_goes_back_takes_it_out_and_the_page_says_why(moving: Path):
+def test_thermocouple_whose_clock_goes_back_is_removed_with_a_reason(moving: Path):
     engine = LinkEngine(replaying(moving))
     sensor = next(s for s in engine.link.points[0].sensors if s.used)
     for message in sensor_apart(messages_of(engine.link), sensor.column, -2.0, 900.0):
@@ -180,7 +180,7 @@ def test_the_clock_of_one_thermocouple_that_goes_back_takes_it_out_and_the_page_
 @pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("by_s", "use"), [(-3.0, "are not used"), (-2.0, "are used by their times")])
-def test_the_clock_of_one_thermocouple_that_goes_back_while_nothing_changes_is_told(short: Path, by_s, use):
+def test_thermocouple_clock_that_goes_back_in_steady_flight_is_told(short: Path, by_s, use):
     # words of a recorder that come again are the same ones: that they come later than before tells
     engine = LinkEngine(replaying(short))
     sensor = next(s for s in engine.link.points[0].sensors if s.used)
@@ -192,7 +192,7 @@ def test_the_clock_of_one_thermocouple_that_goes_back_while_nothing_changes_is_t
     assert use in told
 
 
-def test_after_a_clock_that_went_back_the_newest_conditions_are_those_of_the_new_clock(short: Path):
+def test_newest_conditions_are_those_of_a_clock_that_went_back(short: Path):
     engine = LinkEngine(replaying(short))
     for message in messages_of(engine.link):
         t = float(message.values["time_s"])
@@ -221,7 +221,7 @@ def test_one_reading_far_off_is_left_out_and_told(moving: Path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["p06", "p07"])
-def test_of_a_flight_without_an_effect_no_reading_is_left_out_however_steep_the_heating(name):
+def test_steep_heating_without_an_effect_leaves_out_no_reading(name):
     engine = LinkEngine(replaying(RECORD.parent / name))
     for message in messages_of(engine.link):
         engine.take(message)

@@ -116,7 +116,7 @@ def test_samples_out_of_order_within_the_window_give_the_same_bits(in_order, see
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("at_once", [1, 50, 1000])
-def test_a_flight_that_is_filtered_again_on_the_way_has_the_same_bits_in_any_order(at_once):
+def test_flight_filtered_again_has_the_same_bits_in_any_order(at_once):
     straight = feed(estimator(again_s=10.0), samples())
     assert straight.stepper.past.steps[0].frame.time_s < BEGIN_S + 1.0
     assert_same_bits(feed(estimator(again_s=10.0), shuffled(5, 1.9), at_once), straight)
@@ -136,7 +136,7 @@ def test_filtered_again_about_its_estimate_the_flight_gives_that_estimate():
 @pytest.mark.thorough
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["p06", "p07"])
-def test_at_the_end_of_a_record_without_an_effect_the_estimate_is_that_of_a_fit(name):
+def test_final_estimate_of_a_record_without_an_effect_is_that_of_a_fit(name):
     r = load_record(PRACTICE / name)
     names = ("ratio.scale", "ratio.d_alpha", "ratio.d_beta", "ratio.d_logre", "ratio.d_elevon", "ratio.d_bodyflap")
     fit = estimate([r], list(names)).parameters
@@ -181,7 +181,7 @@ def test_doubled_samples_change_nothing_and_are_counted(in_order):
     assert not doubled.messages
 
 
-def test_samples_that_come_again_with_other_values_are_told_at_once_and_then_why():
+def test_repeated_samples_with_other_values_are_told_then_explained():
     # a clock that went back by 3 s, with a frame a second: too few lie outside the window to make a new clock
     each_second = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
     e, flown = estimator(), [s for s in each_second if s.time_s < BEGIN_S + 20.0]
@@ -279,7 +279,7 @@ def test_a_jump_of_the_clock_is_told_and_the_estimate_goes_on(in_order, by_s):
     assert abs(a.surface_K - b.surface_K) < 4.0 * b.surface_sigma_K + 1.0
 
 
-def test_a_clock_that_jumps_ahead_by_little_is_told_from_a_gap_by_the_conditions():
+def test_conditions_tell_a_small_jump_of_the_clock_from_a_gap():
     e = feed(estimator(), stamped(8.0))
     assert e.messages[-1] == (
         "the clock jumped ahead from 879.75 to 888 s: the conditions did not go on as long; bridged as a gap"
@@ -289,13 +289,13 @@ def test_a_clock_that_jumps_ahead_by_little_is_told_from_a_gap_by_the_conditions
     assert abs(value - 0.05) < 4.0 * sigma
 
 
-def test_a_few_lost_frames_of_a_slow_link_are_no_jump_and_nothing_read_meanwhile_is_lost():
+def test_few_lost_frames_of_a_slow_link_are_no_jump_and_lose_no_reading():
     """A frame a second, three lost; the readings of that time, sent apart from them, are used."""
     slow = [s for s in samples() if isinstance(s, Reading) or s.time_s % 1.0 == 0.0]
     e = feed(estimator(), [s for s in slow if isinstance(s, Reading) or not 870.0 < s.time_s < 874.0])
     assert e.messages == []
     assert e.counts.jumps == e.counts.off_clock == 0
-    read = sum(len(step.words) for step in e.stepper.past.steps)
+    read = sum(len(step.rows) for step in e.stepper.past.steps)
     assert read == sum(1 for s in slow if isinstance(s, Reading) and s.time_s <= e.stepper.past.steps[-1].frame.time_s)
 
 
@@ -310,7 +310,7 @@ def stamped(by_s: float, since_s: float = 880.0, sensor: str | None = None) -> l
 
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("by_s", "late_s"), [(-1.0, 0.0), (-3.0, 0.0), (-3.0, 1.5), (-2.9, 1.5), (-1.6, 0.0)])
-def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_used(by_s, late_s):
+def test_clock_that_goes_back_a_little_is_told_and_repeats_are_unused(by_s, late_s):
     whole, rng = samples(), np.random.default_rng(3)
     delay = [rng.uniform(0.0, late_s) if s.time_s > BEGIN_S else 0.0 for s in whole]
     arriving = np.argsort([s.time_s + d for s, d in zip(whole, delay, strict=True)], kind="stable")
@@ -327,7 +327,7 @@ def test_a_clock_that_goes_back_by_little_is_told_and_what_came_twice_is_not_use
     assert abs(alpha) < 3.0 * alpha_sigma
 
 
-def test_a_clock_that_goes_back_is_told_with_the_third_sample_of_it_and_judged_when_that_has_ended():
+def test_clock_that_goes_back_is_told_with_its_third_sample():
     """Also where its frames lie between those of the flight so far, so that none has the time of another."""
     e, told_s = estimator(), {}
     for sample in stamped(-1.6):
@@ -369,7 +369,7 @@ def test_two_sources_of_one_quantity_are_no_jump():
     assert [m.rpartition(": ")[2] for m in e.messages[1:]] == ["two sources of one quantity"]
 
 
-def test_a_single_sample_that_came_again_with_another_value_changes_nothing(in_order):
+def test_single_repeated_sample_with_another_value_changes_nothing(in_order):
     given = list(samples())
     at = next(k for k, s in enumerate(given) if isinstance(s, Reading) and s.time_s > 870.0)
     given.insert(at + 8, replace(given[at], value_K=given[at].value_K + 5.0))
@@ -415,7 +415,7 @@ def test_one_reading_far_off_is_left_out_as_if_it_had_been_lost(by_K):
 
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(("first_K", "second_K"), [(40.0, 40.0), (-40.0, -60.0), (40.0, -40.0)])
-def test_two_readings_in_a_row_that_are_far_off_are_left_out_as_if_they_had_been_lost(first_K, second_K):
+def test_two_distant_readings_in_a_row_count_as_lost(first_K, second_K):
     first, both = spiked(first_K), spiked(second_K, SPIKE_S + 0.5)
     given = [a if a != s else b for s, a, b in zip(samples(), first, both, strict=True)]
     e, lost = estimator(), estimator()
@@ -431,7 +431,7 @@ def test_three_readings_in_a_row_that_are_far_off_are_the_record_s():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
-def test_with_two_spikes_in_a_row_the_estimate_has_the_same_bits_in_any_order(seed):
+def test_two_spikes_in_a_row_leave_the_same_bits_in_any_order(seed):
     rng = np.random.default_rng(seed)
     arrive = [s.time_s + (rng.uniform(0.0, 1.9) if s.time_s > BEGIN_S else 0.0) for s in samples()]
     given = spiked(40.0, SPIKE_S + 0.5)
@@ -449,11 +449,11 @@ def test_with_a_spike_in_it_the_estimate_has_the_same_bits_in_any_order(seed):
     assert_same_bits(late, feed(estimator(), given))
 
 
-def test_readings_that_go_up_and_stay_are_used_although_nothing_explains_them():
+def test_readings_that_step_up_and_stay_are_used_unexplained():
     assert left_out(estimator(), spiked(40.0, END_S)) == []
 
 
-def test_a_reading_that_is_expected_is_used_however_far_from_its_neighbours(in_order):
+def test_expected_reading_is_used_however_far_from_its_neighbours(in_order):
     # between two readings that are wrong together it is the right one that looks like a spike
     name = record().used_sensors[1].name
     wrong = {round(SPIKE_S - 0.5, 3), round(SPIKE_S + 0.5, 3)}
@@ -481,7 +481,7 @@ def test_a_sensor_that_is_left_out_is_predicted_and_not_used():
 
 
 @pytest.mark.thorough
-def test_what_a_sensor_read_while_it_failed_is_taken_back_when_the_flight_is_filtered_again():
+def test_readings_of_a_failed_sensor_are_taken_back_on_refiltering():
     name = record().used_sensors[0].name
     wrong = [
         replace(s, value_K=s.value_K + 10.0)

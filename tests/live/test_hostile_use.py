@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL and limits o
 
 
 @pytest.mark.thorough
-def test_a_link_that_is_killed_loses_nothing_and_is_not_gone_on_with_by_another_link_file():
+def test_killed_link_loses_nothing_and_refuses_another_link_file():
     found = killed(1, print, seed=3)
     assert found.pop("kills") == 1
     assert found.pop("messages") > 0

@@ -124,7 +124,7 @@ def test_a_header_that_is_damaged_is_read_from_its_copy(tmp_path, cut):
     again.close(is_end=False)
 
 
-def test_messages_are_read_though_no_header_is_but_no_link_goes_on_from_them(tmp_path):
+def test_messages_without_a_header_are_read_but_not_continued(tmp_path):
     file = written(tmp_path, [b"message %d" % k for k in range(10)], is_end=False)
     data = file.read_bytes()
     begin = data.index(b"message 0") - HEAD.size - BODY.size
@@ -213,7 +213,7 @@ def test_a_journal_of_an_earlier_version_is_gone_on_with_and_says_so(tmp_path):
     assert bodies(tmp_path) == [b"message", b"after"]
 
 
-def test_a_flight_that_has_ended_is_not_written_to_and_two_links_share_no_journal(tmp_path):
+def test_ended_flight_is_not_written_to_and_links_share_no_journal(tmp_path):
     own = journal(tmp_path)
     with pytest.raises(InputError, match="another link writes it"):
         journal(tmp_path)
@@ -252,7 +252,7 @@ def test_a_link_that_is_killed_has_lost_nothing_that_it_took(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
-def test_messages_wait_while_the_disk_is_full_and_are_written_in_order_afterwards(tmp_path, monkeypatch):
+def test_messages_wait_for_a_full_disk_and_are_written_in_order(tmp_path, monkeypatch):
     import resource
 
     monkeypatch.setattr("sim_heating.live.recording.journal.RETRY_S", 0.0)
@@ -280,7 +280,7 @@ def test_messages_wait_while_the_disk_is_full_and_are_written_in_order_afterward
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
-def test_a_disk_that_stays_full_leaves_a_journal_up_to_the_last_message_that_had_room(tmp_path):
+def test_full_disk_leaves_a_journal_up_to_the_last_message_that_fits(tmp_path):
     import resource
 
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -302,7 +302,7 @@ def test_a_disk_that_stays_full_leaves_a_journal_up_to_the_last_message_that_had
 
 
 @pytest.mark.skipif(os.name != "posix" or sys.platform == "darwin", reason="a limit on file descriptors, in /proc")
-def test_a_journal_is_written_without_a_free_descriptor_and_leaves_some_at_its_end(tmp_path):
+def test_journal_is_written_without_a_free_descriptor(tmp_path):
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

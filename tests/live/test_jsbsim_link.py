@@ -27,7 +27,7 @@ FOLDERS = {name: f"heating/{name}" for name in NAMES}
 
 
 @pytest.mark.thorough
-def test_a_running_jsbsim_is_followed_by_its_own_socket_and_gets_the_estimates(capfd):
+def test_running_jsbsim_is_followed_by_its_socket_and_gets_the_estimates(capfd):
     pytest.importorskip("jsbsim")
     import importlib.util
 
@@ -140,7 +140,7 @@ def test_sixteen_points_are_written_and_what_is_not_declared_is_one_remark(tmp_p
 
 
 @pytest.mark.thorough
-def test_a_jsbsim_that_comes_late_and_goes_away_is_a_remark_each_and_holds_nothing_back(tmp_path):
+def test_late_and_leaving_jsbsim_is_a_remark_and_blocks_nothing(tmp_path):
     port, said = free_port(), []
 
     async def main() -> None:
@@ -180,7 +180,7 @@ def test_properties_are_in_a_folder_of_each_control_point():
     assert link(JSBSIM).property_folders == {}
 
 
-def test_names_of_records_become_names_of_properties_and_two_of_one_are_refused(tmp_path):
+def test_record_names_become_property_names_and_clashes_are_refused(tmp_path):
     def of_records(*names: str) -> Link:
         places = []
         for k, name in enumerate(names):

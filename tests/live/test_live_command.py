@@ -180,7 +180,7 @@ def test_a_headless_link_serves_its_metrics_where_that_is_asked_for(tmp_path, ca
         assert f"metrics: http://127.0.0.1:{port}/metrics" in " ".join(capsys.readouterr().err.split())
 
 
-def test_options_of_a_page_that_is_not_served_and_a_short_token_are_one_line(tmp_path, capsys):
+def test_page_options_without_a_page_and_a_short_token_are_one_line(tmp_path, capsys):
     link, out = str(of_vehicle(tmp_path, frames=1)), ["--out", str(tmp_path / "o")]
     told = the_error(capsys, "live", link, "--headless", "--token", "x" * 16, *out)
     assert "--token: this link has no page; serve its metrics alone by --metrics" in told
@@ -195,7 +195,7 @@ def test_a_mapping_of_an_unknown_condition_is_one_line(tmp_path, capsys):
     assert "did you mean `alpha_deg`" in told
 
 
-def test_what_a_running_estimate_cannot_have_is_refused_by_validate_and_at_the_start(cut: Path, tmp_path, capsys):
+def test_impossible_running_estimate_is_refused_before_the_start(cut: Path, tmp_path, capsys):
     head = f'format = "link/1"\nrecords = ["{cut}"]\n[[source]]\nkind = "replay"\nspeed = 0.0\n[estimate]\n'
     first, clock = load_record(cut).used_sensors[0].name, 'parameters = ["ratio.scale", "clock.skew"]\n'
     cases = {
@@ -216,7 +216,7 @@ def test_what_a_running_estimate_cannot_have_is_refused_by_validate_and_at_the_s
 
 
 @pytest.mark.thorough
-def test_a_known_skew_of_the_recorder_s_clock_is_taken_out_of_estimate_and_record(cut: Path, tmp_path, capsys):
+def test_known_recorder_skew_is_removed_from_estimate_and_record(cut: Path, tmp_path, capsys):
     sent = load_record(cut)
     late = replace(sent, thermocouples={**sent.thermocouples, "time_s": sent.time_s + 1.0})
     write_record(late, tmp_path / "late")
@@ -259,7 +259,7 @@ def test_a_file_in_the_place_of_results_is_one_line(tmp_path, capsys):
 
 @pytest.mark.thorough
 @pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
-def test_on_a_full_disk_the_estimates_are_told_and_the_command_fails_in_one_line(tmp_path, capsys):
+def test_full_disk_prints_estimates_and_fails_in_one_line(tmp_path, capsys):
     import resource
 
     link = of_vehicle(tmp_path)
@@ -315,7 +315,7 @@ def test_a_replay_goes_by_default_into_a_folder_that_is_not_the_flight_s(tmp_pat
 
 
 @pytest.mark.thorough
-def test_a_replay_is_repeated_in_its_own_folder_and_in_that_of_no_other_record(replayed: Path, cut: Path, capsys):
+def test_replay_is_repeated_in_its_folder_and_no_other_record(replayed: Path, cut: Path, capsys):
     before = (replayed / "journal.bin").read_bytes()
     other = part_of_record(PRACTICE / "p06", 600.0, 620.0, cut.parent / "other")
     out = ["--speed", "0", "--headless", "--out", str(replayed)]
@@ -336,7 +336,7 @@ def test_a_record_is_never_among_the_results_of_its_replay(cut: Path, tmp_path, 
 
 
 @pytest.mark.parametrize("name", ["live.json", "report.html", f"records/{POINT}/record.toml"])
-def test_a_result_that_is_not_the_link_s_is_refused_before_anything_is_taken(tmp_path, capsys, name):
+def test_foreign_result_is_refused_before_any_message_is_taken(tmp_path, capsys, name):
     link, out = of_vehicle(tmp_path), tmp_path / "o"
     (out / name).parent.mkdir(parents=True)
     (out / name).write_text("mine")
@@ -348,7 +348,7 @@ def test_a_result_that_is_not_the_link_s_is_refused_before_anything_is_taken(tmp
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("default:.*replaced live.json")
-def test_results_that_cannot_be_written_at_the_end_leave_a_flight_that_is_gone_on_with(tmp_path, capsys, monkeypatch):
+def test_unwritable_results_leave_a_flight_that_can_go_on(tmp_path, capsys, monkeypatch):
     """Someone writes a file of a result's name while the flight is flown."""
     import sim_heating.live.run as live_run
 

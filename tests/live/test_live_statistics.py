@@ -74,7 +74,7 @@ def test_at_the_end_of_a_manoeuvre_the_bounds_are_those_of_an_estimate():
     assert all(abs(row.apart) < 0.3 for row in rows)
 
 
-def test_a_flight_without_an_effect_raises_no_alarm_and_one_with_transition_does():
+def test_transition_raises_an_alarm_and_a_null_flight_raises_none():
     assert watch(practice("p06")).alarm is None
     alarm = watch(practice("p04")).alarm
     assert alarm is not None

@@ -144,7 +144,7 @@ def test_columns_that_come_in_several_messages_are_one_frame():
     assert (frame.time_s, frame.values["altitude_m"], frame.values["alpha_deg"]) == (1.0, 73e3, 40.0)
 
 
-def test_a_mapped_field_that_never_comes_is_named_with_the_nearest_one_that_does():
+def test_missing_mapped_field_is_named_with_the_nearest_one_sent():
     mapping = FieldMapping(link(conditions={"alpha_deg": "alpha"}))
     for k in range(GRACE_MESSAGES):
         assert mapping.never_sent() == []
@@ -153,7 +153,7 @@ def test_a_mapped_field_that_never_comes_is_named_with_the_nearest_one_that_does
     assert mapping.never_sent() == ["field `alpha` (alpha_deg) is not sent; did you mean `alphas`?"]
 
 
-def test_every_column_of_flight_conditions_has_a_unit_that_converts_to_itself():
+def test_every_condition_column_has_a_unit_that_converts_to_itself():
     assert [column_unit(c) for c in ("velocity_m_s", "h_ref_kg_m2_s", "q_add_W_m2", "log10_re", "jets")] == [
         "m/s", "kg/(m2.s)", "W/m2", "", ""
     ]  # fmt: skip
@@ -269,7 +269,7 @@ def test_a_density_that_comes_after_all_is_used():
     assert mapping.take_notes()[-1] == "`rho_kg_m3` is sent: rho_kg_m3 is no longer derived"
 
 
-def test_columns_that_act_on_nothing_are_kept_where_they_are_sent_and_not_needed():
+def test_columns_without_effect_are_kept_where_sent_and_never_needed():
     followed = make_link({"format": "link/1", "records": ["../records/sts96_480"]}, PLACE)
     flown = load_record(RECORDS / "sts96_480").conditions.columns
     rows = [{n: float(v[k]) for n, v in flown.items()} for k in range(0, 60, 10)]
@@ -278,7 +278,7 @@ def test_columns_that_act_on_nothing_are_kept_where_they_are_sent_and_not_needed
     assert [set(f.values) for f in frames_of(FieldMapping(followed), rows)] == [set(rows[0]) - {"time_s"}] * 6
 
 
-def test_what_a_source_is_known_to_send_is_checked_with_what_follows_from_it():
+def test_fields_of_a_source_are_checked_with_derived_columns():
     names = [n for n in FRAME if n != "rho_kg_m3"]
     FieldMapping(link()).check_sent(names, "the packets")
     with pytest.raises(InputError) as refused:

@@ -87,7 +87,7 @@ def test_a_process_that_dies_is_one_remark_and_another_one_weighs(cold, tmp_path
 
 
 @pytest.mark.thorough
-def test_a_record_that_has_grown_since_the_alarm_is_weighed_again_and_the_page_tells_its_time(tmp_path):
+def test_record_grown_since_the_alarm_is_weighed_again(tmp_path):
     record = part_of_record(PRACTICE / "p09", 0.0, 240.0, tmp_path / "longer")
     data = {"format": "link/1", "records": [str(record)], "source": [{"kind": "replay", "speed": 0.0}]}
     made = make_link(data, record.parent / "link.toml")

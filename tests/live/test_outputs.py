@@ -157,7 +157,7 @@ def test_a_token_that_can_be_guessed_or_does_not_fit_an_address_is_refused(token
 
 
 @pytest.mark.thorough
-def test_connections_that_ask_for_nothing_are_few_and_closed_and_readers_come_after_them(state, monkeypatch):
+def test_idle_connections_are_few_and_closed_for_later_readers(state, monkeypatch):
     monkeypatch.setattr("sim_heating.live.outputs.server.most_connections", lambda: 8)
     monkeypatch.setattr("sim_heating.live.outputs.server.HEADERS_S", 0.5)
     with served(NOTHING) as (server, page), contextlib.ExitStack() as held:
@@ -306,7 +306,7 @@ class AsPlotJuggler:
                 self.series.setdefault(path, []).append((stamp if self._has_stamp else arrived_s, value))
 
 
-def test_a_display_like_plotjuggler_has_flight_times_from_the_first_line_on(flown, state):
+def test_plotjuggler_display_has_flight_times_from_the_first_line_on(flown, state):
     """It listens from before the first sample on; nothing that it gets lacks a time."""
     states = [State(0, None, 0.1), State(1, None, 0.2), *flown.states(flown.popu_s, flown.popu_s + 0.5)]
     wanted = [(s.time_s, s.points["OE"].surface_K) for s in states[2:]]

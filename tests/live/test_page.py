@@ -135,7 +135,7 @@ def test_a_page_that_is_opened_late_shows_what_came_before(flown):
         assert "stuck for 12 s" in shown.evaluate(TEXT.format("removed")) + shown.evaluate(TEXT.format("sensors"))
 
 
-def test_without_a_cursor_the_keys_of_the_strip_charts_show_the_latest_values(flown):
+def test_keys_of_strip_charts_show_the_latest_values_without_a_cursor(flown):
     *_, state = flown.states(flown.popu_s, flown.popu_s + 2.0)
     with served(flown.display) as (server, page), Browser() as browser:
         page.publish(state)

@@ -33,7 +33,7 @@ def test_mean_time_to_a_false_alarm_is_at_least_the_stated_one() -> None:
 
 
 @pytest.mark.parametrize("every_s", [0.1, 2.0])
-def test_a_null_flight_of_a_quarter_of_an_hour_raises_no_alarm_at_any_rate_of_readings(every_s: float) -> None:
+def test_null_flight_of_fifteen_minutes_raises_no_alarm_at_any_rate(every_s: float) -> None:
     rng = np.random.default_rng(3)
     assert first_alarm_s(rng.normal(size=int(900 / every_s) // 4), every_s, 0.01) == math.inf
 
@@ -59,7 +59,7 @@ def test_what_is_missing_is_found_within_a_minute(wrong, kind: str) -> None:
     assert "NOSE" in test.alarm.text
 
 
-def test_innovations_that_follow_one_another_are_found_although_their_variance_is_right() -> None:
+def test_correlated_innovations_raise_an_alarm_at_the_right_variance() -> None:
     rng = np.random.default_rng(11)
     z = np.zeros(900)
     for i in range(1, len(z)):

@@ -36,7 +36,7 @@ def test_what_comes_in_any_order_lies_in_order_of_time():
         line = Timeline(SENSORS)
         for k in rng.permutation(len(samples)):
             line.put(samples[k])
-        orders.append((line.frames_s, line.words))
+        orders.append((line.frames_s, line.readings))
     assert all(order == orders[0] for order in orders)
     assert orders[0][0] == sorted(orders[0][0])
     assert orders[0][1] == sorted(orders[0][1])
@@ -58,7 +58,7 @@ def test_the_same_reading_or_frame_twice_counts_once():
     assert line.put(reading(9.7)) is Placed.TAKEN
     assert line.put(reading(9.7)) is Placed.DOUBLED
     assert line.put(reading(9.7, "b")) is Placed.TAKEN
-    assert len(line.words) == 2
+    assert len(line.readings) == 2
     assert line.counts.doubled == 2
 
 
@@ -99,7 +99,7 @@ def test_a_few_frames_lost_at_a_low_rate_are_no_new_clock(lost, is_taken):
     line.put(reading(10.5 + lost))
     placed = line.put(frame(11.0 + lost))
     assert (placed is Placed.TAKEN) == is_taken
-    assert line.words == ([(10.5 + lost, 0, 500.0)] if is_taken else [])
+    assert line.readings == ([(10.5 + lost, 0, 500.0)] if is_taken else [])
     assert line.counts.jumps == line.counts.off_clock == 0
 
 
@@ -122,7 +122,7 @@ def test_conditions_that_stay_do_not_tell_a_gap_from_a_jump():
     assert line.counts.jumps == 1
 
 
-def test_a_jump_ahead_by_a_few_frames_of_a_low_rate_is_one_where_the_conditions_tell():
+def test_conditions_tell_a_short_jump_ahead_of_a_slow_link():
     line = Timeline(SENSORS)
     for t in range(11):
         line.put(frame(float(t)))
@@ -139,16 +139,16 @@ def test_after_a_jump_back_readings_on_the_old_clock_are_kept_out():
     line.follow(bridged=False)
     assert line.put(reading(10.0)) is Placed.WAITING
     assert line.put(reading(2.2)) is Placed.TAKEN
-    assert [w[0] for w in line.words] == [2.2]
+    assert [w[0] for w in line.readings] == [2.2]
 
 
-def test_readings_that_come_with_the_first_frames_behind_a_gap_are_not_lost():
+def test_readings_with_the_first_frames_behind_a_gap_are_kept():
     line = flown()
     for k in range(3):
         line.put(reading(20.0 + 0.1 * k))
         line.put(frame(20.0 + 0.1 * k))
     line.follow(bridged=True)
-    assert [w[0] for w in line.words] == pytest.approx([20.0, 20.1, 20.2])
+    assert [w[0] for w in line.readings] == pytest.approx([20.0, 20.1, 20.2])
     assert line.frames_s[0] == 0.0
     assert line.newest_s == pytest.approx(20.2)
 
@@ -159,7 +159,7 @@ def test_what_no_sample_to_come_can_reach_is_forgotten():
     line.put(reading(9.8))
     line.forget(9.5)
     assert line.frames_s[0] >= 9.5
-    assert [w[0] for w in line.words] == [9.8]
+    assert [w[0] for w in line.readings] == [9.8]
 
 
 def test_a_jump_is_noted_whichever_of_its_readings_comes_last():

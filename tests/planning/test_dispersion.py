@@ -126,7 +126,7 @@ def test_rows_are_standard_normal():
         assert all(kstest(column, "norm").pvalue > 1e-3 for column in rows.T)
 
 
-def test_a_uniform_input_stays_between_its_ends_and_a_normal_one_has_its_sigma():
+def test_uniform_input_stays_within_its_ends_and_normal_has_its_sigma():
     inputs = [
         DispersedInput(name="entry.gamma_deg", low=-0.1, high=0.3),
         DispersedInput(name="vehicle.mass_kg", sigma=50.0),
@@ -210,7 +210,7 @@ def test_ishigamis_function_has_its_known_indices():
 # Errors of ratio tables ---------------------------------------------------------------------------------------------
 
 
-def test_modes_give_the_covariance_that_sigma_and_reach_state_along_the_path(tmp_path):
+def test_modes_give_the_covariance_that_sigma_and_reach_state(tmp_path):
     entry = entry_of(tmp_path, tables=1.0)
     point = entry.points[1].point
     rows = entry.planned.rows[0, : entry.planned.frame_counts[0]]
@@ -355,7 +355,7 @@ def test_a_limit_that_every_flight_exceeds_is_reported_in_one_line(tmp_path):
 
 
 @pytest.mark.thorough
-def test_flights_outside_the_tables_are_reported_with_the_distance_and_do_not_count_as_within_the_limits(tmp_path):
+def test_flights_outside_the_tables_do_not_count_as_within_the_limits(tmp_path):
     """From 130 km, log10 Re begins below 2, the lower end of the tables."""
     limits = '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'
     result = dispersion_of(entry_of(tmp_path, THERMAL, altitude_m=130e3, limits=limits))
@@ -368,7 +368,7 @@ def test_flights_outside_the_tables_are_reported_with_the_distance_and_do_not_co
 
 
 @pytest.mark.thorough
-def test_a_trim_beyond_the_elevons_travel_is_reported_and_does_not_count_as_within_the_limits(tmp_path):
+def test_trim_beyond_the_elevon_travel_does_not_count_as_within_limits(tmp_path):
     """The most forward centre of gravity of the aerodynamics, with the body flap fully down."""
     limits = "[trajectory.vehicle]\ncg_fraction = 0.65\nbodyflap_deg = [[0.0, 22.5]]\n"
     limits += '[[limit]]\ncontrol_point = "NOSECAP"\nsurface_K = 3000.0\n'

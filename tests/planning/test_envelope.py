@@ -74,7 +74,7 @@ def peak(case: Case, limit: str) -> float:
 
 
 @pytest.mark.thorough
-def test_a_lower_angle_of_attack_cools_the_leeside_and_heats_the_leading_edge() -> None:
+def test_lower_angle_of_attack_cools_leeside_and_heats_leading_edge() -> None:
     low, base_entry = Case(alpha_offset_deg=-6.0), Case()
     assert peak(low, "V07T9975 surface") < peak(base_entry, "V07T9975 surface") - 20.0
     assert peak(low, "WING_LE surface") > peak(base_entry, "WING_LE surface") + 5.0
@@ -96,7 +96,7 @@ def test_drag_tracking_compensates_a_denser_atmosphere() -> None:
     assert peak(Case(density_factor=1.2), limit) == pytest.approx(peak(Case(density_factor=0.8), limit), abs=5.0)
 
 
-def test_a_centre_of_gravity_farther_forward_takes_the_elevon_up_and_so_does_a_body_flap_farther_down() -> None:
+def test_forward_centre_of_gravity_or_lower_body_flap_raises_the_elevon() -> None:
     def elevon(**changes: float) -> float:
         c = flown(Case(**changes)).conditions
         return float(np.interp(-6500.0, -c["velocity_m_s"], c["elevon_deg"]))
@@ -207,7 +207,7 @@ def marched(name: str, tables: list[RatioTable], conditions: Conditions) -> np.n
 
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", POINTS)
-def test_sensitivities_to_errors_of_a_table_are_those_of_a_table_with_errors(name: str) -> None:
+def test_sensitivity_to_table_errors_is_that_of_a_table_with_errors(name: str) -> None:
     conditions, i = at_point(Case(), name), POINTS.index(name)
     root, table = evaluator().roots[i], evaluator().points[i].point.ratio
     assert root is not None
@@ -223,7 +223,7 @@ def test_sensitivities_to_errors_of_a_table_are_those_of_a_table_with_errors(nam
 
 
 @pytest.mark.thorough
-def test_tables_drawn_from_their_own_covariance_spread_the_peak_by_its_sigma() -> None:
+def test_tables_drawn_from_their_covariance_spread_the_peak_by_sigma() -> None:
     name, share, draws = "WING_LE", 0.1, 400
     conditions, i = at_point(Case(), name), POINTS.index(name)
     root, table = evaluator().roots[i], evaluator().points[i].point.ratio
@@ -254,7 +254,7 @@ def evidence(table: RatioTable, sigma: float) -> Evidence:
     return Evidence(("ratio",), nodes, W[:, nodes].toarray(), W @ table.ratio.ravel(), np.array([[sigma**2]]))
 
 
-def test_evidence_of_a_flight_leaves_the_sigma_that_the_updated_table_states() -> None:
+def test_flight_evidence_leaves_the_sigma_of_the_updated_table() -> None:
     table, root = evaluator().points[1].point.ratio, evaluator().roots[1]
     assert root is not None
     measured = evidence(table, 0.02)

@@ -32,7 +32,7 @@ def flight(x: float, **other: float) -> EvaluatedCase:
 
 
 def test_the_envelope_ends_where_each_limit_is_met_and_names_it() -> None:
-    interval = allowed_interval(scan_axis(X, [flight(x) for x in X]), inside=0.0)
+    interval = allowed_interval(scan_axis(X, [flight(x) for x in X]), start=0.0)
     assert interval.low is not None
     assert interval.high is not None
     assert (interval.low.limit, interval.high.limit) == ("NOSE surface", "POD surface")
@@ -41,23 +41,23 @@ def test_the_envelope_ends_where_each_limit_is_met_and_names_it() -> None:
 
 @pytest.mark.parametrize("z", [1.0, -1.0])
 def test_the_band_of_an_edge_is_sigma_over_the_slope_of_the_margin(z: float) -> None:
-    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], z), inside=0.0)
+    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], z), start=0.0)
     assert interval.low is not None
     assert interval.high is not None
     assert interval.high.at == pytest.approx(HOT - z * SIGMA_K / 10.0, abs=1e-9)
     assert interval.low.at == pytest.approx(COLD + z * SIGMA_K / 10.0, abs=1e-9)
 
 
-def test_a_manoeuvre_narrows_the_band_only_of_the_limit_on_which_it_gives_evidence() -> None:
-    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 1.0, "popu"), inside=0.0)
+def test_manoeuvre_narrows_only_the_limit_that_it_gives_evidence_on() -> None:
+    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 1.0, "popu"), start=0.0)
     assert interval.low is not None
     assert interval.high is not None
     assert interval.high.at == pytest.approx(HOT - 0.5, abs=1e-9)
     assert interval.low.at == pytest.approx(COLD + 2.0, abs=1e-9)
 
 
-def test_where_nothing_is_allowed_the_limit_that_closes_the_envelope_is_named() -> None:
-    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 4.5), inside=0.0)
+def test_limit_that_closes_the_envelope_is_named() -> None:
+    interval = allowed_interval(scan_axis(X, [flight(x) for x in X], 4.5), start=0.0)
     assert interval.low is None
     assert interval.width == 0.0
     assert interval.least_violated is not None
@@ -66,7 +66,7 @@ def test_where_nothing_is_allowed_the_limit_that_closes_the_envelope_is_named() 
 
 def test_outside_a_table_nothing_is_allowed_however_cool() -> None:
     flights = [flight(x, **{"POD ratio table, alpha_deg below 0": x + 2.0}) for x in X]
-    interval = allowed_interval(scan_axis(X, flights), inside=0.0)
+    interval = allowed_interval(scan_axis(X, flights), start=0.0)
     assert interval.low is not None
     assert interval.low.at == pytest.approx(-2.0, abs=1e-9)
     assert interval.low.limit == "POD ratio table, alpha_deg below 0"
@@ -74,14 +74,14 @@ def test_outside_a_table_nothing_is_allowed_however_cool() -> None:
 
 def test_next_to_a_flight_that_failed_nothing_is_allowed() -> None:
     flights = [EvaluatedCase(Case(alpha_offset_deg=x), {}, error="fell") if x == -4.0 else flight(x) for x in X]
-    interval = allowed_interval(scan_axis(X, flights), inside=0.0)
+    interval = allowed_interval(scan_axis(X, flights), start=0.0)
     assert interval.low is not None
     assert (interval.low.at, interval.low.limit) == (0.0, NOT_FLOWN)
 
 
 def test_an_edge_beyond_the_values_of_the_study_has_no_limit() -> None:
     x = [-4.0, 0.0, 2.0]
-    interval = allowed_interval(scan_axis(x, [flight(v) for v in x]), inside=0.0)
+    interval = allowed_interval(scan_axis(x, [flight(v) for v in x]), start=0.0)
     assert interval.low is not None
     assert interval.high is not None
     assert (interval.low.limit, interval.high.limit) == (END_OF_STUDY, END_OF_STUDY)
@@ -101,7 +101,7 @@ def test_of_two_allowed_intervals_the_one_about_the_base_entry_counts() -> None:
         assert 0.5 * (interval.low.at + interval.high.at) == pytest.approx(middle, abs=0.02)
 
 
-def test_the_greatest_value_is_bounded_by_aerodynamics_or_by_the_limit_next_to_it() -> None:
+def test_greatest_value_is_bounded_by_aerodynamics_or_the_next_limit() -> None:
     flights = [flight(x) for x in X]
     values = [f.cross_range_km for f in flights]
     free = greatest_value(scan_axis(X, flights), X, values)

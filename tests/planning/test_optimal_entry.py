@@ -154,7 +154,7 @@ def test_betts_controls_integrated_independently_end_at_the_same_state(betts_fli
 
 
 @pytest.mark.thorough
-def test_the_optimal_entry_integrated_with_the_tables_themselves_ends_close_by(limited_flight):
+def test_optimal_entry_integrated_with_the_tables_ends_close_by(limited_flight):
     aero = tables.aerodynamics(limited_flight.study)
 
     def accelerations(altitude_m, speed_m_s, alpha_deg):
@@ -205,7 +205,7 @@ def test_tables_drawn_from_their_sigma_keep_the_limit_as_often_as_asked():
 
 
 @pytest.mark.thorough
-def test_a_wall_that_stores_no_heat_has_the_temperature_that_a_long_march_settles_to():
+def test_wall_without_heat_storage_has_the_settled_temperature():
     study = study_of(COLD_LIMIT)
     aero, point = tables.aerodynamics(study), study.points[0].point
     model = point_of_vehicle(study.vehicle, point)

@@ -102,9 +102,7 @@ def by_a_fresh_process(tmp_path_factory):
 
 @pytest.mark.thorough
 @posix
-def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_of_processes(
-    by_a_fresh_process, tmp_path
-):
+def test_killed_study_continues_to_the_same_bytes_on_any_worker_count(by_a_fresh_process, tmp_path):
     """Two processes are killed, one goes on. Every file operation of one: `python -m benchmarks kills`; twenty kills of
     two: `python -m benchmarks study_kills`."""
     (study, whole), out, moments = by_a_fresh_process, tmp_path / "out", random.Random(7)
@@ -124,7 +122,7 @@ def test_a_study_killed_at_any_moment_continues_to_the_same_bytes_on_any_number_
 
 
 @pytest.mark.thorough
-def test_a_process_that_did_other_work_before_gives_the_bytes_of_a_fresh_one(by_a_fresh_process, tmp_path):
+def test_process_with_earlier_work_gives_the_bytes_of_a_fresh_one(by_a_fresh_process, tmp_path):
     """Another study, a cluster, and linear algebra on two threads; the fresh process has one."""
     (study, fresh), other, busy = by_a_fresh_process, tmp_path / "other.toml", tmp_path / "busy"
     other.write_text(study.read_text().replace("flights = 48", "flights = 12").replace("V09T9527", "BODYFLAP"))
@@ -221,7 +219,7 @@ def test_a_folder_that_cannot_hold_finished_batches_is_reported_in_a_line(study,
     assert "results cannot be written" in errors[0]
 
 
-def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_study(study, tmp_path, capsys):
+def test_unknown_control_point_is_reported_with_the_file_of_the_study(study, tmp_path, capsys):
     text, flown = STUDY.format(more=""), entry_3dof("mach = 20.0")
     base = ROOT / "scenarios" / "entry_3dof.toml"
     study.write_text(text.replace(flown, f'scenario = "{base}"\n').replace('"V09T9527"', '"V09T952"'))
@@ -230,7 +228,7 @@ def test_an_unknown_control_point_of_a_study_is_reported_with_the_file_of_the_st
     assert errors == [f"error: {study}: vehicle orbiter: there is no control point `V09T952`; did you mean `V09T9527`?"]
 
 
-def test_a_study_of_a_scenario_leaves_out_the_declared_transition_that_the_scenario_does(study, tmp_path):
+def test_study_leaves_out_the_transition_that_its_scenario_leaves_out(study, tmp_path):
     declared = [u.effect.name for u in load_study(study).points[0].point.effects]
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n[heating]\ntransition = false\n'
     (tmp_path / "laminar.toml").write_text(head + entry_3dof("mach = 20.0"))
@@ -239,7 +237,7 @@ def test_a_study_of_a_scenario_leaves_out_the_declared_transition_that_the_scena
     assert sorted(declared) == sorted([*left, "transition"])
 
 
-def test_an_unknown_effect_of_a_scenario_is_reported_with_the_file_of_the_scenario(study, tmp_path, capsys):
+def test_unknown_effect_is_reported_with_the_file_of_the_scenario(study, tmp_path, capsys):
     base = tmp_path / "base.toml"
     head = 'format = "scenario/1"\ntitle = "base"\nvehicle = "orbiter"\n'
     base.write_text(f'{head}[[effect]]\nname = "gapflow"\n{entry_3dof("mach = 20.0")}')
@@ -248,7 +246,7 @@ def test_an_unknown_effect_of_a_scenario_is_reported_with_the_file_of_the_scenar
     assert f"error: {base}: " in capsys.readouterr().err
 
 
-def test_a_page_that_is_not_the_programs_own_is_reported_before_the_work_and_kept(study, tmp_path, capsys):
+def test_foreign_page_is_reported_before_the_work_and_kept(study, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("mine")

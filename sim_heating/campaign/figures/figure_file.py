@@ -67,17 +67,17 @@ class PaperFigure:
     @property
     def files(self) -> list[str]:
         """Names of its files, the picture first."""
-        return [f"{self.stem}.png", *(self._csv(part) for part in self.tables)]
+        return [f"{self.stem}.png", *(self._csv(suffix) for suffix in self.tables)]
 
-    def _csv(self, part: str) -> str:
-        return f"{self.stem}_{part}.csv" if part else f"{self.stem}.csv"
+    def _csv(self, suffix: str) -> str:
+        return f"{self.stem}_{suffix}.csv" if suffix else f"{self.stem}.csv"
 
     def write(self, folder: Path) -> None:
         """Write the picture and its data into a folder."""
         write_bytes_atomic(folder / f"{self.stem}.png", picture_file(self.figure, "png", dpi=DPI))
-        for part, columns in self.tables.items():
+        for suffix, columns in self.tables.items():
             header = {"figure": self.number, "title": self.title}
-            write_csv(folder / self._csv(part), columns, ".8g", header)
+            write_csv(folder / self._csv(suffix), columns, ".8g", header)
 
 
 def finished(

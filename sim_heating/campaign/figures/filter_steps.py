@@ -26,8 +26,8 @@ def steps(data: FlownData) -> PaperFigure:
     start_s = flown.manoeuvre.start_s - START_BEFORE_S
     fit = data.filtered_fit(flown, start_s, NOISE)
     assert fit.innovations is not None
-    found = filtered_history(fit.innovations, fit.fit.values, fit.problem.record_fits[0])
-    sensors = sorted(found.sensors, key=lambda s: s.channel.sensor.depth_m)
+    history = filtered_history(fit.innovations, fit.fit.values, fit.problem.record_fits[0])
+    sensors = sorted(history.sensors, key=lambda s: s.channel.sensor.depth_m)
     height = 1.0 + 1.55 * len(sensors)
     drawn = new_figure(11.0, height, len(sensors), 2, squeeze=False, sharex="col", width_ratios=[1.15, 1.0])
     tables: dict[str, dict[str, Any]] = {}

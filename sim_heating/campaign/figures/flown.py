@@ -60,8 +60,8 @@ JET_GAIN = "effect.jet-interaction.jet_gain"
 LENGTH_S = 5.0
 """Length of the paper's sequential segments [s]."""
 LONG_FIT_SPAN_S = {"pod": 40.0}
-"""The same of a part of the paper whose wall remembers longer [s]: felt under a thick coating, whose fit with a skew
-does not converge over a shorter time. The paper made its segments longer, too."""
+"""Time fitted before and after a manoeuvre where the wall remembers longer [s]: felt under a thick coating, whose
+fit with a skew does not converge over a shorter time. The paper made its segments longer, too."""
 TREND_BEFORE_S, TREND_AFTER_S = 20.0, 40.0
 """Time before and after the manoeuvre over which they follow each other [s]."""
 
@@ -122,11 +122,11 @@ class FlownData:
             raise InputError(f"--reference: `{reference}` is not a choice{suggestion(reference, REFERENCES)}")
         self.references = REFERENCES[reference]
         flown = sorted({name for flight in self.flights for name in flight.records})
-        for part, name in (points or {}).items():
-            if part not in POINTS:
-                raise InputError(f"--point: `{part}` is not a part in the paper{suggestion(part, POINTS)}")
+        for region, name in (points or {}).items():
+            if region not in POINTS:
+                raise InputError(f"--point: `{region}` is not a part in the paper{suggestion(region, POINTS)}")
             if name not in flown:
-                raise InputError(f"--point {part}={name}: no flight has a record of it{suggestion(name, flown)}")
+                raise InputError(f"--point {region}={name}: no flight has a record of it{suggestion(name, flown)}")
         self.points = POINTS | dict(points or {})
         self._made: dict[tuple[object, ...], object] = {}
 
@@ -139,24 +139,24 @@ class FlownData:
                 self._made[key] = reason
             except (InputError, RunError) as error:
                 self._made[key] = LeftOut(one_line(str(error)))
-        found = self._made[key]
-        if isinstance(found, LeftOut):
-            raise found
-        return found  # type: ignore[return-value]
+        result = self._made[key]
+        if isinstance(result, LeftOut):
+            raise result
+        return result  # type: ignore[return-value]
 
-    def records_of(self, part: str) -> list[tuple[CampaignFlight, Record]]:
-        """The flights with a record of a part of the paper.
+    def records_of(self, region: str) -> list[tuple[CampaignFlight, Record]]:
+        """The flights with a record of a region of the paper.
 
         raises : LeftOut where there is none
         """
-        name = self.points[part]
-        found = [(flight, flight.records[name]) for flight in self.flights if name in flight.records]
-        if not found:
+        name = self.points[region]
+        records = [(flight, flight.records[name]) for flight in self.flights if name in flight.records]
+        if not records:
             flown = ", ".join(sorted({n for flight in self.flights for n in flight.records}))
-            raise LeftOut(f"no flight has a record of {name}; name another point of {flown}: --point {part}=NAME")
-        return found
+            raise LeftOut(f"no flight has a record of {name}; name another point of {flown}: --point {region}=NAME")
+        return records
 
-    def manoeuvre(self, part: str, kinds: Sequence[str], mach: float) -> PointManoeuvre:
+    def manoeuvre(self, region: str, kinds: Sequence[str], mach: float) -> PointManoeuvre:
         """The manoeuvre of these kinds whose speed is nearest, with readings of the point.
 
         mach   : speed in units of 1000 ft/s
@@ -164,20 +164,22 @@ class FlownData:
         """
         near = [
             (abs(m.shuttle_mach - mach), flight, record, m)
-            for flight, record in self.records_of(part)
+            for flight, record in self.records_of(region)
             for m in flight.manoeuvres
             if m.kind in kinds
         ]
-        within = sorted((f for f in near if f[0] <= MACH_SPAN), key=lambda f: f[0])
-        what = f"{MANOEUVRE_NAMES[kinds[0]]} near Mach {mach:g}"
-        if not within:
+        candidates = sorted((f for f in near if f[0] <= MACH_SPAN), key=lambda f: f[0])
+        description = f"{MANOEUVRE_NAMES[kinds[0]]} near Mach {mach:g}"
+        if not candidates:
             others = ", ".join(f"{f[3].shuttle_mach:.1f}" for f in near) or "none at all"
-            raise LeftOut(f"no {what} (speed over 1000 ft/s) with a record of {self.points[part]}; flown: {others}")
-        for _, flight, record, m in within:
-            segment = fit_segment(record, m, LONG_FIT_SPAN_S.get(part, FIT_SPAN_S))
+            raise LeftOut(
+                f"no {description} (speed over 1000 ft/s) with a record of {self.points[region]}; flown: {others}"
+            )
+        for _, flight, record, m in candidates:
+            segment = fit_segment(record, m, LONG_FIT_SPAN_S.get(region, FIT_SPAN_S))
             if segment is not None:
                 return PointManoeuvre(flight.name, record, m, segment)
-        raise LeftOut(f"{self.points[part]}: no readings during the {what}")
+        raise LeftOut(f"{self.points[region]}: no readings during the {description}")
 
     def declared(self, record: Record, without: Sequence[str] = ()) -> Prediction:
         """The declared model of a record from the start of its conditions, without some of its effects."""
@@ -235,12 +237,14 @@ class FlownData:
         raises : LeftOut where they cannot be fitted
         """
         first = self.impingement_fit(flown[0], LAG_TIME, COATING)
-        jets = dict.fromkeys(name for one in flown for name in self.jet_names(one))
+        jets = dict.fromkeys(name for manoeuvre in flown for name in self.jet_names(manoeuvre))
         names = ("ratio.d0", "ratio.d_logre", ONSET, SLOPE, LAG_TIME, COATING, *jets)
         values = {name: value for name, (value, _) in first.parameters.items() if name in names}
         reference = dict(zip(RATIO_VARIABLES, first.problem.reference, strict=True))
-        records = list({id(one.record): one.record for one in flown}.values())
-        segments = [sorted(list(one.segment_s) for one in flown if one.record is record) for record in records]
+        records = list({id(manoeuvre.record): manoeuvre.record for manoeuvre in flown}.values())
+        segments = [
+            sorted(list(manoeuvre.segment_s) for manoeuvre in flown if manoeuvre.record is record) for record in records
+        ]
 
         def fit() -> FitResult:
             fitted = [without_table(r).with_fit(s) for r, s in zip(records, segments, strict=True)]
@@ -359,7 +363,7 @@ def ratio_part(fit: FitResult) -> tuple[tuple[str, ...], FloatArray, FloatArray]
 
 def estimated(fit: FitResult, name: str) -> tuple[float, float]:
     """Value and standard deviation of an estimated parameter, in its unit; its owner apart."""
-    return next(v for own, v in fit.parameters.items() if own.partition("@")[0] == name)
+    return next(v for label, v in fit.parameters.items() if label.partition("@")[0] == name)
 
 
 def agrees(value: float, sigma: float, paper: float, otherwise: float) -> bool:

@@ -182,11 +182,11 @@ def axial_step(record: Record, span_s: tuple[float, float]) -> AxialStep | None:
     best, least = None, np.inf
     for at in np.arange(np.quantile(alpha, 0.1), np.quantile(alpha, 0.9), AXIAL_STEP_DEG):
         A = np.stack([*smooth, np.asarray(alpha > at, dtype=float)], axis=1)
-        found = np.linalg.lstsq(A, C, rcond=None)[0]
-        misfit = float(np.sum((C - A @ found) ** 2))
+        coefficients = np.linalg.lstsq(A, C, rcond=None)[0]
+        misfit = float(np.sum((C - A @ coefficients) ** 2))
         if misfit < least:
             variance = misfit / (len(C) - A.shape[1]) * np.linalg.inv(A.T @ A)[-1, -1]
-            best, least = AxialStep(float(at), float(found[-1]), float(np.sqrt(variance))), misfit
+            best, least = AxialStep(float(at), float(coefficients[-1]), float(np.sqrt(variance))), misfit
     return best
 
 
@@ -224,13 +224,13 @@ def _draw(number: int, where: str, data: FlownData, panels: Sequence[Panel]) -> 
     tables: dict[str, dict[str, Any]] = {}
     notes = []
     for column, panel in zip(drawn[1].T, panels, strict=True):
-        part = panel.flown.key if len(panels) > 1 else ""
-        tables |= _plot_panel(column, data, panel, part)
+        suffix = panel.flown.key if len(panels) > 1 else ""
+        tables |= _plot_panel(column, data, panel, suffix)
         notes.append(f"{panel.flown.label}, {panel.flown.record.declared.control_point}: {fit_quality(panel.fit)}")
     return finished(number, title, drawn, tables, tuple(notes))
 
 
-def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, part: str) -> dict[str, dict[str, Any]]:
+def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, suffix: str) -> dict[str, dict[str, Any]]:
     """Plot one manoeuvre from top to bottom; the tables of what is drawn."""
     flown, record = panel.flown, panel.flown.record
     i, sensor = flown.outermost
@@ -268,14 +268,14 @@ def _plot_panel(axes: np.ndarray, data: FlownData, panel: Panel, part: str) -> d
         a.axvspan(flown.manoeuvre.start_s, flown.manoeuvre.end_s, color="tab:orange", alpha=0.14, linewidth=0)
         a.set_xlim(begin, end)
     bottom.set_xlabel("time, s; shaded: manoeuvre")
-    return {part: columns, f"{part}_angles".lstrip("_"): angles}
+    return {suffix: columns, f"{suffix}_angles".lstrip("_"): angles}
 
 
 def _plot_residual(a: Axes, t: np.ndarray, residual: np.ndarray) -> None:
     a.plot(t, residual, ".", color=AFTER, markersize=3.5)
     a.axhline(0.0, color="0.3", linewidth=0.8)
-    found = np.abs(residual[np.isfinite(residual)])
-    span = max(LEAST_SPAN_K, 1.4 * float(np.percentile(found, 97.0))) if len(found) else LEAST_SPAN_K
+    magnitude = np.abs(residual[np.isfinite(residual)])
+    span = max(LEAST_SPAN_K, 1.4 * float(np.percentile(magnitude, 97.0))) if len(magnitude) else LEAST_SPAN_K
     a.set_ylim(-span, span)
     mark_beyond(a, t, residual, AFTER)
     a.set_ylabel("measured\n- fitted, K")
@@ -292,8 +292,8 @@ def _plot_angles(a: Axes, conditions: Conditions, begin: float, end: float) -> d
     for name in moving:
         label, color = ANGLES[name]
         columns[name] = conditions[name][inside]
-        place, style = (a, "-") if name == ALPHA or other is a else (other, "--")
-        lines += place.plot(columns["time_s"], columns[name], style, color=color, linewidth=1.3, label=label)
+        axis, style = (a, "-") if name == ALPHA or other is a else (other, "--")
+        lines += axis.plot(columns["time_s"], columns[name], style, color=color, linewidth=1.3, label=label)
     a.set_ylabel(f"{ANGLES[ALPHA][0]}, deg" if ALPHA in moving else "deg")
     if other is not a:
         other.set_ylabel("deflections, deg\n(dashed)")

@@ -49,8 +49,8 @@ class Interface:
     @property
     def declared(self) -> bool:
         """Whether the point downstream declares it."""
-        own = self.downstream.declared.interface
-        return own is not None and own.upstream == self.upstream.name
+        interface = self.downstream.declared.interface
+        return interface is not None and interface.upstream == self.upstream.name
 
     @property
     def materials(self) -> str:
@@ -60,19 +60,19 @@ class Interface:
 
 def interfaces(points: Sequence[ControlPoint]) -> list[Interface]:
     """Interfaces between neighbouring control points, in the order of distance from the nose."""
-    found, named = [], {p.name: p for p in points}
+    pairs, named = [], {p.name: p for p in points}
     for point in sorted(points, key=lambda p: p.position_m[0]):
         declared = point.declared.interface
         if declared is not None and declared.upstream in named:
-            found.append(Interface(named[declared.upstream], point))
+            pairs.append(Interface(named[declared.upstream], point))
             continue
         upstream = [q for q in points if q.position_m[0] < point.position_m[0] and _same_side(point, q)]
         if not upstream:
             continue
         nearest = min(upstream, key=lambda q: float(np.linalg.norm(np.subtract(q.position_m, point.position_m))))
         if nearest.declared.heat_shield != point.declared.heat_shield:
-            found.append(Interface(nearest, point))
-    return found
+            pairs.append(Interface(nearest, point))
+    return pairs
 
 
 def _same_side(point: ControlPoint, upstream: ControlPoint) -> bool:
@@ -101,9 +101,9 @@ def control_points(data: FlownData) -> PaperFigure:
                     fontsize=7.5, color="0.3",
                 )  # fmt: skip
         for shield, color in zip(shields, COLORS, strict=False):
-            mine = [p for p in points if p.declared.heat_shield == shield]
-            x, y = (np.array([p.position_m[k] for p in mine]) for k in (0, axis))
-            filled = [color if p.name in flown else "white" for p in mine]
+            of_shield = [p for p in points if p.declared.heat_shield == shield]
+            x, y = (np.array([p.position_m[k] for p in of_shield]) for k in (0, axis))
+            filled = [color if p.name in flown else "white" for p in of_shield]
             a.scatter(x, y, s=46, c=filled, edgecolors=color, linewidths=1.6, label=shield, zorder=3)
         hot = [p for p in points if peaks[p.name] > p.limits.surface_K]
         at = [np.array([p.position_m[k] for p in hot]) for k in (0, axis)]
@@ -155,8 +155,8 @@ def _name_points(a: Axes, points: Sequence[ControlPoint], axis: int) -> None:
             groups.append((x, y, [p.name]))
     far_y = LABEL_SHARE * float(np.ptp([g[1] for g in groups]))
     for k, (x, y, names) in enumerate(groups):
-        beside = [(abs(g[0] - x), g[1]) for g in groups if abs(g[0] - x) < LABEL_M and 0.0 < abs(g[1] - y) < far_y]
-        up = min(beside)[1] < y if beside else k % 2 == 0
+        neighbours = [(abs(g[0] - x), g[1]) for g in groups if abs(g[0] - x) < LABEL_M and 0.0 < abs(g[1] - y) < far_y]
+        up = min(neighbours)[1] < y if neighbours else k % 2 == 0
         a.annotate(
             "\n".join(names), (x, y), xytext=(0, 8 if up else -8), textcoords="offset points", ha="center",
             va="bottom" if up else "top", fontsize=7,
@@ -171,22 +171,22 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
     """
     vehicle, flight = data.vehicle, _flight_of_cap(data)
     every = interfaces(list(vehicle.control_points.values()))
-    found = [face for face in every if face.declared] or every
-    if not found:
+    faces = [face for face in every if face.declared] or every
+    if not faces:
         raise LeftOut(f"{vehicle.name}: its control points have heat shields of one kind, so that it has no interface")
     flown = next(iter(flight.records.values())).conditions
     mach = flown["velocity_m_s"] / SHUTTLE_MACH_M_S
     shown = mach >= FEWEST_KFT_S
-    names = dict.fromkeys(p.name for i in found for p in (i.upstream, i.downstream))
+    names = dict.fromkeys(p.name for i in faces for p in (i.upstream, i.downstream))
     walls = _walls(vehicle, [vehicle.control_points[n] for n in names], flown)
-    rows = 3 if found[0].declared else 2
+    rows = 3 if faces[0].declared else 2
     drawn = new_figure(
-        4.0 * len(found) + 0.6, 1.9 + 1.9 * rows, rows, len(found), squeeze=False, sharex=True,
+        4.0 * len(faces) + 0.6, 1.9 + 1.9 * rows, rows, len(faces), squeeze=False, sharex=True,
         height_ratios=(2, 1, 1)[:rows],
     )  # fmt: skip
     columns: dict[str, Any] = {"time_s": flown.time_s[shown], "speed_kft_s": mach[shown]}
-    notes, said = [], []
-    for axes, face in zip(drawn[1].T, found, strict=True):
+    notes, statements = [], []
+    for axes, face in zip(drawn[1].T, faces, strict=True):
         warm, behind = walls[face.upstream.name], walls[face.downstream.name]
         for point, color in ((face.upstream, "tab:red"), (face.downstream, "tab:blue")):
             columns[f"{point.name}_K"] = walls[point.name][shown]
@@ -204,22 +204,22 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
             f"{mach[largest]:.1f}"
         )
         if face.declared:
-            (along,) = conditions_behind_walls(vehicle, [face.downstream], flown)
-            excess = excess_behind_interface(vehicle, face.downstream, along, behind)[shown]
-            told = np.where(excess == 0.0, np.nan, excess)  # 0 where there is hardly any heating to add to
-            columns[f"{face.downstream.name}_excess"] = told
-            axes[2].plot(mach[shown], told, color="0.2")
+            (conditions,) = conditions_behind_walls(vehicle, [face.downstream], flown)
+            excess = excess_behind_interface(vehicle, face.downstream, conditions, behind)[shown]
+            shown_excess = np.where(excess == 0.0, np.nan, excess)  # 0 where there is hardly any heating to add to
+            columns[f"{face.downstream.name}_excess"] = shown_excess
+            axes[2].plot(mach[shown], shown_excess, color="0.2")
             most = int(np.argmax(excess))
             notes.append(
                 f"{face.downstream.name}: heating behind the interface {excess[most]:+.1%} at most, at Mach "
                 f"{mach[shown][most]:.1f}"
             )
             if face.upstream.declared.heat_shield == CAP:
-                said += _nose_statements(mach[peak], mach[shown][most], excess[most])
+                statements += _nose_statements(mach[peak], mach[shown][most], excess[most])
             elif face.downstream.declared.heat_shield == FELT:
                 here = f"{face.downstream.name}: {step[largest]:.0f} K at most"
                 paper = "from the pod's tile to its felt the wall temperature falls by a step"
-                said.append(Statement(91, paper, here, step[largest] > 0.0))
+                statements.append(Statement(91, paper, here, step[largest] > 0.0))
         for a in axes[1:]:
             a.axhline(0.0, color="0.5", linewidth=0.8)
         axes[-1].set_xlabel("speed, 1000 ft/s")
@@ -228,7 +228,7 @@ def wall_temperatures(data: FlownData) -> PaperFigure:
         a.set_ylabel(label)
     drawn[1][0, 0].invert_xaxis()
     title = f"wall temperatures across interfaces of the heat shield, {flight.name}, declared tables"
-    return finished(16, title, drawn, {"": columns}, tuple(notes), tuple(said))
+    return finished(16, title, drawn, {"": columns}, tuple(notes), tuple(statements))
 
 
 def _flight_of_cap(data: FlownData) -> CampaignFlight:

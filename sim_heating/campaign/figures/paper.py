@@ -131,7 +131,7 @@ def draw_figures(
     numbers   : of the figures, 1 to 18, of which 17 and 18 are of its text alone; all by default
     points    : `lower`, `elevon`, `pod` or `tunnel` -> control point, where not the one of POINTS (flown.py)
     reference : of figure 9, `both`, `stagnation` or `eckert-turbulent`
-    root      : folder that files may name others in, as `load_scenario` takes it
+    root      : folder that files may name others in; by default the nearest above each that holds `scenarios`
     progress  : called with the fraction done and a line of text
     returns   : the figures that these flights give, and the reason for each other one
     raises    : InputError where a number, a point or a source cannot be used
@@ -159,26 +159,26 @@ def draw_figures(
 
 
 def _flights(
-    given: Sequence[CampaignFlight | str | os.PathLike[str]], root: str | os.PathLike[str] | None, progress: Progress
+    sources: Sequence[CampaignFlight | str | os.PathLike[str]], root: str | os.PathLike[str] | None, progress: Progress
 ) -> tuple[list[CampaignFlight], list[Path]]:
     """Flights of all sources in their order, and the files and directories that they come from."""
     flights: list[CampaignFlight] = []
     inputs: list[Path] = []
-    paths = [Path(source) for source in given if not isinstance(source, CampaignFlight)]
-    for source in given:
+    paths = [Path(source) for source in sources if not isinstance(source, CampaignFlight)]
+    for source in sources:
         if isinstance(source, CampaignFlight):
             flights.append(source)
         elif _is_campaign(Path(source)):
             campaign = load_campaign(source, root=root)
             inputs += campaign.files
             paths.remove(Path(source))
-            for part in campaign.flights:
-                if part.records is not None:
-                    flights += read_flights([part.records], root=root, progress=progress)
+            for source_flight in campaign.flights:
+                if source_flight.records is not None:
+                    flights += read_flights([source_flight.records], root=root, progress=progress)
                     continue
-                progress(0.0, f"flying {part.scenarios[0].title}")
-                flown = fly_scenario(part.scenarios[0])
-                flights += [flight_of_scenario(scenario, flown=flown) for scenario in part.scenarios]
+                progress(0.0, f"flying {source_flight.scenarios[0].title}")
+                flown = fly_scenario(source_flight.scenarios[0])
+                flights += [flight_of_scenario(scenario, flown=flown) for scenario in source_flight.scenarios]
     flights += read_flights(paths, root=root, progress=progress) if paths else []
     inputs += [path for f in flights if f.scenario is not None for path in f.scenario.files]
     inputs += [r.directory for f in flights if f.scenario is None for r in f.records.values() if r.directory.is_dir()]
@@ -190,15 +190,15 @@ def _is_campaign(path: Path) -> bool:
     return path.suffix == SCENARIO_SUFFIX and str(read_toml_dict(path).get("format", "")).startswith("campaign/")
 
 
-def write_figures(found: PaperFigures, out: str | os.PathLike[str]) -> list[str]:
+def write_figures(figures: PaperFigures, out: str | os.PathLike[str]) -> list[str]:
     """Write every figure with its data, figures.json, and a page with the statements.
 
     returns : names of the files
     raises  : InputError where the directory contains files of these names that this program did not write
     """
-    with output_directory(out, COMMAND, inputs=found.inputs) as folder:
-        for figure in found.drawn:
+    with output_directory(out, COMMAND, inputs=figures.inputs) as folder:
+        for figure in figures.drawn:
             figure.write(folder)
-        write_json(folder / SUMMARY, found.summary())
-        write_page(folder / PAGE, found.page)
+        write_json(folder / SUMMARY, figures.summary())
+        write_page(folder / PAGE, figures.page)
         return sorted(p.name for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))

@@ -82,11 +82,11 @@ def onset_of_impingement(data: FlownData) -> PaperFigure:
         value, bound = impinged_ratio(fit, record, x)
         if style == STYLES[0]:
             a.fill_between(x[:, 0], value - SIGMAS * bound, value + SIGMAS * bound, color=color, alpha=0.22, lw=0)
-        what = _what(fit, record)
-        a.plot(x[:, 0], value, style, color=color, linewidth=1.8, label=f"flight, {other} estimated: {what}")
+        description = _what(fit, record)
+        a.plot(x[:, 0], value, style, color=color, linewidth=1.8, label=f"flight, {other} estimated: {description}")
         a.axvline(fit.parameters[ONSET][0], color=color, linewidth=0.8, linestyle=":")
         tables[other.replace(" ", "_")] = {"alpha_deg": x[:, 0], "ratio": value, "sigma": bound}
-        notes.append(f"{flown.label}, {other} estimated: {what}; {fit_quality(fit)}")
+        notes.append(f"{flown.label}, {other} estimated: {description}; {fit_quality(fit)}")
     a.set_xlabel(LABELS["alpha_deg"])
     a.set_ylabel(ratio_label(record))
     a.set_xlim(wide[0, 0], wide[-1, 0])
@@ -127,8 +127,8 @@ def _statements(fits: dict[str, FitResult], record: Record, onset: float) -> tup
 def _what(fit: FitResult, record: Record) -> str:
     """Onset, and what was estimated with it, as text."""
     parts = []
-    for own, (value, bound) in fit.parameters.items():
-        name = own.partition("@")[0]
+    for label, (value, bound) in fit.parameters.items():
+        name = label.partition("@")[0]
         if name == ONSET:
             parts.append(f"onset {plus_minus(value, bound)} deg")
         elif name in (SKEW, LAG_TIME):
@@ -159,12 +159,12 @@ def impinged_ratio(fit: FitResult, record: Record, x: FloatArray) -> tuple[Float
     covariance, reference = fit.bounds.covariance[np.ix_(index, index)], np.array(fit.problem.reference)
     table = fit.problem.record_fits[0].record.ratio_table
 
-    def ratio(at: FloatArray) -> FloatArray:
+    def ratio(vector: FloatArray) -> FloatArray:
         of_ratio = [k for k, name in enumerate(chosen) if name.startswith("ratio.")]
         zeros = np.zeros((len(of_ratio), len(of_ratio)))
-        own = [chosen[k] for k in of_ratio]
-        linear, _ = estimated_ratio(own, at[of_ratio], zeros, reference, table, x)
-        return linear + _added(used, dict(zip(chosen, at, strict=True)), record, x)
+        names_of_ratio = [chosen[k] for k in of_ratio]
+        linear, _ = estimated_ratio(names_of_ratio, vector[of_ratio], zeros, reference, table, x)
+        return linear + _added(used, dict(zip(chosen, vector, strict=True)), record, x)
 
     columns = []
     for k, sigma in enumerate(np.sqrt(np.diag(covariance))):
@@ -179,12 +179,12 @@ def impinged_ratio(fit: FitResult, record: Record, x: FloatArray) -> tuple[Float
 
 def _added(used: EffectUse, values: dict[str, float], record: Record, x: FloatArray) -> FloatArray:
     """(sample,) what an effect adds to the ratio, by its kernel, at the values of a fit."""
-    given = zip(used.effect.parameters, used.values, strict=True)
-    own = [values.get(f"effect.{used.effect.name}.{p.name}", v) for p, v in given]
+    declared = zip(used.effect.parameters, used.values, strict=True)
+    arguments = [values.get(f"effect.{used.effect.name}.{p.name}", v) for p, v in declared]
     state = condition_history(record.conditions.at(record.conditions.time_s[:1]))[0]
     rows = np.tile(state, (len(x), 1))
     rows[:, : x.shape[1]] = x
-    return values_along(replace(used, values=tuple(own)), rows, np.zeros(len(x)))
+    return values_along(replace(used, values=tuple(arguments)), rows, np.zeros(len(x)))
 
 
 # Dependence on Reynolds number ---------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def reynolds(data: FlownData) -> PaperFigure:
     table, fit = popus[0].record.ratio_table, data.joint_impingement_fit(popus)
     if table is None:
         raise LeftOut(f"{popus[0].record.name}: its record declares no ratio table to compare with")
-    flown = np.array([float(np.mean(_inside(one, "log10_re"))) for one in popus])
+    flown = np.array([float(np.mean(_inside(popu, "log10_re"))) for popu in popus])
     x = np.linspace(flown.min() - 0.05, flown.max() + 0.05, SAMPLES)
     reference = np.array(fit.problem.reference)
     reference[0] = COMPARED_DEG
@@ -217,9 +217,9 @@ def reynolds(data: FlownData) -> PaperFigure:
     a.plot(x, 1.0 + slope * away, color=COLORS[0], linewidth=1.8, label=label)
     band = SIGMAS * sigma * np.abs(away)
     a.fill_between(x, 1.0 + slope * away - band, 1.0 + slope * away + band, color=COLORS[0], alpha=0.22, linewidth=0)
-    for one, at in zip(popus, flown, strict=True):
+    for popu, at in zip(popus, flown, strict=True):
         a.axvline(at, color="0.5", linewidth=0.8, linestyle=":")
-        text = f"{one.flight}, {one.mach}"
+        text = f"{popu.flight}, {popu.mach}"
         a.annotate(text, (at, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=8, ha="right")
     a.set_xlabel("log10 of Reynolds number")
     a.set_ylabel(f"heating ratio below the onset,\nover that of {popus[0].mach}")
@@ -227,7 +227,7 @@ def reynolds(data: FlownData) -> PaperFigure:
     legend_above(a)
     tables = {
         "": {"log10_re": x, "tunnel": tunnel, "flight": 1.0 + slope * away, "band": band},
-        "manoeuvres": {"manoeuvre": [one.label for one in popus], "log10_re": flown},
+        "manoeuvres": {"manoeuvre": [popu.label for popu in popus], "log10_re": flown},
     }
     here = f"{plus_minus(slope, sigma)} a decade in flight, {of_tunnel:+.2f} in the table"
     paper = "the pod's heating depends less on Reynolds number in flight than in the tunnel"
@@ -244,13 +244,13 @@ def reynolds(data: FlownData) -> PaperFigure:
 def _popus(data: FlownData) -> list[PointManoeuvre]:
     """Every POPU of all flights with readings of the pod, the fastest first."""
     speeds = {m.shuttle_mach for f, _ in data.records_of("pod") for m in f.manoeuvres if m.kind in POPU}
-    found: list[PointManoeuvre] = []
+    popus: list[PointManoeuvre] = []
     for mach in sorted(speeds, reverse=True):
         try:
-            found.append(data.manoeuvre("pod", POPU, mach))
+            popus.append(data.manoeuvre("pod", POPU, mach))
         except LeftOut:
             continue
-    return found
+    return popus
 
 
 def _inside(flown: PointManoeuvre, column: str) -> FloatArray:

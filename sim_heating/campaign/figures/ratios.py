@@ -50,25 +50,25 @@ NEAR_NOISE = 1.2
 def angle_of_attack(data: FlownData) -> PaperFigure:
     """Figure 8: heating ratio of the lower surface against angle of attack, the POPUs at Mach 20, 12 and 8."""
     title = f"lower surface {data.points['lower']}, heating ratio against angle of attack"
-    drawn, found = _overlaid(8, title, data, "lower", POPU, (20.0, 12.0, 8.0), ("alpha",))
+    drawn, estimates = _overlaid(8, title, data, "lower", POPU, (20.0, 12.0, 8.0), ("alpha",))
     jets = [
         f"{e.flown.label}: without the jets as an input "
         f"{plus_minus(*data.linear_fit(e.flown, 'alpha', jets=False).parameters[D_ALPHA])} per deg"
-        for e in found
+        for e in estimates
         if data.jet_names(e.flown)
     ]
-    return replace(drawn, notes=(*drawn.notes, *jets), statements=_lower_statements(data, found))
+    return replace(drawn, notes=(*drawn.notes, *jets), statements=_lower_statements(data, estimates))
 
 
-def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[Statement, ...]:
+def _lower_statements(data: FlownData, estimates: Sequence[Estimate]) -> tuple[Statement, ...]:
     """What the paper says of the derivatives in angle of attack at Mach 20, 12 and 8."""
-    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in found}
-    said = []
+    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in estimates}
+    statements = []
     if (at_20 := by_mach.get(20)) is not None:
         slope, sigma = at_20.fit.parameters[D_ALPHA]
         tunnel, tunnel_sigma = _table_slope(at_20)
         floor, quality = at_20.flown.record.noise_floor_K(), _rmse(at_20.fit)
-        said += [
+        statements += [
             Statement(
                 74, "at Mach 20 the trend in angle of attack is that of the wind tunnel",
                 f"{plus_minus(slope, sigma)} per deg, table {tunnel:.5f} +- {tunnel_sigma:.5f}",
@@ -81,7 +81,7 @@ def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[State
         ]  # fmt: skip
         if data.jet_names(at_20.flown):
             false, false_sigma = data.linear_fit(at_20.flown, "alpha", jets=False).parameters[D_ALPHA]
-            said.append(
+            statements.append(
                 Statement(
                     67, "pitch jets disturb the measured density, and so the derivative in angle of attack",
                     f"{plus_minus(false, false_sigma)} per deg without the jets as an input, "
@@ -91,7 +91,7 @@ def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[State
             )  # fmt: skip
         if (at_12 := by_mach.get(12)) is not None:
             lower, lower_sigma = at_12.fit.parameters[D_ALPHA]
-            said.append(
+            statements.append(
                 Statement(
                     75, "at Mach 12 the derivative in angle of attack is lower than at Mach 20",
                     f"{plus_minus(lower, lower_sigma)} per deg against {plus_minus(slope, sigma)}",
@@ -100,7 +100,7 @@ def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[State
             )  # fmt: skip
         if (at_8 := by_mach.get(8)) is not None:
             middle = SAMPLES // 2
-            said.append(
+            statements.append(
                 Statement(
                     77, "at Mach 8 the ratio is larger than at Mach 20, and so is its bound",
                     f"{plus_minus(at_8.ratio[middle], at_8.sigma[middle])} against "
@@ -108,7 +108,7 @@ def _lower_statements(data: FlownData, found: Sequence[Estimate]) -> tuple[State
                     bool(at_8.ratio[middle] > at_20.ratio[middle] and at_8.sigma[middle] > at_20.sigma[middle]),
                 )
             )  # fmt: skip
-    return tuple(said)
+    return tuple(statements)
 
 
 def _rmse(fit: FitResult) -> float:
@@ -132,24 +132,24 @@ def _table_slope(e: Estimate) -> tuple[float, float]:
 def elevon(data: FlownData) -> PaperFigure:
     """Figure 12: heating ratio of the outboard elevon against its deflection, flap manoeuvres at Mach 21, 16, 12."""
     title = f"outboard elevon {data.points['elevon']}, heating ratio against deflection"
-    drawn, found = _overlaid(12, title, data, "elevon", FLAP, (21.0, 16.0, 12.0), ("elevon", "elevon2"))
-    return replace(drawn, statements=_elevon_statements(found))
+    drawn, estimates = _overlaid(12, title, data, "elevon", FLAP, (21.0, 16.0, 12.0), ("elevon", "elevon2"))
+    return replace(drawn, statements=_elevon_statements(estimates))
 
 
-def _elevon_statements(found: Sequence[Estimate]) -> tuple[Statement, ...]:
+def _elevon_statements(estimates: Sequence[Estimate]) -> tuple[Statement, ...]:
     """What the paper says of the elevon's heating at Mach 21, 16 and 12."""
-    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in found}
-    said = []
+    by_mach = {round(e.flown.manoeuvre.shuttle_mach): e for e in estimates}
+    statements = []
     if (at_21 := by_mach.get(21)) is not None:
         curved, sigma = at_21.fit.parameters[D_ELEVON2]
-        said.append(
+        statements.append(
             Statement(
                 80, "at Mach 21 elevon heating is nonlinear in deflection, of second order",
                 f"second-order term {plus_minus(curved, sigma)} per deg2", curved > SIGMAS * sigma,
             )
         )  # fmt: skip
     if (at_16 := by_mach.get(16)) is not None:
-        said.append(
+        statements.append(
             Statement(
                 82, "at Mach 16 the elevon's thermocouple does not respond, the derivative is zero",
                 at_16.text, at_16.silent,
@@ -157,7 +157,7 @@ def _elevon_statements(found: Sequence[Estimate]) -> tuple[Statement, ...]:
         )  # fmt: skip
     if (at_12 := by_mach.get(12)) is not None:
         low, high = float(at_12.sigma[0]), float(at_12.sigma[at_12.x[:, ELEVON] >= 0.0].min())
-        said.append(
+        statements.append(
             Statement(
                 83, "at Mach 12 the elevon's data correlate poorly at negative deflections",
                 f"bound {low:.2g} at {at_12.x[0, ELEVON]:.1f} deg, {high:.2g} at best above 0", low > high,
@@ -165,13 +165,13 @@ def _elevon_statements(found: Sequence[Estimate]) -> tuple[Statement, ...]:
         )  # fmt: skip
         if at_21 is not None:
             times = float(np.median(at_12.ratio) / np.median(at_21.ratio))
-            said.append(
+            statements.append(
                 Statement(
                     83, "at Mach 12 the flow on the elevon is turbulent",
                     f"ratio {times:.1f} times that of Mach 21", times > TURBULENT_TIMES,
                 )
             )  # fmt: skip
-    return tuple(said)
+    return tuple(statements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,15 +199,19 @@ def _estimate(flown: PointManoeuvre, fit: FitResult, color: str, i: int) -> Esti
     reference = np.array(fit.problem.reference)
     x = along_variable(reference, i, np.linspace(*excursion(flown, RATIO_VARIABLES[i]), SAMPLES))
     ratio, sigma = estimated_ratio(names, values, covariance, reference, None, x)
-    own = [k for k, name in enumerate(names) if name.startswith(f"ratio.d_{SHORT_NAMES[i]}")]
-    if not own:
+    responding = [k for k, name in enumerate(names) if name.startswith(f"ratio.d_{SHORT_NAMES[i]}")]
+    if not responding:
         return Estimate(flown, fit, color, x, ratio, sigma, f"no response to {LABELS[RATIO_VARIABLES[i]]}", True)
-    units = ["deg2" if names[k].endswith("2") else "deg" for k in own]
+    units = ["deg2" if names[k].endswith("2") else "deg" for k in responding]
     parts = [
-        f"{plus_minus(values[k], np.sqrt(covariance[k, k]))} per {unit}" for k, unit in zip(own, units, strict=True)
+        f"{plus_minus(values[k], np.sqrt(covariance[k, k]))} per {unit}"
+        for k, unit in zip(responding, units, strict=True)
     ]
-    B = basis([names[k] for k in own], x, reference, np.zeros(len(x)))
-    change, bound = B @ values[own], np.sqrt(np.sum((B @ covariance[np.ix_(own, own)]) * B, axis=1))
+    B = basis([names[k] for k in responding], x, reference, np.zeros(len(x)))
+    change, bound = (
+        B @ values[responding],
+        np.sqrt(np.sum((B @ covariance[np.ix_(responding, responding)]) * B, axis=1)),
+    )
     silent = not np.any(np.abs(change) > SIGMAS * bound)
     text = ("no significant response, " if silent else "") + ", ".join(parts)
     return Estimate(flown, fit, color, x, ratio, sigma, text, silent)
@@ -217,7 +221,7 @@ def _overlaid(
     number: int,
     title: str,
     data: FlownData,
-    part: str,
+    region: str,
     kinds: Sequence[str],
     machs: Sequence[float],
     terms: Sequence[str],
@@ -227,29 +231,31 @@ def _overlaid(
     Where some are far above others, these have a second panel.
     """
     i = SHORT_NAMES.index(terms[0])
-    data.records_of(part)
-    found, notes = [], []
+    data.records_of(region)
+    estimates, notes = [], []
     for mach, color in zip(machs, COLORS, strict=True):
         try:
-            flown = data.manoeuvre(part, kinds, mach)
-            found.append(_estimate(flown, data.linear_fit(flown, *terms), color, i))
+            flown = data.manoeuvre(region, kinds, mach)
+            estimates.append(_estimate(flown, data.linear_fit(flown, *terms), color, i))
         except LeftOut as reason:
             notes.append(f"Mach {mach:g}: {reason}")
-    if not found:
+    if not estimates:
         raise LeftOut("; ".join(notes))
-    low, high = min(e.x[0, i] for e in found), max(e.x[-1, i] for e in found)
+    low, high = min(e.x[0, i] for e in estimates), max(e.x[-1, i] for e in estimates)
     wide = np.linspace(low - WIDER * (high - low), high + WIDER * (high - low), SAMPLES)
-    least = min(e.ratio.max() for e in found)
-    lower = [e for e in found if e.ratio.max() < FAR_ABOVE * least]
-    panels = 2 if len(lower) < len(found) else 1
+    least = min(e.ratio.max() for e in estimates)
+    lower = [e for e in estimates if e.ratio.max() < FAR_ABOVE * least]
+    panels = 2 if len(lower) < len(estimates) else 1
     drawn = new_figure(7.5 if panels == 1 else 11.5, 6.4, 1, panels, squeeze=False)
     tables: dict[str, dict[str, Any]] = {"table": {RATIO_VARIABLES[i]: wide}}
-    for a, shown in zip(drawn[1][0], (found, lower), strict=False):
+    for a, shown in zip(drawn[1][0], (estimates, lower), strict=False):
         for e in shown:
-            _plot_estimate(a, e, i, wide, tables, data.turbulent_part(e.flown), band=shown is found and e is found[0])
+            _plot_estimate(
+                a, e, i, wide, tables, data.turbulent_part(e.flown), band=shown is estimates and e is estimates[0]
+            )
         a.set_xlabel(LABELS[RATIO_VARIABLES[i]])
         a.set_xlim(wide[0], wide[-1])
-    drawn[1][0, 0].set_ylabel(ratio_label(found[0].flown.record))
+    drawn[1][0, 0].set_ylabel(ratio_label(estimates[0].flown.record))
     if panels == 2:
         shown_low = min(float(np.min(e.ratio - SIGMAS * e.sigma)) for e in lower)
         shown_high = max(float(np.max(e.ratio + SIGMAS * e.sigma)) for e in lower)
@@ -259,8 +265,8 @@ def _overlaid(
         drawn[1][0, 1].set_ylim(shown_low - margin, shown_high + margin)
         drawn[1][0, 1].set_title("the same, enlarged", fontsize=10)
     legend_below(drawn)
-    notes += [f"{e.flown.label}: {e.text}; {fit_quality(e.fit)}" for e in found]
-    return finished(number, title, drawn, tables, tuple(notes)), found
+    notes += [f"{e.flown.label}: {e.text}; {fit_quality(e.fit)}" for e in estimates]
+    return finished(number, title, drawn, tables, tuple(notes)), estimates
 
 
 def _plot_estimate(

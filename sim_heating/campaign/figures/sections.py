@@ -25,9 +25,9 @@ MM = 1e3
 def sections(data: FlownData) -> PaperFigure:
     """Figure 2: section of each control point of the paper that was flown, layers from the surface down."""
     shown: dict[str, Record] = {}
-    for part in data.points:
+    for region in data.points:
         try:
-            shown[data.points[part]] = data.records_of(part)[0][1]
+            shown[data.points[region]] = data.records_of(region)[0][1]
         except LeftOut:
             continue
     if not shown:
@@ -84,9 +84,9 @@ def _drawn_faces(thickness: FloatArray) -> FloatArray:
     return np.append(0.0, np.cumsum(heights))
 
 
-def _apart(at: FloatArray, least: float = 0.075) -> FloatArray:
+def _apart(positions: FloatArray, least: float = 0.075) -> FloatArray:
     """Places of labels in the order of depth, none nearer to the one before than `least`."""
-    order, placed = np.argsort(at), np.array(at)
+    order, placed = np.argsort(positions), np.array(positions)
     for before, after in pairwise(order):
         placed[after] = max(placed[after], placed[before] + least)
     return placed

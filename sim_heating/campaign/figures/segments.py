@@ -47,17 +47,17 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
     fit = data.linear_fit(flown, "alpha")
     if "ratio.d_alpha" not in fit.parameters:
         raise LeftOut(f"{flown.label}: its fit gives no alpha derivative to fix; {fit.not_estimated['ratio.d_alpha']}")
-    found = data.segments(flown)
+    trend = data.segments(flown)
     reference = np.array(fit.problem.reference)
-    ratio, sigma = (np.array([getattr(s, name)[0] for s in found.segments]) for name in ("values", "sigmas"))
-    conditions = np.array([s.condition for s in found.segments])
+    ratio, sigma = (np.array([getattr(s, name)[0] for s in trend.segments]) for name in ("values", "sigmas"))
+    conditions = np.array([s.condition for s in trend.segments])
     at_reference = conditions.copy()
     at_reference[:, ALPHA] = reference[ALPHA]
-    scale, shown = _scales(data, flown, found, float(reference[ALPHA]))
+    scale, shown = _scales(data, flown, trend, float(reference[ALPHA]))
     drawn = new_figure(5.6 * len(shown) + 0.4, 5.0, 1, len(shown), squeeze=False)
     table: dict[str, Any] = {
-        "start_s": np.array([s.start_s for s in found.segments]),
-        "end_s": np.array([s.end_s for s in found.segments]),
+        "start_s": np.array([s.start_s for s in trend.segments]),
+        "end_s": np.array([s.end_s for s in trend.segments]),
         "log10_re": conditions[:, LOG10_RE],
         "alpha_deg": conditions[:, ALPHA],
     }
@@ -66,10 +66,13 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
         factor, key = scale[name], name.replace("-", "_")
         table |= {f"{key}_ratio": ratio * factor, f"{key}_sigma": sigma * factor}
         _plot_segments(a, table["log10_re"], ratio * factor, sigma * factor, name)
-        for own, kind, style in ((flown.record.ratio_table, "", "--"), (flown.record.turbulent, "_turbulent", ":")):
-            if own is not None:
+        for table_of_kind, kind, style in (
+            (flown.record.ratio_table, "", "--"),
+            (flown.record.turbulent, "_turbulent", ":"),
+        ):
+            if table_of_kind is not None:
                 column = f"{key}_table{kind}"
-                table[column] = declared_ratio(own, at_reference) * factor
+                table[column] = declared_ratio(table_of_kind, at_reference) * factor
                 label = f"declared {'turbulent ' if kind else ''}table"
                 a.plot(table["log10_re"], table[column], style, color="0.35", label=label)
         _limit(
@@ -79,7 +82,7 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
         notes.append(_trend_text(table["log10_re"], ratio * factor, sigma * factor, name))
     d_alpha, bound = fit.parameters["ratio.d_alpha"]
     notes.append(f"d_alpha fixed at {plus_minus(d_alpha, bound)} per deg; {fit_quality(fit)}")
-    notes += [f"left out: {line}" for line in found.left_out]
+    notes += [f"left out: {line}" for line in trend.left_out]
     title = (
         f"heating ratio of {data.points['lower']} in segments of {LENGTH_S:g} s, {flown.label}, at "
         f"{reference[ALPHA]:.1f} deg"
@@ -89,13 +92,17 @@ def reynolds_trend(data: FlownData, mach: float = 8.0) -> PaperFigure:
 
 def _statements(fit: FitResult, ratio: FloatArray, sigma: FloatArray, trend_text: str) -> tuple[Statement, ...]:
     """What the paper says of the Reynolds-number derivative, and of segments in its place."""
-    found, bound = fit.parameters.get("ratio.d_logre", (0.0, np.inf))
+    derivative, bound = fit.parameters.get("ratio.d_logre", (0.0, np.inf))
     lacking = not np.isfinite(bound)
-    text = f"not estimated: {fit.not_estimated['ratio.d_logre']}" if lacking else f"{plus_minus(found, bound)} a decade"
+    text = (
+        f"not estimated: {fit.not_estimated['ratio.d_logre']}"
+        if lacking
+        else f"{plus_minus(derivative, bound)} a decade"
+    )
     return (
         Statement(
             78, "a Reynolds-number derivative cannot be estimated in the short manoeuvre", text,
-            lacking or abs(found) < SIGMAS * bound,
+            lacking or abs(derivative) < SIGMAS * bound,
         ),
         Statement(
             79, "segments of five seconds with the derivative in angle of attack fixed show a trend with Re",
@@ -105,7 +112,7 @@ def _statements(fit: FitResult, ratio: FloatArray, sigma: FloatArray, trend_text
 
 
 def _scales(
-    data: FlownData, flown: PointManoeuvre, found: Trend, alpha_deg: float
+    data: FlownData, flown: PointManoeuvre, trend: Trend, alpha_deg: float
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """(segment,) factors from the record's reference film coefficient to each that is shown, and these.
 
@@ -113,7 +120,7 @@ def _scales(
     """
     conditions = conditions_of_record(flown.record)
     length = flown.record.declared.heating.running_length_m
-    scale = {STAGNATION: np.ones(len(found.segments))}
+    scale = {STAGNATION: np.ones(len(trend.segments))}
     if ECKERT in data.references:
         if length is None:
             raise LeftOut(
@@ -123,7 +130,7 @@ def _scales(
         inclined = conditions.with_columns(alpha_deg=np.full(len(conditions), alpha_deg))
         film = reference_heating(ECKERT, inclined, running_length_m=length).h_ref_kg_m2_s
         factor = conditions["h_ref_kg_m2_s"] / film
-        scale[ECKERT] = np.array([_mean(conditions, factor, s.start_s, s.end_s) for s in found.segments])
+        scale[ECKERT] = np.array([_mean(conditions, factor, s.start_s, s.end_s) for s in trend.segments])
     return scale, list(data.references)
 
 

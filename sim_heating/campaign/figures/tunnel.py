@@ -109,5 +109,7 @@ def _skew_of_interface(data: FlownData, record: Record) -> tuple[float, float]:
 def _text(fit: FitResult) -> str:
     """Estimated skew and coating as text."""
     units = {SKEW: ("skew", "s"), COATING: ("coating", "times the declared"), SCALE: ("relative heating", "")}
-    parts = [(units[own.partition("@")[0]], v) for own, v in fit.parameters.items() if own.partition("@")[0] in units]
-    return ", ".join(f"{what} {plus_minus(*value)} {unit}".strip() for (what, unit), value in parts)
+    parts = [
+        (units[label.partition("@")[0]], v) for label, v in fit.parameters.items() if label.partition("@")[0] in units
+    ]
+    return ", ".join(f"{title} {plus_minus(*value)} {unit}".strip() for (title, unit), value in parts)

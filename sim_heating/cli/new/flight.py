@@ -39,7 +39,7 @@ from sim_heating.cli.new.printing import print_made, print_notes
 @click.option("--manoeuvre", is_flag=True, help="fly a pushover-pullup at 6096 m/s (20,000 ft/s)")
 @ROOT
 @title_option("scenario")
-def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], root: Path | None, **given: Any) -> None:
+def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], root: Path | None, **options: Any) -> None:
     """Make a scenario, DIR/scenario.toml: an entry of a vehicle for `run`, `synthesize` and `plan`.
 
     \b
@@ -49,23 +49,23 @@ def new_scenario(vehicle: str, out: Path, points: tuple[str, ...], root: Path | 
     from sim_heating.templates.starters import write_new_scenario
 
     for option, name in (("--field", "fields"), ("--atmosphere", "atmosphere")):
-        if given[name] and given["trajectory"] is None:
+        if options[name] and options["trajectory"] is None:
             raise InputError(f"{option}: is of a recorded trajectory; give --trajectory FILE, or leave it out")
 
-    initial = {"altitude_m": given["altitude"], "velocity_m_s": given["speed"], "gamma_deg": given["gamma"]}
+    initial = {"altitude_m": options["altitude"], "velocity_m_s": options["speed"], "gamma_deg": options["gamma"]}
     with progress_line("new scenario") as progress:
         progress(0.1, COMPILING)
         path, notes = write_new_scenario(
             out,
             vehicle,
-            title=given["title"],
+            title=options["title"],
             points=points,
-            recorded=given["trajectory"],
-            fields=given["fields"],
-            atmosphere=given["atmosphere"],
+            recorded=options["trajectory"],
+            fields=options["fields"],
+            atmosphere=options["atmosphere"],
             initial={name: value for name, value in initial.items() if value is not None},
-            stop_mach=given["until_mach"],
-            manoeuvre=given["manoeuvre"],
+            stop_mach=options["until_mach"],
+            manoeuvre=options["manoeuvre"],
             root=root,
         )
     if notes:
@@ -102,7 +102,7 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
     from sim_heating.cli.path_check import CheckedPath, check_path
     from sim_heating.templates.starters import write_new_study
 
-    more: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
     notes: tuple[str, ...] = ()
     if kind == "optimal":
         from sim_heating.inputs.scenario import load_scenario
@@ -112,11 +112,11 @@ def new_study(kind: str, scenario: Path, out: Path, points: tuple[str, ...], fli
         with progress_line("new study") as progress:
             progress(0.1, COMPILING)
             table = optimal_table(base, points or base.names)
-        more, notes = {"optimal": table.values, "above": table.above}, table.notes
+        tables, notes = {"optimal": table.values, "above": table.above}, table.notes
     checked = list[CheckedPath]()
     path = write_new_study(
         out, kind, scenario, title=title, points=points, flights=flights,
-        check=lambda file: checked.append(check_path(file)), **more,
+        check=lambda file: checked.append(check_path(file)), **tables,
     )  # fmt: skip
     if notes:
         print_notes(notes)

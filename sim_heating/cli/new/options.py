@@ -39,18 +39,18 @@ def fraction_option(name: str, help: str) -> Decorator:
     def read(_: click.Context, option: click.Parameter, value: float | None) -> float | None:
         from sim_heating.base.limits import QUANTITIES
 
-        known = QUANTITIES["emissivity"]
-        if value is not None and not known.lowest <= value <= known.highest:
-            rule = f"must be from {known.lowest:g} to {known.highest:g}{known.suggestion(value)}"
+        quantity = QUANTITIES["emissivity"]
+        if value is not None and not quantity.lowest <= value <= quantity.highest:
+            rule = f"must be from {quantity.lowest:g} to {quantity.highest:g}{quantity.suggestion(value)}"
             raise InputError(f"{option.opts[0]} {value:g}: {rule}")
         return value
 
     return click.option(name, type=float, callback=read, help=help)
 
 
-def title_option(what: str) -> Decorator:
-    """Option for the title of what is made."""
-    return click.option("--title", default="", help=f"title of the {what}")
+def title_option(product: str) -> Decorator:
+    """Option for the title of a product, such as a record."""
+    return click.option("--title", default="", help=f"title of the {product}")
 
 
 def points_option(default: str) -> Decorator:
@@ -66,7 +66,7 @@ def two_times(_: click.Context, option: click.Parameter, value: str | None) -> t
     from sim_heating.base.files import plain_number
 
     try:
-        first, second = (plain_number(part) for part in value.split(","))
+        first, second = (plain_number(text) for text in value.split(","))
     except ValueError:
         raise InputError(f"{option.opts[0]} {value}: write two times in s, such as {option.opts[0]} 10,130") from None
     return first, second

@@ -17,19 +17,19 @@ def print_notes(notes: Sequence[str]) -> None:
 
 
 def print_made(
-    what: str, place: Path, *commands: str, files: Sequence[Path] | None = None, notes: Sequence[str] = ()
+    description: str, path: Path, *commands: str, files: Sequence[Path] | None = None, notes: Sequence[str] = ()
 ) -> None:
-    """Print what was made, and the commands that come next; state them for --json.
+    """Print a description of the product, and the commands that come next; state them for --json.
 
     files : that were made; all that the command wrote into a directory where None
     """
     from sim_heating.base.files import files_written
 
     if files is None:
-        files = [place] if place.is_file() else sorted(place / name for name in files_written(place))
+        files = [path] if path.is_file() else sorted(path / name for name in files_written(path))
     report_files(None, files)
-    report_results({"made": what, "assumed": list(notes), "next": list(commands)})
-    CONSOLE.print(f"Wrote {place}: {what}", soft_wrap=True)
+    report_results({"made": description, "assumed": list(notes), "next": list(commands)})
+    CONSOLE.print(f"Wrote {path}: {description}", soft_wrap=True)
     CONSOLE.print("Next:")
     for command in commands:
         CONSOLE.print(f"  {command}", soft_wrap=True)

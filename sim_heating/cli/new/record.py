@@ -138,7 +138,7 @@ if TYPE_CHECKING:
 @click.option("--point", default="plate", show_default=True, help="name of the place that was measured")
 @title_option("record")
 @click.option("--synthetic", is_flag=True, help="the temperatures are computed, not measured")
-def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[str, str], **given: Any) -> None:
+def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[str, str], **options: Any) -> None:
     """Make a flight record from a CSV file of temperatures, of a lamp test, a heated plate, or a flight.
 
     Columns, units and separators are recognised and shown with the reason; each guess has an option. A lamp test:
@@ -157,78 +157,78 @@ def new_record(csv_file: Path, out: Path, layers: tuple[str, ...], depths: dict[
     from sim_heating.templates.loggers.layout_file import read_layout, write_layout
     from sim_heating.templates.measured_csv import lost_values, read_measured_csv
 
-    if given["period"] is not None and not given["period"] > 0.0:
+    if options["period"] is not None and not options["period"] > 0.0:
         raise InputError("--period: must be above 0")
-    lamp = given["lamp"]
-    kept = None if given["layout_file"] is None else read_layout(given["layout_file"])
+    lamp = options["lamp"]
+    kept = None if options["layout_file"] is None else read_layout(options["layout_file"])
     if kept is not None:
         depths = {c.name: c.depth for c in kept.column if c.depth is not None} | depths
     signs = {"tab": "\t", "blank": " "}
     measured = read_measured_csv(
         csv_file,
-        time=given["time"],
-        time_unit=given["time_unit"],
-        temperatures=given["temperatures"],
-        temperature_unit=given["temperature_unit"],
-        flux_unit=given["flux_unit"],
-        period_s=given["period"],
-        separator=None if given["separator"] is None else signs.get(given["separator"], given["separator"]),
-        decimal=given["decimal"],
-        dates=given["dates"],
-        lost=() if given["lost"] is None else lost_values(given["lost"]),
-        repeated=given["repeated"],
-        sheet=given["sheet"],
+        time=options["time"],
+        time_unit=options["time_unit"],
+        temperatures=options["temperatures"],
+        temperature_unit=options["temperature_unit"],
+        flux_unit=options["flux_unit"],
+        period_s=options["period"],
+        separator=None if options["separator"] is None else signs.get(options["separator"], options["separator"]),
+        decimal=options["decimal"],
+        dates=options["dates"],
+        lost=() if options["lost"] is None else lost_values(options["lost"]),
+        repeated=options["repeated"],
+        sheet=options["sheet"],
         layout=kept,
     )
     print_table(measured.table())
     print_table(measured.first_rows())
-    if given["like"] is not None:
-        _refuse_with_like(layers, given)
-        made, notes = maker.like_record(out, given["like"], measured, depths, given["title"], given["noise"])
+    if options["like"] is not None:
+        _refuse_with_like(layers, options)
+        record, notes = maker.like_record(out, options["like"], measured, depths, options["title"], options["noise"])
     else:
         stack = _stack(layers)
         sensors = maker.sensor_columns(measured)
         depths_m = maker.depths_of(measured, depths, stack)
         depths_m |= _asked_depths([s.name for s in sensors if s.name not in depths_m], stack, measured.path)
-        made, notes = maker.write_new_record(
+        record, notes = maker.write_new_record(
             out,
             measured,
             maker.RecordInput(
                 stack,
                 depths_m,
-                _heat(measured, lamp, given),
-                title=given["title"],
-                point=given["point"],
-                measured=not given["synthetic"],
-                emissivity=given["emissivity"],
-                initial_K=given["initial"],
-                surroundings_K=given["surroundings"],
-                back=_back(given, measured),
-                noise_K=given["noise"],
-                pressure_Pa=given["pressure"],
-                nose_radius_m=given["nose_radius"],
-                running_length_m=given["running_length"],
-                sweep_deg=given["sweep"],
-                local_angle_deg=given["local_angle"],
-                recovery=given["recovery"],
-                ratio=given["ratio"],
-                ratio_table=given["ratio_table"],
+                _heat(measured, lamp, options),
+                title=options["title"],
+                point=options["point"],
+                measured=not options["synthetic"],
+                emissivity=options["emissivity"],
+                initial_K=options["initial"],
+                surroundings_K=options["surroundings"],
+                back=_back(options, measured),
+                noise_K=options["noise"],
+                pressure_Pa=options["pressure"],
+                nose_radius_m=options["nose_radius"],
+                running_length_m=options["running_length"],
+                sweep_deg=options["sweep"],
+                local_angle_deg=options["local_angle"],
+                recovery=options["recovery"],
+                ratio=options["ratio"],
+                ratio_table=options["ratio_table"],
             ),
         )
-    if given["keep_layout"] is not None:
-        notes.append(f"layout of {csv_file.name} kept in {given['keep_layout']}: --layout reads the next files by it")
-        write_layout(given["keep_layout"], measured.stated, csv_file.name, depths)
+    if options["keep_layout"] is not None:
+        notes.append(f"layout of {csv_file.name} kept in {options['keep_layout']}: --layout reads the next files by it")
+        write_layout(options["keep_layout"], measured.stated, csv_file.name, depths)
     print_notes(notes)
     commands = (
         f"sim-heating {c} {out} --out {out}_{c.replace('-', '_')}"
-        for c in (*(() if made.lacks_ratio else ("predict",)), "estimate", "close-loop")
+        for c in (*(() if record.lacks_ratio else ("predict",)), "estimate", "close-loop")
     )
-    print_made(describe_record(made), out, *commands, notes=notes)
+    print_made(describe_record(record), out, *commands, notes=notes)
 
 
-def _refuse_with_like(layers: Sequence[str], given: dict[str, Any]) -> None:
-    for option, value in (("--layer", layers), ("--lamp", given["lamp"]), ("--conditions", given["flight"]),
-        ("--ratio", given["ratio"]), ("--ratio-table", given["ratio_table"]),
+def _refuse_with_like(layers: Sequence[str], options: dict[str, Any]) -> None:
+    for option, value in (("--layer", layers), ("--lamp", options["lamp"]), ("--conditions", options["flight"]),
+        ("--ratio", options["ratio"]), ("--ratio-table", options["ratio_table"]),
     ):  # fmt: skip
         if value:
             raise InputError(f"{option}: comes from the record of --like; leave one of the two out")
@@ -240,17 +240,17 @@ def _stack(layers: Sequence[str]) -> list[LayerInput]:
 
     if not layers and interactive():
         CONSOLE.print(f"Materials: {', '.join(sorted(material_library()))}")
-        asked: list[str] = []
+        answers: list[str] = []
         while text := click.prompt(
-            f"Layer {len(asked) + 1}, such as copper 3 mm (empty: no more)", default="", show_default=False
+            f"Layer {len(answers) + 1}, such as copper 3 mm (empty: no more)", default="", show_default=False
         ):
-            asked.append(text)
-        layers = asked
+            answers.append(text)
+        layers = answers
     if not layers:
-        known = ", ".join(sorted(material_library()))
+        materials = ", ".join(sorted(material_library()))
         raise InputError(
             "--layer: is missing; give the layers from the heated surface inward, as "
-            f'--layer "copper 3 mm"; materials: {known}'
+            f'--layer "copper 3 mm"; materials: {materials}'
         )
     return [layer_input(text) for text in layers]
 
@@ -272,59 +272,59 @@ def _asked_depths(names: Sequence[str], stack: Sequence[LayerInput], path: Path)
     }
 
 
-def _heat(measured: MeasuredCsv, lamp: str | None, given: dict[str, Any]) -> Any:
+def _heat(measured: MeasuredCsv, lamp: str | None, options: dict[str, Any]) -> Any:
     """What heats the wall: the option --lamp or --conditions, else the only column of a heat flux."""
     from sim_heating.templates.measured_csv import FLUX
     from sim_heating.templates.record import flown_heat, lamp_heat
 
-    if given["flight"] is not None:
+    if options["flight"] is not None:
         if lamp is not None:
             raise InputError("--lamp: goes with a test on the ground, --conditions with a flight; give one of the two")
         return flown_heat(
-            given["flight"],
-            given["reference"],
-            fields=given["fields"],
-            atmosphere=given["atmosphere"],
-            reference_length_m=given["reference_length"],
-            local_angle_deg=given["local_angle"],
-            has_pressure=given["pressure"] is not None,
+            options["flight"],
+            options["reference"],
+            fields=options["fields"],
+            atmosphere=options["atmosphere"],
+            reference_length_m=options["reference_length"],
+            local_angle_deg=options["local_angle"],
+            has_pressure=options["pressure"] is not None,
         )
-    _refuse_without_flight(given)
+    _refuse_without_flight(options)
     fluxes = [c.name for c in measured.of_kind(FLUX)]
     if lamp is None and len(fluxes) == 1:
         lamp = fluxes[0]
     if lamp is None and interactive():
         lamp = click.prompt("Flux that heats the wall (20kW/m2, a column, or a CSV file)")
     if lamp is None:
-        found = f"the columns {', '.join(fluxes)} may be it" if fluxes else "no column is a heat flux"
+        candidates = f"the columns {', '.join(fluxes)} may be it" if fluxes else "no column is a heat flux"
         raise InputError(
-            f"--lamp: is missing, and {found}; give a flux such as --lamp 20kW/m2, a column, or a CSV file with a time "
-            "and a flux"
+            f"--lamp: is missing, and {candidates}; give a flux such as --lamp 20kW/m2, a column, or a CSV file with a "
+            "time and a flux"
         )
-    return lamp_heat(measured, lamp, given["lit"], given["absorptance"])
+    return lamp_heat(measured, lamp, options["lit"], options["absorptance"])
 
 
-def _refuse_without_flight(given: dict[str, Any]) -> None:
+def _refuse_without_flight(options: dict[str, Any]) -> None:
     """Refuse options of a flight where there is none.
 
     raises : InputError with the first of them
     """
     for name in ("fields", "atmosphere", "reference", "reference_length", "nose_radius", "running_length", "sweep",
                  "local_angle", "recovery"):  # fmt: skip
-        if given[name] not in (None, {}):
+        if options[name] not in (None, {}):
             option = "--field" if name == "fields" else f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: is of a flight; give --conditions FLIGHT.csv, or leave it out")
 
 
-def _back(given: dict[str, Any], measured: MeasuredCsv) -> dict[str, float] | None:
+def _back(options: dict[str, Any], measured: MeasuredCsv) -> dict[str, float] | None:
     """Keys of a cooled back face; None for an adiabatic one."""
-    film, emissivity, T_K = given["back_film"], given["back_emissivity"], given["back_temperature"]
+    film, emissivity, T_K = options["back_film"], options["back_emissivity"], options["back_temperature"]
     if film is None and emissivity is None:
         if T_K is not None:
             raise InputError("--back-temperature: needs --back-film or --back-emissivity, by which the back face cools")
         return None
     if T_K is None:
-        T_K = given["surroundings"] if given["surroundings"] is not None else given["initial"]
+        T_K = options["surroundings"] if options["surroundings"] is not None else options["initial"]
     if T_K is None:
         raise InputError("--back-temperature: is missing; give the temperature behind the wall, such as 21degC")
     return {"h_W_m2K": film or 0.0, "T_K": T_K, "emissivity": emissivity or 0.0}

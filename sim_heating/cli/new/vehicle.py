@@ -31,7 +31,7 @@ from sim_heating.cli.new.printing import print_made, print_notes
 )
 @click.option(
     "--place",
-    "places",
+    "positions",
     multiple=True,
     callback=named_texts("NOSE=0.3"),
     metavar="NAME=X",
@@ -75,7 +75,7 @@ from sim_heating.cli.new.printing import print_made, print_notes
 )
 @title_option("vehicle")
 def new_vehicle(
-    out: Path, points: tuple[str, ...], places: dict[str, str], ratios: dict[str, str], **given: Any
+    out: Path, points: tuple[str, ...], positions: dict[str, str], ratios: dict[str, str], **options: Any
 ) -> None:
     """Make a vehicle that flies: a directory of materials, control points, ratio tables, aerodynamics and guidance.
 
@@ -88,17 +88,19 @@ def new_vehicle(
     """
     from sim_heating.templates.vehicle import VehicleInput, describe_vehicle, point_inputs, write_new_vehicle
 
-    lengths = {key: given.pop(key) for key in ("length", "mass", "area", "nose_radius")}
-    made, notes = write_new_vehicle(
+    lengths = {key: options.pop(key) for key in ("length", "mass", "area", "nose_radius")}
+    vehicle, notes = write_new_vehicle(
         out,
         VehicleInput(
-            point_inputs(points, places, ratios),
+            point_inputs(points, positions, ratios),
             length_m=lengths["length"],
             mass_kg=lengths["mass"],
             area_m2=lengths["area"],
             nose_radius_m=lengths["nose_radius"],
-            **given,
+            **options,
         ),
     )
     print_notes(notes)
-    print_made(describe_vehicle(made), out, f"sim-heating new scenario --vehicle {out} --out {out}_flight", notes=notes)
+    print_made(
+        describe_vehicle(vehicle), out, f"sim-heating new scenario --vehicle {out} --out {out}_flight", notes=notes
+    )

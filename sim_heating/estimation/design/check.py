@@ -34,9 +34,9 @@ class RepeatedFits:
     error: FloatArray
     failed: int
 
-    def rms_error(self, wanted: Sequence[str]) -> FloatArray:
-        """(wanted,) root mean square errors."""
-        at = [self.names.index(n) for n in wanted]
+    def rms_error(self, names: Sequence[str]) -> FloatArray:
+        """(names,) root mean square errors."""
+        at = [self.names.index(n) for n in names]
         return np.sqrt(np.mean(self.error[:, at] ** 2, axis=0))
 
 

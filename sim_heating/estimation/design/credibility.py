@@ -44,7 +44,7 @@ def credibility_of_design(
     searched = scenario.declared.trajectory.model_copy(update=SEARCH_TRAJECTORY)
     search = replace(scenario, declared=scenario.declared.model_copy(update={"trajectory": searched}))
     agree = _agree(fitted, planner.wanted)
-    found = replace(
+    facts_of_design = replace(
         facts,
         kind="design",
         topics=facts.topics
@@ -62,15 +62,15 @@ def credibility_of_design(
         holds=_keeps_limits(planner, best, flights),
         varied=agree,
     )
-    return assess(found)
+    return assess(facts_of_design)
 
 
-def _agree(fitted: tuple[RepeatedFits, Experiment] | None, wanted: tuple[str, ...]) -> Answer:
+def _agree(fitted: tuple[RepeatedFits, Experiment] | None, names: tuple[str, ...]) -> Answer:
     """Whether errors of simulated fits, their truths drawn from all priors together, are as the bounds say."""
     if fitted is None:
         return NO_FITS
     fits, experiment = fitted
-    largest = float(np.max(fits.rms_error(wanted) / experiment.sigma(wanted)))
+    largest = float(np.max(fits.rms_error(names) / experiment.sigma(names)))
     text = f"{len(fits.error)} simulated fits err by up to {largest:.2f} times the bounds"
     return Answer(largest <= MODEL_ERROR_RATIO and not fits.failed, f"{text}, {fits.failed} failed")
 

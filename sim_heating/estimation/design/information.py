@@ -98,9 +98,9 @@ class Experiment:
         """Dotted names of the unknowns, in the order of the sensitivities."""
         return tuple(p.name for p in self.unknowns)
 
-    def indices(self, wanted: Sequence[str]) -> list[int]:
+    def indices(self, names: Sequence[str]) -> list[int]:
         """Indices of some parameters among the unknowns."""
-        return [self.names.index(name) for name in wanted]
+        return [self.names.index(name) for name in names]
 
     def with_priors(self, sigma: Mapping[str, float]) -> Experiment:
         """Copy with other standard deviations before the flight.
@@ -136,12 +136,12 @@ class Experiment:
         nothing = np.zeros((len(self.unknowns), len(self.unknowns)))
         return sum((c.information(self.levels) for c in self.channels), start=nothing)
 
-    def covariance(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
-        """(wanted, wanted) Cramer-Rao bound on some parameters after a number of such flights.
+    def covariance(self, names: Sequence[str], flights: int = 1) -> FloatArray:
+        """(names, names) Cramer-Rao bound on some parameters after a number of such flights.
 
             flights = 1: (M + P)^-1;   else (n M_s|p + P_ss)^-1, private unknowns of each flight marginalised
 
-        wanted  : dotted names; shared between flights where there are several
+        names   : dotted names; shared between flights where there are several
         flights : number n of flights [-]
         returns : in products of the parameters' units; infinite variance where a parameter is not identified
 
@@ -151,22 +151,22 @@ class Experiment:
         prior = np.array([p.sigma**-2.0 for p in self.unknowns])
         # one flight needs no elimination, and its private unknowns may then be wanted as well
         if flights == 1:
-            whole, at = covariance(self.information() + np.diag(prior)), self.indices(wanted)
+            bounds, at = covariance(self.information() + np.diag(prior)), self.indices(names)
         else:
-            own = np.flatnonzero(shared)
-            total = flights * marginalise(self.information(), prior, ~shared) + np.diag(prior[own])
-            whole, at = covariance(total), [int(np.flatnonzero(own == k)[0]) for k in self.indices(wanted)]
-        return whole[np.ix_(at, at)]
+            shared_at = np.flatnonzero(shared)
+            total = flights * marginalise(self.information(), prior, ~shared) + np.diag(prior[shared_at])
+            bounds, at = covariance(total), [int(np.flatnonzero(shared_at == k)[0]) for k in self.indices(names)]
+        return bounds[np.ix_(at, at)]
 
-    def sigma(self, wanted: Sequence[str], flights: int = 1) -> FloatArray:
-        """(wanted,) bounds on some parameters, one standard deviation; infinite where one is not identified.
+    def sigma(self, names: Sequence[str], flights: int = 1) -> FloatArray:
+        """(names,) bounds on some parameters, one standard deviation; infinite where one is not identified.
 
-        wanted  : dotted names;  flights : number of such flights [-]
+        names   : dotted names;  flights : number of such flights [-]
         returns : each in the unit of its parameter
 
         Source: docs/how_to/manoeuvre_design.md, equations 1 and 3.
         """
-        return np.sqrt(np.diag(self.covariance(wanted, flights)))
+        return np.sqrt(np.diag(self.covariance(names, flights)))
 
 
 def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.bool_]) -> FloatArray:
@@ -184,31 +184,31 @@ def marginalise(information: FloatArray, prior: FloatArray, private: NDArray[np.
     if len(p) == 0:
         return information
     cross = information[np.ix_(p, s)]
-    own = information[np.ix_(p, p)] + np.diag(prior[p])
+    private_information = information[np.ix_(p, p)] + np.diag(prior[p])
     # scaled to ones on the diagonal: private unknowns have units from s to K
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), np.finfo(float).tiny))
-    solved = np.linalg.lstsq(own * np.outer(scale, scale), scale[:, np.newaxis] * cross, rcond=1e-12)[0]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(private_information), np.finfo(float).tiny))
+    solved = np.linalg.lstsq(private_information * np.outer(scale, scale), scale[:, np.newaxis] * cross, rcond=1e-12)[0]
     return information[np.ix_(s, s)] - (scale[:, np.newaxis] * cross).T @ solved
 
 
-def design_criterion(criterion: str, found: FloatArray, planned: FloatArray) -> float:
+def design_criterion(criterion: str, bounds: FloatArray, planned: FloatArray) -> float:
     """Bounds of a design over those of the plan as one ratio [-]: 1 for the plan, below 1 for a better design.
 
-        D : (det found / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
+        D : (det bounds / det planned)^(1 / 2k);   A : root mean square of the bounds over the planned ones
 
-    criterion      : "D" or "A"
-    found, planned : (wanted, wanted) covariances
-    returns        : infinite where a parameter is not identified
+    criterion       : "D" or "A"
+    bounds, planned : (parameter, parameter) covariances
+    returns         : infinite where a parameter is not identified
 
     Source: Atkinson, Donev and Tobias (2007), chapter 10; docs/how_to/manoeuvre_design.md, equation 5.
     """
-    if not np.all(np.isfinite(found)):
+    if not np.all(np.isfinite(bounds)):
         return np.inf
     s = np.sqrt(np.diag(planned))
     if criterion == "A":
-        return float(np.sqrt(np.mean(np.diag(found) / s**2)))
+        return float(np.sqrt(np.mean(np.diag(bounds) / s**2)))
     # over the planned sigmas, so that the determinants do not depend on units and do not underflow
-    change = np.linalg.slogdet(found / np.outer(s, s))[1] - np.linalg.slogdet(planned / np.outer(s, s))[1]
+    change = np.linalg.slogdet(bounds / np.outer(s, s))[1] - np.linalg.slogdet(planned / np.outer(s, s))[1]
     return float(np.exp(0.5 * change / len(s)))
 
 
@@ -236,17 +236,17 @@ def experiment(
     problem = FitProblem([record], marched, condition, FitOptions(effects=effects, starts=[start]))
     unknowns = tuple(replace(u.parameter, name=u.label) for u in problem.unknowns)
     values = np.array([p.value for p in unknowns])
-    found = problem.samples(values)
-    columns = [s.jacobian for s in found]
+    predicted = problem.samples(values)
+    columns = [s.jacobian for s in predicted]
     if PRESSURE.name in names:
         unknowns = (*unknowns, PRESSURE)
         slopes = _pressure_slopes(record, condition, effects, start)
         # an unknown skew leaves out samples near the ends of the conditions
         columns = [
             np.column_stack([s.jacobian, slope[np.isin(time_s, s.time_s)]])
-            for s, (time_s, slope) in zip(found, slopes, strict=True)
+            for s, (time_s, slope) in zip(predicted, slopes, strict=True)
         ]
-    pairs = zip(found, columns, strict=True)
+    pairs = zip(predicted, columns, strict=True)
     channels = [
         PredictedChannel(s.channel.sensor, s.time_s, s.mean_K, c, s.channel.noise_K(s.sigma_K)) for s, c in pairs
     ]
@@ -261,13 +261,13 @@ def _pressure_slopes(
     Source: docs/how_to/manoeuvre_design.md, equation 4.
     """
     # the start is fixed: only the march from it on depends on the pressure
-    known = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
+    fixed_start = None if start is None else replace(start, columns=start.columns[:, :0], unknowns=())
     sides: list[list[PredictedSamples]] = []
     for factor in (1.0 + PRESSURE_STEP, 1.0 - PRESSURE_STEP):
         pressure = factor * record.conditions["p_surface_Pa"]
         changed = replace(record, conditions=record.conditions.with_columns(p_surface_Pa=pressure))
         sides.append(
-            FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[known])).samples(np.zeros(0))
+            FitProblem([changed], [], condition, FitOptions(effects=effects, starts=[fixed_start])).samples(np.zeros(0))
         )
     return [(high.time_s, (high.mean_K - low.mean_K) / (2.0 * PRESSURE_STEP)) for high, low in zip(*sides, strict=True)]
 
@@ -289,7 +289,7 @@ def sensitivity_to_effort(
     """
     now = np.sqrt(np.diag(covariance(information + np.diag(prior))))
     long = np.sqrt(np.diag(covariance(longer * information + np.diag(prior))))
-    found = {}
+    factors = {}
     for k, name in enumerate(names):
         variables = variables_of(name)
         if not variables or not np.isfinite(now[k]):
@@ -298,25 +298,25 @@ def sensitivity_to_effort(
         # information
         factor = np.array([larger ** _shared_variables(variables, variables_of(n)) for n in names])
         large = np.sqrt(np.diag(covariance(information * np.outer(factor, factor) + np.diag(prior))))
-        found[name] = {"larger": float(large[k] / now[k]), "longer": float(long[k] / now[k])}
-    return found
+        factors[name] = {"larger": float(large[k] / now[k]), "longer": float(long[k] / now[k])}
+    return factors
 
 
-def _shared_variables(scaled: Sequence[int], of: Sequence[int]) -> int:
+def _shared_variables(scaled: Sequence[int], exponents: Sequence[int]) -> int:
     """Number of variables of a derivative that are among those scaled."""
-    return sum(i in scaled for i in of)
+    return sum(i in scaled for i in exponents)
 
 
-def check_wanted(found: Experiment, wanted: Sequence[str]) -> None:
+def check_wanted(planned: Experiment, names: Sequence[str]) -> None:
     """Check that the planned flight identifies the wanted parameters.
 
     raises : InputError naming those whose bound is infinite or not below 0.999 of their prior's sigma [-]
 
     Bounds: docs/how_to/manoeuvre_design.md, equation 1.
     """
-    sigma = found.sigma(wanted)
-    prior = [found.unknowns[k].sigma for k in found.indices(wanted)]
-    unidentified = [n for n, s, p in zip(wanted, sigma, prior, strict=True) if not (np.isfinite(s) and s < 0.999 * p)]
+    sigma = planned.sigma(names)
+    prior = [planned.unknowns[k].sigma for k in planned.indices(names)]
+    unidentified = [n for n, s, p in zip(names, sigma, prior, strict=True) if not (np.isfinite(s) and s < 0.999 * p)]
     if unidentified:
         raise InputError(
             f"design: the flight as planned does not identify {', '.join(unidentified)}; plan a manoeuvre that changes "

@@ -29,7 +29,7 @@ class InstrumentVariant:
     """Bounds with other instruments: kind of the change, the change itself, (wanted,) bounds."""
 
     kind: str
-    what: str
+    change: str
     sigma: FloatArray
 
 
@@ -43,7 +43,7 @@ def instrumentation(
         *_variants_without_march(declared),
         *_variants_with_march(planner, flown, names, priors),
     ]
-    return [InstrumentVariant(kind, what, e.sigma(planner.wanted)) for kind, what, e in every]
+    return [InstrumentVariant(kind, change, e.sigma(planner.wanted)) for kind, change, e in every]
 
 
 def _variants_without_march(declared: Experiment) -> Iterator[tuple[str, str, Experiment]]:
@@ -70,9 +70,9 @@ def _variants_with_march(
     sensors = planner.instruments.sensors
     for rate in RATES_HZ:
         yield "rate", f"{rate:g} Hz", planner.experiment(flown, names, priors, Instruments(sensors, rate))
-    for what, extra in extra_sensors(planner.point.construction.stack, sensors):
+    for position, extra in extra_sensors(planner.point.construction.stack, sensors):
         instruments = Instruments((*sensors, extra), planner.instruments.rate_hz)
-        yield "extra sensor", what, planner.experiment(flown, names, priors, instruments)
+        yield "extra sensor", position, planner.experiment(flown, names, priors, instruments)
 
 
 def extra_sensors(stack: Stack, sensors: Sequence[Sensor]) -> Iterator[tuple[str, Sensor]]:
@@ -83,9 +83,9 @@ def extra_sensors(stack: Stack, sensors: Sequence[Sensor]) -> Iterator[tuple[str
     """
     like = min(sensors, key=lambda s: s.depth_m)
     deeper = stack.layer[0].thickness_m + DEEPER_M
-    places = {f"{1e3 * DEEPER_M:g} mm below the coating": (deeper, like.range_K)}
-    places["bondline"] = (stack.bondline_m, BONDLINE_RANGE_K if like.range_K else None)
-    for what, (depth, span) in places.items():
+    depths = {f"{1e3 * DEEPER_M:g} mm below the coating": (deeper, like.range_K)}
+    depths["bondline"] = (stack.bondline_m, BONDLINE_RANGE_K if like.range_K else None)
+    for position, (depth, span) in depths.items():
         if depth < stack.bondline_m + NEAR_M and all(abs(depth - s.depth_m) > NEAR_M for s in sensors):
-            update = {"name": what, "column": f"extra_{1e6 * depth:.0f}_K", "depth_m": depth, "range_K": span}
-            yield what, like.model_copy(update=update)
+            update = {"name": position, "column": f"extra_{1e6 * depth:.0f}_K", "depth_m": depth, "range_K": span}
+            yield position, like.model_copy(update=update)

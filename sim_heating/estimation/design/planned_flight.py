@@ -87,9 +87,9 @@ class PlannedFlight:
         """One line for each limit that is exceeded."""
         lines = []
         for name, margin in self.margins.items():
-            what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
+            quantity, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
             if margin < 0.0:
-                lines.append(f"{what.replace('_', ' ')} exceeds its limit by {-margin:.3g} {unit}".rstrip())
+                lines.append(f"{quantity.replace('_', ' ')} exceeds its limit by {-margin:.3g} {unit}".rstrip())
         return lines
 
 
@@ -229,10 +229,10 @@ class Planner:
 
         Where the flight without manoeuvres exceeds it: its peak plus ALLOWED_RISE_K.
         """
-        point, _, what = name.partition(" ")
-        own = getattr(self.scenario.vehicle.control_point(point).limits, what)
-        margin = getattr(self.design.limits, what.replace("_K", "_margin_K"))
-        allowed = float(own) - margin
+        point, _, quantity = name.partition(" ")
+        limit = getattr(self.scenario.vehicle.control_point(point).limits, quantity)
+        margin = getattr(self.design.limits, quantity.replace("_K", "_margin_K"))
+        allowed = float(limit) - margin
         # a point that exceeds its limit anyway would exclude every manoeuvre
         return allowed if self._peaks_without[name] <= allowed else self._peaks_without[name] + ALLOWED_RISE_K
 
@@ -251,9 +251,11 @@ class Planner:
         if self.design.nuisance is not None:
             return tuple(dict.fromkeys((*self.wanted, *self.design.nuisance)))
         assert self.point.ratio is not None
-        known = [f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1]
-        constant = constant_variables(known, [self.record(planned, self.instruments)[0]])
-        return tuple(dict.fromkeys((*self.wanted, *(n for n in known if n not in constant), *NUISANCE)))
+        derivatives = [
+            f"ratio.d_{s}" for s, axis in zip(SHORT_NAMES, self.point.ratio.axes, strict=True) if len(axis) > 1
+        ]
+        constant = constant_variables(derivatives, [self.record(planned, self.instruments)[0]])
+        return tuple(dict.fromkeys((*self.wanted, *(n for n in derivatives if n not in constant), *NUISANCE)))
 
     def priors(self, names: Sequence[str], planned: PlannedFlight) -> dict[str, float]:
         """Standard deviations before the flight: as declared, and of unwanted derivatives those of the table."""
@@ -336,10 +338,10 @@ def _point(scenario: Scenario, design: Design) -> ControlPoint:
 def _wanted(scenario: Scenario, design: Design) -> tuple[str, ...]:
     if design.parameters is not None:
         return tuple(dict.fromkeys(design.parameters))
-    wanted = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in ESTIMATED_BY[m.kind]))
-    if not wanted:
+    names = tuple(dict.fromkeys(n for m in scenario.declared.trajectory.manoeuvre for n in ESTIMATED_BY[m.kind]))
+    if not names:
         raise InputError(f"{scenario.path}, [design]: name the `parameters` that the manoeuvre is to estimate")
-    return wanted
+    return names
 
 
 def _span(window: Window, flown: Conditions, design: Design) -> tuple[float, float]:

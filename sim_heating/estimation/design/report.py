@@ -62,16 +62,16 @@ class DesignResult:
 
     scenario: Scenario
     planner: Planner
-    found: DesignSearchResult
+    search: DesignSearchResult
     sweeps: list[BoundsSweep]
     instruments: list[InstrumentVariant]
     checked: SourceCheck | None
     fitted: tuple[RepeatedFits, Experiment] | None
 
     def __repr__(self) -> str:
-        bounds = zip(self.wanted, self.found.best_experiment.sigma(self.wanted), strict=True)
+        bounds = zip(self.wanted, self.search.best_experiment.sigma(self.wanted), strict=True)
         sigmas = ", ".join(f"sigma({name})={sigma:.2g}" for name, sigma in bounds)
-        return f"<DesignResult of {self.planner.point.name}: {sigmas}; {len(self.found.designs)} designs>"
+        return f"<DesignResult of {self.planner.point.name}: {sigmas}; {len(self.search.designs)} designs>"
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -81,9 +81,9 @@ class DesignResult:
     @cached_property
     def credibility(self) -> Statement:
         """What supports the design, factor by factor."""
-        best = self.found.best
+        best = self.search.best
         flown = (best,) if self.checked is None else (best, self.checked.best)
-        return credibility_of_design(self.planner, best, self.found.best_experiment, flown, self.fitted)
+        return credibility_of_design(self.planner, best, self.search.best_experiment, flown, self.fitted)
 
 
 def design(
@@ -110,35 +110,35 @@ def design(
     planner = Planner(scenario)
     progress(0.0, "flying as planned")
     search = DesignSearch(planner)
-    found = search.run(lambda f, text: progress(0.6 * f, text))
+    result = search.run(lambda f, text: progress(0.6 * f, text))
     progress(0.6, "bounds along each number")
-    sweeps = search.sweep(found, SWEEP_POINTS)
+    sweeps = search.sweep(result, SWEEP_POINTS)
     progress(0.8, "other instruments")
-    instruments = instrumentation(planner, found.best, found.names, found.priors)
+    instruments = instrumentation(planner, result.best, result.names, result.priors)
     progress(0.85, "checking")
     fitted = None
     if repetitions:
-        fitted = _repeat_fits(planner, found, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
-    return DesignResult(scenario, planner, found, sweeps, instruments, _check_with_source(planner, found), fitted)
+        fitted = _repeat_fits(planner, result, repetitions, lambda f, text: progress(0.9 + 0.1 * f, text))
+    return DesignResult(scenario, planner, result, sweeps, instruments, _check_with_source(planner, result), fitted)
 
 
-def _check_with_source(planner: Planner, found: DesignSearchResult) -> SourceCheck | None:
+def _check_with_source(planner: Planner, result: DesignSearchResult) -> SourceCheck | None:
     source = planner.scenario.declared.trajectory.source
     if source == SEARCH_TRAJECTORY["source"]:
         return None
-    planned, best = (planner.fly(p.manoeuvres, searched=False) for p in (found.planned, found.best))
-    sigma = [planner.experiment(p, found.names, found.priors).sigma(planner.wanted) for p in (planned, best)]
+    planned, best = (planner.fly(p.manoeuvres, searched=False) for p in (result.planned, result.best))
+    sigma = [planner.experiment(p, result.names, result.priors).sigma(planner.wanted) for p in (planned, best)]
     return SourceCheck(source, planned, sigma[0], best, sigma[1])
 
 
 def _repeat_fits(
-    planner: Planner, found: DesignSearchResult, repetitions: int, progress: Progress
+    planner: Planner, result: DesignSearchResult, repetitions: int, progress: Progress
 ) -> tuple[RepeatedFits, Experiment]:
     """Simulated fits of the best design, with the surface pressure known in them and in the bounds."""
-    record, start = planner.record(found.best, planner.instruments)
+    record, start = planner.record(result.best, planner.instruments)
     # the factor on the surface pressure is not a parameter of a fit: known in both, it cannot spoil the comparison
-    names = tuple(n for n in found.names if n != PRESSURE.name)
-    experiment = planner.experiment(found.best, names, found.priors)
+    names = tuple(n for n in result.names if n != PRESSURE.name)
+    experiment = planner.experiment(result.best, names, result.priors)
     fits = repeated_fits(
         record, experiment, effects=planner.effects, start=start, repetitions=repetitions, progress=progress
     )
@@ -147,8 +147,8 @@ def _repeat_fits(
 
 def summary(designed: DesignResult) -> dict[str, Any]:
     """The contents of design.json."""
-    found, wanted, declared = designed.found, designed.wanted, designed.planner.design
-    planned, best = found.planned_experiment, found.best_experiment
+    result, names, declared = designed.search, designed.wanted, designed.planner.design
+    planned, best = result.planned_experiment, result.best_experiment
     return {
         "format": "design/1",
         "scenario": designed.scenario.title,
@@ -156,27 +156,27 @@ def summary(designed: DesignResult) -> dict[str, Any]:
         "control_point": designed.planner.point.name,
         "criterion": declared.criterion,
         "criterion_over_planned": design_criterion(
-            declared.criterion, best.covariance(wanted), planned.covariance(wanted)
+            declared.criterion, best.covariance(names), planned.covariance(names)
         ),
         "unknowns": {p.name: p.sigma if np.isfinite(p.sigma) else None for p in best.unknowns},
         "parameters": {
             name: {
                 "unit": best.unknowns[best.names.index(name)].unit,
-                "planned_sigma": float(planned.sigma(wanted)[k]),
-                "optimal_sigma": float(best.sigma(wanted)[k]),
-                "after_flights": {str(n): float(best.sigma(wanted, n)[k]) for n in declared.flights},
+                "planned_sigma": float(planned.sigma(names)[k]),
+                "optimal_sigma": float(best.sigma(names)[k]),
+                "after_flights": {str(n): float(best.sigma(names, n)[k]) for n in declared.flights},
             }
-            for k, name in enumerate(wanted)
+            for k, name in enumerate(names)
         },
-        "planned": _flight(found.planned),
-        "optimal": _flight(found.best),
-        "varied": [v.model_dump() for v in found.vary],
-        "tried": len(found.designs),
-        "kept_limits": sum(t.feasible for t in found.designs),
+        "planned": _flight(result.planned),
+        "optimal": _flight(result.best),
+        "varied": [v.model_dump() for v in result.vary],
+        "tried": len(result.designs),
+        "kept_limits": sum(t.feasible for t in result.designs),
         "instruments": [
-            {"kind": v.kind, "what": v.what, "sigma": _by_name(wanted, v.sigma)} for v in designed.instruments
+            {"kind": v.kind, "what": v.change, "sigma": _by_name(names, v.sigma)} for v in designed.instruments
         ],
-        "interfaces": designed.planner.interfaces(found.best.flight),
+        "interfaces": designed.planner.interfaces(result.best.flight),
         "checked": _check_summary(designed),
         "fitted": _fit_summary(designed),
         "notes": notes(designed),
@@ -205,8 +205,8 @@ def _check_summary(designed: DesignResult) -> dict[str, Any] | None:
         return None
     pairs = {"planned": (checked.planned, checked.planned_sigma), "optimal": (checked.best, checked.best_sigma)}
     return {"source": checked.source} | {
-        what: {"sigma": _by_name(designed.wanted, sigma), "keeps_limits": flown.feasible, "margins": flown.margins}
-        for what, (flown, sigma) in pairs.items()
+        which: {"sigma": _by_name(designed.wanted, sigma), "keeps_limits": flown.feasible, "margins": flown.margins}
+        for which, (flown, sigma) in pairs.items()
     }
 
 
@@ -225,23 +225,23 @@ def _fit_summary(designed: DesignResult) -> dict[str, Any] | None:
 def notes(designed: DesignResult) -> list[str]:
     """Notes on limits that a design or its plan exceeds, one line each."""
     lines = designed.planner.over_limit()
-    if not designed.found.planned.feasible:
-        lines += [f"as planned: {line}" for line in designed.found.planned.exceeded_limits]
+    if not designed.search.planned.feasible:
+        lines += [f"as planned: {line}" for line in designed.search.planned.exceeded_limits]
     checked = designed.checked
     if checked is not None and not checked.best.feasible:
         lines += [f"optimal, flown in {checked.source}: {line}" for line in checked.best.exceeded_limits]
     return lines
 
 
-def changes(found: dict[str, Any]) -> list[str]:
-    """What the search varied, as planned and as found to be the best, one line each.
+def changes(contents: dict[str, Any]) -> list[str]:
+    """What the search varied, as planned and at its optimum, one line each.
 
-    found : contents of design.json
+    contents : of design.json
     """
     lines = []
-    for varied in found["varied"]:
+    for varied in contents["varied"]:
         number, key = varied["manoeuvre"], varied["key"]
-        planned, best = (found[which]["manoeuvres"][number - 1] for which in ("planned", "optimal"))
+        planned, best = (contents[which]["manoeuvres"][number - 1] for which in ("planned", "optimal"))
         lines.append(
             f"manoeuvre {number}, {planned['kind']}: {key} {planned[key]:.4g} planned, {best[key]:.4g} optimal"
         )
@@ -288,16 +288,16 @@ def write_design(designed: DesignResult, out: str | os.PathLike[str]) -> list[st
 
 def design_page(designed: DesignResult, folder: Path) -> Page:
     """The report of a design as a page; its pictures are in a folder."""
-    found = summary(designed)
+    contents = summary(designed)
     bounds = replace(bounds_table(designed, designed.planner.design.flights), title="One standard deviation.")
     columns = [Column("instruments"), Column("what", is_text=True), *(Column(n, format=".3g") for n in designed.wanted)]
     base = designed.instruments[0].sigma
     rows = [
-        [v.kind, v.what, *(_bound(sigma, of) for sigma, of in zip(v.sigma, base, strict=True))]
+        [v.kind, v.change, *(_bound(sigma, declared) for sigma, declared in zip(v.sigma, base, strict=True))]
         for v in designed.instruments
     ]
     instruments = Table("One standard deviation.", columns, rows)
-    count = f"{found['tried']} designs tried, {found['kept_limits']} keep the limits."
+    count = f"{contents['tried']} designs tried, {contents['kept_limits']} keep the limits."
     pictures = {
         DESIGN: "Manoeuvres and the outermost thermocouple, as planned and optimal.",
         SWEEPS: "Bounds along each number over those of the optimal design; open marks exceed a limit.",
@@ -305,9 +305,9 @@ def design_page(designed: DesignResult, folder: Path) -> Page:
     }
     shown = [SavedPicture(folder / name, caption) for name, caption in pictures.items()]
     sections = [
-        Section("Bounds", [count], [*changes(found), *notes(designed)], [bounds], shown[:2]),
+        Section("Bounds", [count], [*changes(contents), *notes(designed)], [bounds], shown[:2]),
         Section("Instruments", tables=[replace(instruments, sortable=True)], pictures=shown[2:]),
-        credibility_section(found["credibility"]),
+        credibility_section(contents["credibility"]),
     ]
     subtitle = f"{designed.scenario.vehicle.name}, control point {designed.planner.point.name}: manoeuvre design"
     return Page(designed.scenario.title, subtitle, sections)
@@ -340,11 +340,11 @@ LABELS = {
 @replaced_if_undrawable
 def draw_design(path: Path, designed: DesignResult) -> None:
     """Draw the variable of each manoeuvre and the outermost thermocouple's temperature, as planned and optimal."""
-    found, count = designed.found, len(designed.found.planned.manoeuvres)
+    result, count = designed.search, len(designed.search.planned.manoeuvres)
     figure, axes = new_figure(8.5, 3.0 * (count + 1), count + 1)
     for flown, experiment, color, label in (
-        (found.planned, found.planned_experiment, PLANNED, "planned"),
-        (found.best, found.best_experiment, OPTIMAL, "optimal"),
+        (result.planned, result.planned_experiment, PLANNED, "planned"),
+        (result.best, result.best_experiment, OPTIMAL, "optimal"),
     ):
         for k, window in enumerate(flown.flight.windows):
             variable = MANOEUVRE_VARIABLE[window.kind]
@@ -378,7 +378,7 @@ def _around_window(
 @replaced_if_undrawable
 def draw_sweeps(path: Path, designed: DesignResult) -> None:
     """Draw the bounds along each varied number over those of the optimal design; open marks exceed a limit."""
-    sweeps, best = designed.sweeps, designed.found.best_experiment.sigma(designed.wanted)
+    sweeps, best = designed.sweeps, designed.search.best_experiment.sigma(designed.wanted)
     columns = min(3, len(sweeps))
     rows = -(-len(sweeps) // columns)
     figure, axes = new_figure(3.9 * columns, 3.2 * rows + 0.6, rows, columns, sharey=True, squeeze=False)
@@ -389,7 +389,7 @@ def draw_sweeps(path: Path, designed: DesignResult) -> None:
             for kept, face in ((True, color), (False, "white")):
                 at = sweep.feasible == kept
                 a.plot(sweep.value[at], y[at], MARKS[k % len(MARKS)], color=color, markerfacecolor=face, markersize=5)
-        manoeuvre = designed.found.best.manoeuvres[sweep.vary.manoeuvre - 1]
+        manoeuvre = designed.search.best.manoeuvres[sweep.vary.manoeuvre - 1]
         chosen = getattr(manoeuvre, sweep.vary.key)
         a.axvline(chosen, color="0.4", linestyle=":", linewidth=1.0)
         a.set_xlabel(f"{manoeuvre.kind}: {LABELS.get(sweep.vary.key, sweep.vary.key)}")
@@ -427,7 +427,7 @@ def draw_instruments(path: Path, designed: DesignResult) -> None:
             )
     axes[0].axvline(1.0, color="0.3", linewidth=0.9)
     axes[0].set_xlim(0.0, 1.2 * highest)
-    axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.what}" for v in others], fontsize=8)
+    axes[0].set_yticks(rows - 0.5 * height * (len(base) - 1), [f"{v.kind}: {v.change}" for v in others], fontsize=8)
     axes[0].set_xlabel("bound over that with the declared instruments")
     axes[0].legend(fontsize=8, loc="best")
     save_figure(figure, path, f"{designed.scenario.title}\nbounds with other instruments", axes)

@@ -144,16 +144,16 @@ class DesignSearch:
         unknown = np.full(len(self.planner.wanted), np.nan)
         if not flown.feasible:
             # graded by the excess, so that the simplex finds its way back to designs within the limits
-            found = TriedDesign(x, INFEASIBLE + _limit_excess(flown), False, unknown)
+            tried = TriedDesign(x, INFEASIBLE + _limit_excess(flown), False, unknown)
         else:
             experiment = self.planner.experiment(flown, self.names, self.priors)
             covariance = experiment.covariance(self.planner.wanted)
             value = min(design_criterion(self.design.criterion, covariance, self.planned_covariance), INFEASIBLE)
-            found = TriedDesign(x, value, True, np.sqrt(np.diag(covariance)))
+            tried = TriedDesign(x, value, True, np.sqrt(np.diag(covariance)))
             if self.best is None or value < self.best[0]:
                 self.best = (value, flown, experiment)
-        self.designs.append(found)
-        return found
+        self.designs.append(tried)
+        return tried
 
     def run(self, progress: Progress = no_progress) -> DesignSearchResult:
         """Search.
@@ -163,19 +163,19 @@ class DesignSearch:
         total, span = self.design.evaluations, self.high - self.low
 
         def value(u: FloatArray) -> float:
-            found = self.evaluate(self.low + np.clip(u, 0.0, 1.0) * span)
+            tried = self.evaluate(self.low + np.clip(u, 0.0, 1.0) * span)
             status = f"bounds {self.best[0]:.3f} of the planned ones" if self.best else "none within the limits yet"
             progress(min(len(self.designs) / total, 1.0), f"searching: {len(self.designs)} designs, {status}")
-            return found.criterion
+            return tried.criterion
 
         # the plan is the first design, so that the result is no worse than the plan where that keeps the limits
         value((self.planned_values() - self.low) / span)
         half = total // 2
         # a simplex needs more designs than it has corners; with fewer, all go to the Sobol set
-        several = half if half > len(self.vary) + 1 else total - 1
+        first_count = half if half > len(self.vary) + 1 else total - 1
         # a fixed seed: the same scenario gives the same design
         sobol = qmc.Sobol(len(self.vary), rng=np.random.default_rng(1))
-        for u in sobol.random_base2(int(np.ceil(np.log2(max(several, 1)))))[:several]:
+        for u in sobol.random_base2(int(np.ceil(np.log2(max(first_count, 1)))))[:first_count]:
             value(u)
         remaining = total - len(self.designs)
         if remaining > len(self.vary):
@@ -207,9 +207,9 @@ class DesignSearch:
             f"{-margin:.3g}; widen the limits or the ranges that vary"
         )
 
-    def sweep(self, found: DesignSearchResult, points: int) -> list[BoundsSweep]:
+    def sweep(self, result: DesignSearchResult, points: int) -> list[BoundsSweep]:
         """Bounds along each number about the best design, with the others at their best values."""
-        best = np.array([getattr(found.best.manoeuvres[v.manoeuvre - 1], v.key) for v in self.vary])
+        best = np.array([getattr(result.best.manoeuvres[v.manoeuvre - 1], v.key) for v in self.vary])
         sweeps = []
         for k, v in enumerate(self.vary):
             values = np.unique(np.append(np.linspace(v.low, v.high, points), best[k]))
@@ -235,9 +235,9 @@ def _limit_excess(flown: PlannedFlight) -> float:
 
 def _default_vary(manoeuvres: Sequence[Manoeuvre]) -> tuple[DesignVariable, ...]:
     """All numbers of the first manoeuvre: its speed within SPEEDS, its shape within SHAPES of the planned one."""
-    found = []
+    variables = []
     for key, value in manoeuvres[0]:
         if isinstance(value, float) and value != 0.0 and key != "at_time_s":
-            low, high = sorted(part * value for part in (SPEEDS if key in TRIGGERS else SHAPES))
-            found.append(DesignVariable(key=key, low=low, high=high))
-    return tuple(found)
+            low, high = sorted(factor * value for factor in (SPEEDS if key in TRIGGERS else SHAPES))
+            variables.append(DesignVariable(key=key, low=low, high=high))
+    return tuple(variables)

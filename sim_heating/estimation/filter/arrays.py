@@ -118,11 +118,11 @@ class StepReadings(NamedTuple):
     x, mean, rate     : (reading,) fraction of the step [-], temperature [K], its rate [K/s]
     covariance, cross : (reading, reading) with each other; (reading, node + 1) with z at the end of the step [K2]
     S                 : (reading, parameter) sensitivities of the temperatures read
-    rows, along       : (reading, node + 1) rows R against z at the start of the step; R L, one number for each column
+    rows, projected   : (reading, node + 1) rows R against z at the start of the step; R L, one number for each column
                         of the factor of the covariance there [K], later cov(z, T) g / S
     weight, inverse   : (reading,) g^2 / S, by which its cov(z, T) cov(z, T)' is taken from P, and 1 / S [1/K2]; 0 where
                         not used
-    share, column     : work space for one number of each reading, or of each column of the factor; for a column of S
+    scratch, column   : work space for one number of each reading, or of each column of the factor; for a column of S
     """
 
     x: FloatArray
@@ -132,10 +132,10 @@ class StepReadings(NamedTuple):
     cross: FloatArray
     S: FloatArray
     rows: FloatArray
-    along: FloatArray
+    projected: FloatArray
     weight: FloatArray
     inverse: FloatArray
-    share: FloatArray
+    scratch: FloatArray
     column: FloatArray
 
 
@@ -145,7 +145,7 @@ class FilterArrays(NamedTuple):
     readings, state, noise : readings, filter state (updated) and noise of the process, of all lanes
     gains, history         : frozen gains;  history for a smoother
     work                   : work space of a pass
-    taken                  : readings of one step
+    batch                  : readings of one step
     z, transition          : (node + 1,) state of a lane;  (node + 1, node + 1) transition of its step
     L                      : (node + 1, node + 1) factor of its covariance, a column of it in each row
     """
@@ -156,7 +156,7 @@ class FilterArrays(NamedTuple):
     gains: FrozenGains
     history: SmootherHistory
     work: Workspace
-    taken: StepReadings
+    batch: StepReadings
     z: FloatArray
     transition: FloatArray
     L: FloatArray
@@ -223,9 +223,9 @@ def step_readings(readings: int, size: int, parameters: int) -> StepReadings:
     Holds temperatures [K], covariances [K2] and rows of docs/theory/filter.md, equations 5 to 7.
     """
     x, mean, rate, weight, inverse = np.zeros((5, readings))
-    cross, rows, along = np.zeros((3, readings, size))
+    cross, rows, projected = np.zeros((3, readings, size))
     return StepReadings(
-        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, along, weight,
+        x, mean, rate, np.zeros((readings, readings)), cross, np.zeros((readings, parameters)), rows, projected, weight,
         inverse, np.zeros(max(readings, size)), np.zeros(size),
     )  # fmt: skip
 

@@ -151,13 +151,13 @@ def bandwidth_Hz(disturbance: Disturbance, sigma: FloatArray) -> FloatArray:
     A summary, as if slower changes were all known and faster ones not at all. Derived in
     docs/theory/residual_heating.md, equation 11.
     """
-    left = np.maximum(sigma**2, 1e-300)
+    remaining = np.maximum(sigma**2, 1e-300)
     if math.isinf(disturbance.correlation_s):
-        return disturbance.density_1_s / (2.0 * np.pi**2 * left)
+        return disturbance.density_1_s / (2.0 * np.pi**2 * remaining)
     stationary = 0.5 * disturbance.density_1_s * disturbance.correlation_s
     # Below 1: at full information the tangent would be infinite.
-    known = np.clip(1.0 - left / stationary, 0.0, 1.0 - 1e-12)
-    return np.tan(0.5 * np.pi * known) / (2.0 * np.pi * disturbance.correlation_s)
+    explained = np.clip(1.0 - remaining / stationary, 0.0, 1.0 - 1e-12)
+    return np.tan(0.5 * np.pi * explained) / (2.0 * np.pi * disturbance.correlation_s)
 
 
 def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: FloatArray) -> float:
@@ -173,15 +173,15 @@ def half_amplitude_Hz(time_s: FloatArray, information: FloatArray, covariance: F
     span, spacing = np.ptp(time_s), np.median(np.diff(time_s))
     f = np.geomspace(1.0 / span, 0.5 / spacing, FREQUENCIES)
     waves = np.exp(2j * np.pi * np.outer(time_s, f))
-    left = np.real(np.sum(np.conj(waves) * (covariance @ (information @ waves)), axis=0)) / len(time_s)
-    below = np.flatnonzero(left < 0.5)
+    amplitude = np.real(np.sum(np.conj(waves) * (covariance @ (information @ waves)), axis=0)) / len(time_s)
+    below = np.flatnonzero(amplitude < 0.5)
     if len(below) == 0:
         return float(f[-1])
     k = int(below[0])
     if k == 0:
         return 0.0
-    part = (left[k - 1] - 0.5) / (left[k - 1] - left[k])
-    return float(f[k - 1] * (f[k] / f[k - 1]) ** part)
+    fraction = (amplitude[k - 1] - 0.5) / (amplitude[k - 1] - amplitude[k])
+    return float(f[k - 1] * (f[k] / f[k - 1]) ** fraction)
 
 
 def knot_times(time_s: FloatArray, most: int) -> FloatArray:
@@ -209,9 +209,9 @@ def interpolation_weights(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     matrix = np.zeros((len(middle), len(at_s)))
     if len(at_s) == 1:
         return matrix + 1.0
-    left = cells_of(at_s, middle)
-    part, rows = (middle - at_s[left]) / np.diff(at_s)[left], np.arange(len(middle))
-    matrix[rows, left], matrix[rows, left + 1] = 1.0 - part, part
+    knot = cells_of(at_s, middle)
+    fraction, rows = (middle - at_s[knot]) / np.diff(at_s)[knot], np.arange(len(middle))
+    matrix[rows, knot], matrix[rows, knot + 1] = 1.0 - fraction, fraction
     return matrix
 
 
@@ -271,8 +271,10 @@ class _InverseProblem:
         self.coarse = knot_times(time_s, MAX_COARSE_KNOTS)
         self.to_coarse = interpolation_weights(self.knots, self.coarse)
         self.march = ResponseMarch([track], time_s, histories)
-        known = track.initial_K
-        self.initial_K = initial_temperatures(track.model.construction, track.mesh) if known is None else known
+        declared_K = track.initial_K
+        self.initial_K = (
+            initial_temperatures(track.model.construction, track.mesh) if declared_K is None else declared_K
+        )
         self.start = _covariance_factor(track.covariance_K2, track.mesh.nodes)
         self.extra = self.start.shape[1]
         s = track.samples
@@ -284,9 +286,9 @@ class _InverseProblem:
         response = self.march.respond([added], [start], derivative=response_matrix is None)[0]
         return _MarchedInput(u, response, likelihood(self.observed, response.read_K, self.sigma_K), response_matrix)
 
-    def solve(self, given: Disturbance | None) -> UnknownInput:
+    def solve(self, disturbance: Disturbance | None) -> UnknownInput:
         here = first = self.at(np.zeros(self.extra + len(self.knots)))
-        chosen, factor, change = given or Disturbance(), 1.0, math.inf
+        chosen, factor, change = disturbance or Disturbance(), 1.0, math.inf
         for _ in range(MAX_ROUNDS):
             G = here.response.matrix(self.weights, self.start) if here.response_matrix is None else here.response_matrix
             A = G.T @ (here.scored.information[:, np.newaxis] * G)
@@ -294,7 +296,7 @@ class _InverseProblem:
             if here is first:
                 begun = A, b
             # The noise model depends on the linearisation: it is estimated again only while the readings still change.
-            if given is None and (change > MODEL_FIXED or factor > 1.0):
+            if disturbance is None and (change > MODEL_FIXED or factor > 1.0):
                 chosen, factor = self._most_likely(here, A, b, None if here is first else chosen, factor)
             step = self._mean(A / factor, b / factor, chosen) - here.u
             change = float(np.max(np.abs(G @ step) / self._noise_K)) / math.sqrt(factor)
@@ -329,24 +331,24 @@ class _InverseProblem:
         def value(p: _MarchedInput) -> float:
             return p.log_likelihood / factor - 0.5 * float(p.u @ Q @ p.u)
 
-        share, now = 1.0, value(here)
-        while share > MIN_STEP_FRACTION:
+        fraction, now = 1.0, value(here)
+        while fraction > MIN_STEP_FRACTION:
             try:
-                there = self.at(here.u + share * step, response_matrix)
+                there = self.at(here.u + fraction * step, response_matrix)
             except RunError:
                 # A history that takes a temperature out of range: a shorter step than after a mere decrease.
-                share *= 0.25
+                fraction *= 0.25
                 continue
             if value(there) > now:
                 return there if value(there) > now + MIN_IMPROVEMENT else None
-            share *= 0.4
+            fraction *= 0.4
         return None
 
     def _prior(self, at_s: FloatArray, chosen: Disturbance) -> tuple[FloatArray, float]:
         """Precision of start and knots and the logarithm of its determinant."""
-        own, log_det = process_precision(at_s, chosen)
+        knot_precision, log_det = process_precision(at_s, chosen)
         Q = np.eye(self.extra + len(at_s))
-        Q[self.extra :, self.extra :] = own
+        Q[self.extra :, self.extra :] = knot_precision
         return Q, log_det
 
     def _mean(self, A: FloatArray, b: FloatArray, chosen: Disturbance) -> FloatArray:
@@ -364,21 +366,21 @@ class _InverseProblem:
             raise InputError(f"{self.track.model.name}: a march of {len(self.knots)} knots is too short for an input")
         # Readings without information (lost, or deep inside an open word) have none on the noise.
         n = float(np.count_nonzero(here.scored.information > 0.0))
-        left = 2.0 * (self._log_exact_fit - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
+        unexplained = 2.0 * (self._log_exact_fit - here.log_likelihood + float(b @ here.u)) - float(here.u @ A @ here.u)
         # The evidence is computed some sixty times; its cost grows as the cube of the knots.
         P = block_diag(np.eye(self.extra), self.to_coarse)
         fine, (A, b) = (A, b), (P.T @ A @ P, P.T @ b)
 
         def variance_factor_of(explained: float) -> float:
-            share = (left - 2.0 * explained) / n
-            return share if share > MIN_VARIANCE_FACTOR else 1.0
+            variance_factor = (unexplained - 2.0 * explained) / n
+            return variance_factor if variance_factor > MIN_VARIANCE_FACTOR else 1.0
 
         def cost(logs: Sequence[float]) -> float:
             """Minus log evidence; the density is that over the factor."""
             q, tau = np.exp(np.clip(logs, low, high))
             explained, volume = _log_evidence(A, b, *self._prior(self.coarse, stationary_disturbance(q, tau)))
             s2 = variance_factor_of(explained)
-            return 0.5 * n * math.log(s2) + 0.5 * (left - 2.0 * explained) / s2 - volume
+            return 0.5 * n * math.log(s2) + 0.5 * (unexplained - 2.0 * explained) / s2 - volume
 
         if last is None:
             tau = float(np.clip(math.log(CORRELATION_S), low[1], high[1]))
@@ -389,11 +391,11 @@ class _InverseProblem:
         inward = np.where(start + stride > high, -stride, stride)
         # Away from the upper bounds: the objective is clipped there, and a flat simplex would stop at once.
         simplex = start + np.array([[0.0, 0.0], [inward[0], 0.0], [0.0, inward[1]]])
-        found = minimize(
+        optimum = minimize(
             cost, start, method="Nelder-Mead",
             options={"initial_simplex": simplex, "fatol": LIKELIHOOD_TOLERANCE, "xatol": 0.1, "maxfev": 60},
         )  # fmt: skip
-        q, tau = np.exp(np.clip(found.x, low, high))
+        q, tau = np.exp(np.clip(optimum.x, low, high))
         # Again on all knots: changes that a coarse history cannot follow would count as noise.
         factor = variance_factor_of(
             _log_evidence(*fine, *self._prior(self.knots, stationary_disturbance(float(q), float(tau))))[0]
@@ -405,8 +407,8 @@ class _InverseProblem:
         """Log likelihood of readings equal to their predictions."""
         middle = 0.5 * (self.observed.lower_K + self.observed.upper_K)
         inner = np.isfinite(middle)
-        within = ReadingIntervals(self.observed.lower_K[inner], self.observed.upper_K[inner])
-        return float(np.sum(likelihood(within, middle[inner], self.sigma_K[inner]).log_likelihood))
+        finite = ReadingIntervals(self.observed.lower_K[inner], self.observed.upper_K[inner])
+        return float(np.sum(likelihood(finite, middle[inner], self.sigma_K[inner]).log_likelihood))
 
     def _log_marginal(
         self, here: _MarchedInput, A: FloatArray, b: FloatArray, chosen: Disturbance | None, factor: float
@@ -418,15 +420,15 @@ class _InverseProblem:
             return constant + sum(_log_evidence(A, b, *self._prior(self.knots, chosen)))
         if self.extra == 0:
             return here.log_likelihood / factor
-        own = slice(self.extra)
-        return constant + sum(_log_evidence(A[own, own], b[own], np.eye(self.extra), 0.0))
+        start = slice(self.extra)
+        return constant + sum(_log_evidence(A[start, start], b[start], np.eye(self.extra), 0.0))
 
     def _result(
         self, here: _MarchedInput, u: FloatArray, G: FloatArray, A: FloatArray, b: FloatArray, chosen: Disturbance,
         factor: float, without: float,
     ) -> UnknownInput:  # fmt: skip
-        whole = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
-        covariance = whole[self.extra :, self.extra :]
+        full = np.asarray(np.linalg.inv(A + self._prior(self.knots, chosen)[0]), dtype=np.float64)
+        covariance = full[self.extra :, self.extra :]
         sigma = np.sqrt(np.diag(covariance))
         information, score = _without_start(A, b, self.extra)
         spacing = np.min(np.diff(self.knots), initial=np.inf)
@@ -450,9 +452,9 @@ def _log_evidence(A: FloatArray, b: FloatArray, Q: FloatArray, log_det_Q: float)
 
 def _without_start(A: FloatArray, b: FloatArray, extra: int) -> tuple[FloatArray, FloatArray]:
     """Information and score of the knots, the start N(0, 1) integrated out."""
-    own, cross = A[extra:, extra:], A[extra:, :extra]
+    of_knots, cross = A[extra:, extra:], A[extra:, :extra]
     gain = cross @ np.linalg.inv(A[:extra, :extra] + np.eye(extra))
-    return own - gain @ cross.T, b[extra:] - gain @ b[:extra]
+    return of_knots - gain @ cross.T, b[extra:] - gain @ b[:extra]
 
 
 def _covariance_factor(covariance_K2: FloatArray | None, nodes: int) -> FloatArray:

@@ -65,9 +65,9 @@ class Innovations:
     def __init__(self, problem: FitProblem, noise: ProcessNoise) -> None:
         self.problem = problem
         undeclared = {
-            (k, c.number): part.sigma_K[c.number]
-            for k, part in enumerate(problem.record_fits)
-            for c in part.channels
+            (k, c.number): record_fit.sigma_K[c.number]
+            for k, record_fit in enumerate(problem.record_fits)
+            for c in record_fit.channels
             if c.sensor.noise_sigma_K is None
         }
         self.levels = Levels(noise, undeclared)
@@ -95,10 +95,10 @@ class Innovations:
         m = len(self.problem.unknowns)
         total, information = 0.0, np.zeros((m, m))
         for s in samples:
-            found = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
-            total += float(np.sum(found.log_likelihood))
-            own = s.jacobian
-            information += (own.T * found.information) @ own
+            scored = likelihood(s.channel.intervals, s.mean_K, s.spread_K)
+            total += float(np.sum(scored.log_likelihood))
+            sensitivity = s.jacobian
+            information += (sensitivity.T * scored.information) @ sensitivity
         return Evaluation(total, self._gradient(vector, information), information)
 
     def log_likelihoods(self, vectors: FloatArray) -> FloatArray:
@@ -110,18 +110,18 @@ class Innovations:
         """
         chunks = [slice(i, i + LANES) for i in range(0, len(vectors), LANES)]
         jobs = [(k, c) for k in range(len(self.problem.record_fits)) for c in range(len(chunks))]
-        found = in_threads(lambda j: self._log_likelihoods_of(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
+        by_job = in_threads(lambda j: self._log_likelihoods_of(*jobs[j], vectors[chunks[jobs[j][1]]]), len(jobs))
         total = np.zeros(len(vectors))
-        for (_, c), of_part in zip(jobs, found, strict=True):
+        for (_, c), of_part in zip(jobs, by_job, strict=True):
             total[chunks[c]] += of_part
         return total
 
     def _gradient(self, vector: FloatArray, information: FloatArray) -> FloatArray:
         """(parameter,) central differences of the log likelihood; one-sided at a bound."""
         parameters, gradient = self.problem.parameters, np.zeros(len(vector))
-        known = np.diag(information) + np.array([p.sigma**-2.0 for p in parameters])
+        precisions = np.diag(information) + np.array([p.sigma**-2.0 for p in parameters])
         moves = []
-        for i, (p, precision) in enumerate(zip(parameters, known, strict=True)):
+        for i, (p, precision) in enumerate(zip(parameters, precisions, strict=True)):
             if precision > 0.0:
                 # large against the rounding of log L, small against its curvature
                 by = STEP / np.sqrt(precision)
@@ -129,9 +129,9 @@ class Innovations:
         perturbed = np.tile(vector, (2 * len(moves), 1))
         for row, (i, low, high) in enumerate(moves):
             perturbed[2 * row, i], perturbed[2 * row + 1, i] = low, high
-        found = self.log_likelihoods(perturbed)
+        perturbed_log_likelihoods = self.log_likelihoods(perturbed)
         for row, (i, low, high) in enumerate(moves):
-            gradient[i] = (found[2 * row + 1] - found[2 * row]) / (high - low)
+            gradient[i] = (perturbed_log_likelihoods[2 * row + 1] - perturbed_log_likelihoods[2 * row]) / (high - low)
         return gradient
 
     # Levels of noise -------------------------------------------------------------------------------------------------
@@ -163,15 +163,15 @@ class Innovations:
             # a correlation time or a sensor's noise cannot be 0
             factors = np.append(0.0, factors)
         tried = [self.levels.scaled(level, float(f)) for f in factors]
-        found = self._marginals(vector, [self._above_floor(t) for t in tried])
-        if not np.any(np.isfinite(found)):
+        marginals = self._marginals(vector, [self._above_floor(t) for t in tried])
+        if not np.any(np.isfinite(marginals)):
             return
-        best = int(np.argmax(found))
+        best = int(np.argmax(marginals))
         factor = float(factors[best])
         # no parabola over the step from 0 to the least factor: it is not one in the logarithm
         inner = factors[0] > 0.0 or best > 1
-        if 0 < best < len(factors) - 1 and inner and np.all(np.isfinite(found[best - 1 : best + 2])):
-            a, b, c = found[best - 1 : best + 2]
+        if 0 < best < len(factors) - 1 and inner and np.all(np.isfinite(marginals[best - 1 : best + 2])):
+            a, b, c = marginals[best - 1 : best + 2]
             spacing = np.log(factors[best + 1] / factors[best])
             # vertex of the parabola through the best candidate and its neighbours, in the log of the level
             factor *= float(np.exp(0.5 * spacing * (a - c) / (a - 2.0 * b + c)))
@@ -186,21 +186,21 @@ class Innovations:
 
     def _marginals(self, vector: FloatArray, tried: Sequence[Levels]) -> FloatArray:
         """(level,) log likelihoods, parameters about a vector integrated out; LANES of them at most."""
-        found = in_threads(lambda k: self._filter_at_levels(k, vector, tried), len(self.problem.record_fits))
-        return np.array([self._marginal(vector, of_level) for of_level in zip(*found, strict=True)])
+        by_record = in_threads(lambda k: self._filter_at_levels(k, vector, tried), len(self.problem.record_fits))
+        return np.array([self._marginal(vector, of_level) for of_level in zip(*by_record, strict=True)])
 
-    def _marginal(self, vector: FloatArray, found: Sequence[Filtered | None]) -> float:
+    def _marginal(self, vector: FloatArray, filtered: Sequence[Filtered | None]) -> float:
         """Log likelihood of all records with the parameters integrated out; -inf where a filter diverged."""
         parameters = self.problem.parameters
-        known = np.array([p.sigma**-2.0 for p in parameters])
-        g, M = known * (np.array([p.value for p in parameters]) - vector), np.diag(known)
+        precisions = np.array([p.sigma**-2.0 for p in parameters])
+        g, M = precisions * (np.array([p.value for p in parameters]) - vector), np.diag(precisions)
         total = 0.0
-        for part, f in zip(self.problem.record_fits, found, strict=True):
+        for record_fit, f in zip(self.problem.record_fits, filtered, strict=True):
             if f is None:
                 return -np.inf
             total += float(np.sum(f.log_likelihood))
-            part.add(g, f.score())
-            part.add(M, f.information())
+            record_fit.add(g, f.score())
+            record_fit.add(M, f.information())
         s = scale(M)
         # scaled for the determinant's sake; sum(log s) below puts the scale back
         M, g = M * np.outer(s, s), g * s
@@ -211,13 +211,13 @@ class Innovations:
 
     def _filter_at_levels(self, k: int, vector: FloatArray, tried: Sequence[Levels]) -> list[Filtered | None]:
         """A record filtered with sensitivities at several levels; None where its filter diverged."""
-        part, march = self.problem.record_fits[k], self._at_levels[k]
+        record_fit, march = self.problem.record_fits[k], self._at_levels[k]
         tracks = [self._track(k, vector, levels)[0] for levels in tried]
         # a group of lanes is always full
         tracks += [tracks[-1]] * (LANES - len(tracks))
         if march is None:
-            march = self._at_levels[k] = FilterMarch(tracks, part.time_s, self._histories[k])
-        march.set_models([part.model_at(vector)] * LANES)
+            march = self._at_levels[k] = FilterMarch(tracks, record_fit.time_s, self._histories[k])
+        march.set_models([record_fit.model_at(vector)] * LANES)
         try:
             return list(march.filter(tracks)[: len(tried)])
         except RunError:
@@ -235,8 +235,8 @@ class Innovations:
 
         Source: docs/theory/estimation_statistics.md, equation 32.
         """
-        found = self._filtered(vector)
-        return [s for k, filtered in enumerate(found) for s in self._samples_of(k, filtered, vector)]
+        by_record = self._filtered(vector)
+        return [s for k, filtered in enumerate(by_record) for s in self._samples_of(k, filtered, vector)]
 
     def filtered(self, vector: FloatArray, k: int) -> tuple[FilterTrack, Filtered, NDArray[np.int64]]:
         """Filter one record and keep its whole history, as a smoother needs it.
@@ -247,44 +247,51 @@ class Innovations:
 
         The smoother is that of docs/theory/filter.md, after Rauch, Tung and Striebel (1965).
         """
-        part = self.problem.record_fits[k]
+        record_fit = self.problem.record_fits[k]
         track, order = self._track(k, vector, self.levels, sensitive=False)
-        march = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.model_at(vector)])
+        march = FilterMarch([track], record_fit.time_s, self._histories[k])
+        march.set_models([record_fit.model_at(vector)])
         return track, march.filter(keep=True)[0], order
 
     def _filtered(self, vector: FloatArray) -> list[Filtered]:
         """Every record filtered with sensitivities; results at the last vector are cached."""
         if self._last is None or self._last[:2] != (vector.tobytes(), self.levels):
-            found = in_threads(lambda k: self._filter_record(k, vector), len(self.problem.record_fits))
-            self._last = (vector.tobytes(), self.levels, found)
+            by_record = in_threads(lambda k: self._filter_record(k, vector), len(self.problem.record_fits))
+            self._last = (vector.tobytes(), self.levels, by_record)
         return self._last[2]
 
     def _filter_record(self, k: int, vector: FloatArray) -> Filtered:
-        part, track = self.problem.record_fits[k], self._track(k, vector, self.levels)[0]
+        record_fit, track = self.problem.record_fits[k], self._track(k, vector, self.levels)[0]
         march = self._with_sensitivities[k]
         if march is None:
-            march = self._with_sensitivities[k] = FilterMarch([track], part.time_s, self._histories[k])
-        march.set_models([part.model_at(vector)])
+            march = self._with_sensitivities[k] = FilterMarch([track], record_fit.time_s, self._histories[k])
+        march.set_models([record_fit.model_at(vector)])
         return march.filter([track])[0]
 
     def _track(
         self, k: int, vector: FloatArray, levels: Levels, *, sensitive: bool = True
     ) -> tuple[FilterTrack, NDArray[np.int64]]:
         """A record as the filter takes it, and the places of its readings among those of the channels."""
-        part = self.problem.record_fits[k]
-        values, time_s = part.values(vector), part.sample_s + part.shift_s(vector)
-        sigma = {c.number: levels.sigma_K.get((k, c.number), part.sigma_K[c.number]) for c in part.channels}
+        record_fit = self.problem.record_fits[k]
+        values, time_s = record_fit.values(vector), record_fit.sample_s + record_fit.shift_s(vector)
+        sigma = {c.number: levels.sigma_K.get((k, c.number), record_fit.sigma_K[c.number]) for c in record_fit.channels}
         samples, order = filter_samples(
-            part.channels, time_s, part.mesh, sigma, values, part.correction_K, part.names if sensitive else (),
-            part.lag_offset(vector, sensitive=sensitive),
-        )  # fmt: skip
-        start, noise = part.start, levels.noise
-        columns = np.zeros((part.mesh.nodes, len(part.names) - len(part.march_names)))
+            record_fit.channels,
+            time_s,
+            record_fit.mesh,
+            sigma,
+            values,
+            record_fit.correction_K,
+            record_fit.names if sensitive else (),
+            record_fit.lag_offset(vector, sensitive=sensitive),
+        )
+        start, noise = record_fit.start, levels.noise
+        columns = np.zeros((record_fit.mesh.nodes, len(record_fit.names) - len(record_fit.march_names)))
         if start is not None:
             columns[:, : start.columns.shape[1]] = start.columns
         track = FilterTrack(
-            part.model, part.mesh, samples, part.march_names if sensitive else (), part.initial_K(vector),
+            record_fit.model, record_fit.mesh, samples, record_fit.march_names if sensitive else (),
+            record_fit.initial_K(vector),
             columns if sensitive else None, None if start is None else start.covariance_K2, noise.node_K_sqrt_s**2,
             noise.disturbance,
         )  # fmt: skip
@@ -294,21 +301,21 @@ class Innovations:
         self, k: int, chunk: int, vectors: FloatArray, levels: Sequence[Levels] | None = None
     ) -> FloatArray:
         """(candidate,) log likelihoods of a record; NaN where its filter diverged."""
-        part, padding = self.problem.record_fits[k], LANES - len(vectors)
+        record_fit, padding = self.problem.record_fits[k], LANES - len(vectors)
         noise = [self.levels] * len(vectors) if levels is None else list(levels)
         tracks = [self._track(k, v, n, sensitive=False)[0] for v, n in zip(vectors, noise, strict=True)]
-        models = [part.model_at(v) for v in vectors]
+        models = [record_fit.model_at(v) for v in vectors]
         march = self._without_sensitivities.get((k, chunk))
         if march is None:
             march = self._without_sensitivities[k, chunk] = FilterMarch(
-                [tracks[0]] * LANES, part.time_s, self._histories[k]
+                [tracks[0]] * LANES, record_fit.time_s, self._histories[k]
             )
         try:
             march.set_models([*models, *[models[-1]] * padding])
-            found = march.filter([*tracks, *[tracks[-1]] * padding])
+            filtered = march.filter([*tracks, *[tracks[-1]] * padding])
         except RunError:
             return np.array([self._log_likelihood(march, m, t) for m, t in zip(models, tracks, strict=True)])
-        return np.array([float(np.sum(f.log_likelihood)) for f in found[: len(vectors)]])
+        return np.array([float(np.sum(f.log_likelihood)) for f in filtered[: len(vectors)]])
 
     @staticmethod
     def _log_likelihood(march: FilterMarch, model: PointModel, track: FilterTrack) -> float:
@@ -317,26 +324,26 @@ class Innovations:
             march.set_models([model] * LANES)
         except RunError:
             return float("nan")
-        found = _filter_alone(march, track)
-        return float("nan") if found is None else float(np.sum(found.log_likelihood))
+        filtered = _filter_alone(march, track)
+        return float("nan") if filtered is None else float(np.sum(filtered.log_likelihood))
 
     def _samples_of(self, k: int, filtered: Filtered, vector: FloatArray) -> list[PredictedSamples]:
         """The channels of a record as its filter predicts them."""
-        part, order = self.problem.record_fits[k], self._track(k, vector, self.levels, sensitive=False)[1]
+        record_fit, order = self.problem.record_fits[k], self._track(k, vector, self.levels, sensitive=False)[1]
         mean, variance = np.empty((2, len(order)))
-        own = np.empty((len(order), len(part.names)))
+        sensitivity = np.empty((len(order), len(record_fit.names)))
         mean[order], variance[order] = filtered.predicted_K, filtered.predicted_variance_K2
-        own[order] = filtered.sensitivity
-        ends = np.cumsum([len(c.samples) for c in part.channels])[:-1]
-        split = zip(part.channels, *(np.split(x, ends) for x in (mean, own, variance)), strict=True)
-        found = []
+        sensitivity[order] = filtered.sensitivity
+        ends = np.cumsum([len(c.samples) for c in record_fit.channels])[:-1]
+        split = zip(record_fit.channels, *(np.split(x, ends) for x in (mean, sensitivity, variance)), strict=True)
+        predicted = []
         for c, m, s, v in split:
-            sigma = self.levels.sigma_K.get((k, c.number), part.sigma_K[c.number])
+            sigma = self.levels.sigma_K.get((k, c.number), record_fit.sigma_K[c.number])
             # the filter's variance includes the sensor's own noise; rounding may take the difference below 0
-            known = np.sqrt(np.maximum(v - c.noise_K(sigma) ** 2, 0.0))
-            time_s = part.sample_s[c.samples]
-            found.append(PredictedSamples(part, c, time_s, m, s, len(self.problem.unknowns), sigma, known))
-        return found
+            spread_K = np.sqrt(np.maximum(v - c.noise_K(sigma) ** 2, 0.0))
+            time_s = record_fit.sample_s[c.samples]
+            predicted.append(PredictedSamples(record_fit, c, time_s, m, s, len(self.problem.unknowns), sigma, spread_K))
+        return predicted
 
 
 def _filter_alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
@@ -347,15 +354,18 @@ def _filter_alone(march: FilterMarch, track: FilterTrack) -> Filtered | None:
         return None
 
 
-def _largest_change(before: Levels, after: Levels) -> float:
+def _largest_change(earlier: Levels, later: Levels) -> float:
     """Largest relative change of a level; 1 for one that has become 0."""
-    pairs = [(before.sigma_K[key], after.sigma_K[key]) for key in before.sigma_K]
-    pairs += [(getattr(before.noise, n), getattr(after.noise, n)) for n in before.noise.estimated]
+    pairs = [(earlier.sigma_K[key], later.sigma_K[key]) for key in earlier.sigma_K]
+    pairs += [(getattr(earlier.noise, n), getattr(later.noise, n)) for n in earlier.noise.estimated]
     return max((abs(b / a - 1.0) for a, b in pairs if a > 0.0), default=0.0)
 
 
 def fit_innovations(
-    problem: FitProblem, noise: ProcessNoise, start: FloatArray, on_step: StepCallback = lambda at, log_posterior: None
+    problem: FitProblem,
+    noise: ProcessNoise,
+    start: FloatArray,
+    on_step: StepCallback = lambda vector, log_posterior: None,
 ) -> tuple[Fit, Innovations]:
     """The most probable parameters with noise of the process, in turn with its levels where these are estimated.
 
@@ -367,13 +377,15 @@ def fit_innovations(
 
     Source: docs/theory/estimation_statistics.md, equations 13, 32 and 35, after Maine and Iliff (1981).
     """
-    found = Innovations(problem, noise)
-    searched = bool(found.levels.estimated_levels())
+    innovations = Innovations(problem, noise)
+    searched = bool(innovations.levels.estimated_levels())
     if searched:
-        found.estimate_levels(start)
-    fit = maximise(found.evaluate, problem.parameters, start, found.log_likelihoods, SETTINGS, on_step)
+        innovations.estimate_levels(start)
+    fit = maximise(innovations.evaluate, problem.parameters, start, innovations.log_likelihoods, SETTINGS, on_step)
     for _ in range(MAX_ROUNDS if searched else 0):
-        if not fit.converged or found.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
+        if not fit.converged or innovations.estimate_levels(fit.values, again=True) < LEVELS_CONVERGED:
             break
-        fit = maximise(found.evaluate, problem.parameters, fit.values, found.log_likelihoods, SETTINGS, on_step)
-    return fit, found
+        fit = maximise(
+            innovations.evaluate, problem.parameters, fit.values, innovations.log_likelihoods, SETTINGS, on_step
+        )
+    return fit, innovations

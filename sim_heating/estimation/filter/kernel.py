@@ -122,11 +122,11 @@ def propagate(X: Blocks, offsets: PerturbedOffsets, lane: int, forced: int, dt: 
 
 
 @njit
-def _copy_matrix(given: FloatArray, out: FloatArray) -> None:
+def _copy_matrix(source: FloatArray, out: FloatArray) -> None:
     """Copy a matrix number by number: numba's own assignment spends 4 s on compiling the message of its error."""
-    for i in range(given.shape[0]):
-        for j in range(given.shape[1]):
-            out[i, j] = given[i, j]
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            out[i, j] = source[i, j]
 
 
 @njit
@@ -178,9 +178,9 @@ def factorise_covariance(P: FloatArray, n: int, diagonal: FloatArray, L: FloatAr
         for i in range(pivot, n + 1):
             L[rank, i] = P[i, pivot]
         for k in range(rank):
-            share = L[k, pivot]
+            factor = L[k, pivot]
             for i in range(n + 1):
-                L[rank, i] -= share * L[k, i]
+                L[rank, i] -= factor * L[k, i]
         inverse = 1.0 / math.sqrt(variance)
         for i in range(n + 1):
             L[rank, i] *= inverse
@@ -254,34 +254,34 @@ def read_column(w: Workspace, column: int, node: int, x: float, start: float) ->
 
 @njit
 def predict_readings(
-    B: FloatArray, step: LaneStep, readings: Readings, state: State, L: FloatArray, w: Workspace, taken: StepReadings
+    B: FloatArray, step: LaneStep, readings: Readings, state: State, L: FloatArray, w: Workspace, batch: StepReadings
 ) -> None:
     """Predict the readings of a step: temperatures, rates, sensitivities, rows, and rows times the factor.
 
     B        : block of the lane group, after the step;  step : the step
     readings : readings of all lanes;  state, L : at the start of the step
     w        : columns of the first pass
-    taken    : receives temperature [K], rate [K/s], sensitivities, R L [K] and R of each reading of the step
+    batch    : receives temperature [K], rate [K/s], sensitivities, R L [K] and R of each reading of the step
 
     Derived in docs/theory/filter.md, equations 5 and 6, and docs/theory/equations_march.md, equation 5.
     """
     lane, n, m = step.lane, step.nodes, state.S.shape[2]
     identity = 1 + m + step.rank
     for q in range(step.number):
-        node, x = readings.node[lane, step.first + q], taken.x[q]
+        node, x = readings.node[lane, step.first + q], batch.x[q]
         a = (HEAD_ROWS + node * NODE_ROWS) * LANES + lane
         T0, T1, T2 = B[a + T_START * LANES], B[a + T_STAGE * LANES], B[a + T * LANES]
         w0, w1, w2 = parabola(x)
-        taken.mean[q] = w0 * T0 + w1 * T1 + w2 * T2
+        batch.mean[q] = w0 * T0 + w1 * T1 + w2 * T2
         w0, w1, w2 = parabola_rate(x, step.dt)
-        taken.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
+        batch.rate[q] = w0 * T0 + w1 * T1 + w2 * T2
         for k in range(m):
-            taken.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
+            batch.S[q, k] = read_column(w, 1 + k, node, x, state.S[lane, node, k])
         for j in range(step.rank):
-            taken.along[q, j] = read_column(w, 1 + m + j, node, x, L[j, node])
+            batch.projected[q, j] = read_column(w, 1 + m + j, node, x, L[j, node])
         if step.keep:
             for j in range(n + 1):
-                taken.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
+                batch.rows[q, j] = read_column(w, identity + j, node, x, 1.0 if j == node else 0.0)
 
 
 @njit
@@ -307,14 +307,14 @@ def add_rows(out: FloatArray, size: int, shares: FloatArray, rows: FloatArray, c
 
 @njit
 def joint_covariance(
-    step: LaneStep, readings: Readings, state: State, noise: Noise, L: FloatArray, w: Workspace, taken: StepReadings
+    step: LaneStep, readings: Readings, state: State, noise: Noise, L: FloatArray, w: Workspace, batch: StepReadings
 ) -> None:
     """Covariance of the state after a step, P' = F P F' + Q, and the joint covariance of its readings.
 
     step  : the step;  readings : of all lanes;  noise : of the process [K2/s], [1/s]
     L     : factor of P at the start, becomes F L;  w : columns of the first pass, F L among them
     state : the lower triangle of P becomes that of P', [K2] for the temperatures
-    taken : receives cov(z', T) and cov(T_a, T_b) [K2]
+    batch : receives cov(z', T) and cov(T_a, T_b) [K2]
 
     Derived in docs/theory/filter.md, equations 2, 4 and 6.
     """
@@ -330,25 +330,25 @@ def joint_covariance(
         for k in range(i + 1):
             P[i, k] = 0.0
         for j in range(rank):
-            taken.share[j] = L[j, i]
-        add_rows(P[i], i + 1, taken.share, L, rank)
+            batch.scratch[j] = L[j, i]
+        add_rows(P[i], i + 1, batch.scratch, L, rank)
         if i < n:
             P[i, i] += noise.nodes[lane, i] * dt
     P[n, n] = decay * decay * variance + noise.density_1_s[lane] * _noise_duration(noise.decay_1_s[lane], dt)
     for q in range(count):
-        node, x = readings.node[lane, first + q], taken.x[q]
-        taken.cross[q, : n + 1] = 0.0
-        add_rows(taken.cross[q], n + 1, taken.along[q], L, rank)
+        node, x = readings.node[lane, first + q], batch.x[q]
+        batch.cross[q, : n + 1] = 0.0
+        add_rows(batch.cross[q], n + 1, batch.projected[q], L, rank)
         # White noise of the node up to the reading is still in the node's temperature at the end of the step.
-        taken.cross[q, node] += x * dt * noise.nodes[lane, node]
+        batch.cross[q, node] += x * dt * noise.nodes[lane, node]
         for s in range(q + 1):
             covariance = 0.0
             for j in range(rank):
-                covariance += taken.along[q, j] * taken.along[s, j]
+                covariance += batch.projected[q, j] * batch.projected[s, j]
             if readings.node[lane, first + s] == node:
                 # Two readings of a node share the noise up to the earlier of them.
-                covariance += min(x, taken.x[s]) * dt * noise.nodes[lane, node]
-            taken.covariance[q, s] = taken.covariance[s, q] = covariance
+                covariance += min(x, batch.x[s]) * dt * noise.nodes[lane, node]
+            batch.covariance[q, s] = batch.covariance[s, q] = covariance
 
 
 @njit
@@ -386,24 +386,24 @@ def innovation(lower: float, upper: float, mean: float, variance: float) -> tupl
 
 @njit
 def _condition_on(
-    step: LaneStep, q: int, begun: int, readings: Readings, state: State, taken: StepReadings, z: FloatArray,
+    step: LaneStep, q: int, begun: int, readings: Readings, state: State, batch: StepReadings, z: FloatArray,
     transition: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Condition z and the readings of the step from number `begun` on, on reading number q of it.
 
-    What it takes from P and from the sensitivities of z stays in `taken`: cov(z, T), which later readings change no
+    What it takes from P and from the sensitivities of z stays in `batch`: cov(z, T), which later readings change no
     more, its weight, 1 / S, and the sensitivities of its prediction in the place of those of its temperature.
     """
     lane, n, count, k = step.lane, step.nodes, step.number, step.first + q
     gain, m = readings.gain[lane, k], state.S.shape[2]
-    taken.weight[q], taken.inverse[q] = 0.0, 0.0
+    batch.weight[q], batch.inverse[q] = 0.0, 0.0
     predicted = out[N_OUT:]
     for j in range(m):
         direct = readings.direct[lane, k, j]
-        predicted[j] = gain * taken.S[q, j] + direct[CONSTANT]
-        predicted[j] += direct[PER_TEMPERATURE] * taken.mean[q] + direct[PER_RATE] * taken.rate[q]
-    out[PREDICTED] = gain * taken.mean[q] + readings.bias[lane, k]
-    out[PREDICTED_VARIANCE] = gain * gain * taken.covariance[q, q] + readings.variance[lane, k]
+        predicted[j] = gain * batch.S[q, j] + direct[CONSTANT]
+        predicted[j] += direct[PER_TEMPERATURE] * batch.mean[q] + direct[PER_RATE] * batch.rate[q]
+    out[PREDICTED] = gain * batch.mean[q] + readings.bias[lane, k]
+    out[PREDICTED_VARIANCE] = gain * gain * batch.covariance[q, q] + readings.variance[lane, k]
     if not readings.lower[lane, k] <= readings.upper[lane, k]:
         return
     nu, variance, out[LOG_LIKELIHOOD] = innovation(
@@ -411,76 +411,82 @@ def _condition_on(
     )  # fmt: skip
     out[INNOVATION], out[VARIANCE] = nu, variance
     # Copies: the loops below overwrite row q with its own update before they are done with the other readings.
-    cross, own, inverse = taken.cross[q], taken.covariance[q].copy(), 1.0 / variance
-    taken.weight[q], taken.inverse[q] = gain * gain * inverse, inverse
+    cross, covariance, inverse = batch.cross[q], batch.covariance[q].copy(), 1.0 / variance
+    batch.weight[q], batch.inverse[q] = gain * gain * inverse, inverse
     for i in range(n + 1):
         z[i] += gain * cross[i] * inverse * nu
     if step.keep:
-        _condition_rows(step, q, gain, inverse, own, taken, transition)
+        _condition_rows(step, q, gain, inverse, covariance, batch, transition)
     for s in range(begun, count):
-        share = gain * own[s] * inverse
-        taken.mean[s] += share * nu
+        change = gain * covariance[s] * inverse
+        batch.mean[s] += change * nu
         for t in range(begun, count):
-            taken.covariance[s, t] -= (gain * own[s]) * (gain * own[t]) * inverse
+            batch.covariance[s, t] -= (gain * covariance[s]) * (gain * covariance[t]) * inverse
         if s > q:
             for i in range(n + 1):
-                taken.cross[s, i] -= share * (gain * cross[i])
+                batch.cross[s, i] -= change * (gain * cross[i])
             for j in range(m):
-                taken.S[s, j] -= share * predicted[j]
+                batch.S[s, j] -= change * predicted[j]
     for j in range(m):
-        taken.S[q, j] = predicted[j]
+        batch.S[q, j] = predicted[j]
 
 
 @njit
 def _condition_rows(
-    step: LaneStep, q: int, gain: float, inverse: float, own: FloatArray, taken: StepReadings, transition: FloatArray
+    step: LaneStep,
+    q: int,
+    gain: float,
+    inverse: float,
+    covariance: FloatArray,
+    batch: StepReadings,
+    transition: FloatArray,
 ) -> None:
     """Condition the transition and the rows of the later readings on reading number q, for a smoother."""
     for i in range(step.nodes + 1):
-        share = gain * taken.cross[q, i] * inverse
+        change = gain * batch.cross[q, i] * inverse
         for j in range(step.nodes + 1):
-            transition[i, j] -= share * (gain * taken.rows[q, j])
+            transition[i, j] -= change * (gain * batch.rows[q, j])
     for s in range(q + 1, step.number):
-        share = gain * own[s] * inverse
+        change = gain * covariance[s] * inverse
         for i in range(step.nodes + 1):
-            taken.rows[s, i] -= share * (gain * taken.rows[q, i])
+            batch.rows[s, i] -= change * (gain * batch.rows[q, i])
 
 
 @njit
-def _condition_covariance(P: FloatArray, n: int, count: int, taken: StepReadings) -> None:
+def _condition_covariance(P: FloatArray, n: int, count: int, batch: StepReadings) -> None:
     """P+ = P' - sum g^2 / S cov(z, T) cov(z, T)' [K2] over the readings of a step, from the lower triangle to both."""
     for i in range(n + 1):
         for q in range(count):
-            taken.share[q] = -(taken.weight[q] * taken.cross[q, i])
-        add_rows(P[i], i + 1, taken.share, taken.cross, count)
+            batch.scratch[q] = -(batch.weight[q] * batch.cross[q, i])
+        add_rows(P[i], i + 1, batch.scratch, batch.cross, count)
     for i in range(n + 1):
         for j in range(i):
             P[j, i] = P[i, j]
 
 
 @njit
-def _condition_sensitivities(step: LaneStep, readings: Readings, state: State, taken: StepReadings) -> None:
+def _condition_sensitivities(step: LaneStep, readings: Readings, state: State, batch: StepReadings) -> None:
     """S+ = S - sum g / S cov(z, T) dy/dp over the readings of a step (docs/theory/filter.md, equation 11)."""
     lane, n, count = step.lane, step.nodes, step.number
-    S, column = state.S[lane], taken.column
+    S, column = state.S[lane], batch.column
     for q in range(count):
-        gain, inverse = readings.gain[lane, step.first + q], taken.inverse[q]
+        gain, inverse = readings.gain[lane, step.first + q], batch.inverse[q]
         for i in range(n + 1):
-            taken.along[q, i] = gain * taken.cross[q, i] * inverse
+            batch.projected[q, i] = gain * batch.cross[q, i] * inverse
     # column by column: a row has as many numbers as there are parameters, too few for the processor's vectors
     for j in range(S.shape[1]):
         for q in range(count):
-            taken.share[q] = -taken.S[q, j]
+            batch.scratch[q] = -batch.S[q, j]
         for i in range(n + 1):
             column[i] = S[i, j]
-        add_rows(column, n + 1, taken.share, taken.along, count)
+        add_rows(column, n + 1, batch.scratch, batch.projected, count)
         for i in range(n + 1):
             S[i, j] = column[i]
 
 
 @njit
 def take_readings(
-    step: LaneStep, readings: Readings, state: State, taken: StepReadings, z: FloatArray, transition: FloatArray,
+    step: LaneStep, readings: Readings, state: State, batch: StepReadings, z: FloatArray, transition: FloatArray,
     history: SmootherHistory, out: FloatArray,
 ) -> None:  # fmt: skip
     """Update a lane by the readings of one step, in order of time.
@@ -488,7 +494,7 @@ def take_readings(
         K = g cov(z', T) / S,    z+ = z' + K nu,    P+ = P' - S K K'
 
     step, readings      : the step; readings of all lanes
-    state, taken        : covariances and sensitivities; readings of the step; updated
+    state, batch        : covariances and sensitivities; readings of the step; updated
     z                   : (node + 1,) temperatures [K] and disturbance [-], updated
     transition, history : for a smoother, where `step.keep`
     out                 : (reading, column) receives for each reading temperature before and after all readings of its
@@ -510,48 +516,48 @@ def take_readings(
             while last + 1 < count and readings.time_s[lane, first + last + 1] == readings.time_s[lane, k]:
                 last += 1
             for s in range(q, last + 1):
-                out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
+                out[first + s, PRIOR], out[first + s, PRIOR_VARIANCE] = batch.mean[s], batch.covariance[s, s]
         if step.keep:
             for j in range(step.nodes + 1):
-                history.rows[lane, k, j] = readings.gain[lane, k] * taken.rows[q, j]
-        _condition_on(step, q, begun, readings, state, taken, z, transition, out[k])
+                history.rows[lane, k, j] = readings.gain[lane, k] * batch.rows[q, j]
+        _condition_on(step, q, begun, readings, state, batch, z, transition, out[k])
         for s in range(begun, q + 1):
-            out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = taken.mean[s], taken.covariance[s, s]
-    _condition_sensitivities(step, readings, state, taken)
-    _condition_covariance(state.P[lane], step.nodes, count, taken)
+            out[first + s, POSTERIOR], out[first + s, POSTERIOR_VARIANCE] = batch.mean[s], batch.covariance[s, s]
+    _condition_sensitivities(step, readings, state, batch)
+    _condition_covariance(state.P[lane], step.nodes, count, batch)
 
 
 @njit
-def _repeats(gains: FrozenGains, readings: Readings, lane: int, first: int, count: int, taken: StepReadings) -> bool:
+def _repeats(gains: FrozenGains, readings: Readings, lane: int, first: int, count: int, batch: StepReadings) -> bool:
     """Whether the readings of a step are at the nodes and fractions of those whose covariances are stored."""
     if gains.number[lane] != count:
         return False
     for q in range(count):
-        if gains.node[lane, q] != readings.node[lane, first + q] or abs(gains.x[lane, q] - taken.x[q]) > SAME_FRACTION:
+        if gains.node[lane, q] != readings.node[lane, first + q] or abs(gains.x[lane, q] - batch.x[q]) > SAME_FRACTION:
             return False
     return True
 
 
 @njit
 def _store_covariances(
-    step: LaneStep, gains: FrozenGains, readings: Readings, state: State, taken: StepReadings
+    step: LaneStep, gains: FrozenGains, readings: Readings, state: State, batch: StepReadings
 ) -> None:
     """Store the covariances of a step for frozen gains."""
     lane, count = step.lane, step.number
     gains.number[lane] = count
     _copy_matrix(state.P[lane], gains.P[lane])
     for q in range(count):
-        gains.node[lane, q], gains.x[lane, q] = readings.node[lane, step.first + q], taken.x[q]
-    _copy_matrix(taken.cross[:count], gains.cross[lane, :count])
-    _copy_matrix(taken.covariance[:count], gains.covariance[lane, :count])
+        gains.node[lane, q], gains.x[lane, q] = readings.node[lane, step.first + q], batch.x[q]
+    _copy_matrix(batch.cross[:count], gains.cross[lane, :count])
+    _copy_matrix(batch.covariance[:count], gains.covariance[lane, :count])
 
 
 @njit
-def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, taken: StepReadings) -> None:
+def _reuse_covariances(step: LaneStep, gains: FrozenGains, state: State, batch: StepReadings) -> None:
     """Use the stored covariances for those of this step."""
     _copy_matrix(gains.P[step.lane], state.P[step.lane])
-    _copy_matrix(gains.cross[step.lane, : step.number], taken.cross[: step.number])
-    _copy_matrix(gains.covariance[step.lane, : step.number], taken.covariance[: step.number])
+    _copy_matrix(gains.cross[step.lane, : step.number], batch.cross[: step.number])
+    _copy_matrix(gains.covariance[step.lane, : step.number], batch.covariance[: step.number])
 
 
 @njit
@@ -570,28 +576,28 @@ def filter_lane(
     A lane that diverges (a temperature at or below 1 K, or not finite) is marked and keeps the temperatures of its
     march. Derived in docs/theory/filter.md, equations 1 to 14.
     """
-    readings, state, history, taken = f.readings, f.state, f.history, f.taken
+    readings, state, history, batch = f.readings, f.state, f.history, f.batch
     n, m = offsets.nodes[lane], state.S.shape[2]
     keep = history.mean.shape[1] > 0
     dt = time_s[k] - time_s[k - 1]
     decay = math.exp(-f.noise.decay_1_s[lane] * dt)
     count = 0
     while first + count < readings.number[lane] and readings.time_s[lane, first + count] <= time_s[k]:
-        taken.x[count] = (readings.time_s[lane, first + count] - time_s[k - 1]) / dt
+        batch.x[count] = (readings.time_s[lane, first + count] - time_s[k - 1]) / dt
         count += 1
     # With frozen gains only Gamma and the sensitivities are propagated; F L is not needed.
-    whole = time_s[k] <= f.gains.after_s[lane] or not _repeats(f.gains, readings, lane, first, count, taken)
-    rank = factorise_covariance(state.P[lane], n, f.z, f.L) if whole else 0
+    is_updated = time_s[k] <= f.gains.after_s[lane] or not _repeats(f.gains, readings, lane, first, count, batch)
+    rank = factorise_covariance(state.P[lane], n, f.z, f.L) if is_updated else 0
     step = LaneStep(lane, n, dt, decay, first, count, rank, keep)
     w = columns_of(f.work, f.work.end.shape[0], 1 + m + rank + (n + 1 if keep else 0))
     first_pass(X, offsets, step, state, f.L, w)
-    predict_readings(B, step, readings, state, f.L, w, taken)
-    if whole:
-        joint_covariance(step, readings, state, f.noise, f.L, w, taken)
+    predict_readings(B, step, readings, state, f.L, w, batch)
+    if is_updated:
+        joint_covariance(step, readings, state, f.noise, f.L, w, batch)
         if f.gains.after_s[lane] < math.inf:
-            _store_covariances(step, f.gains, readings, state, taken)
+            _store_covariances(step, f.gains, readings, state, batch)
     else:
-        _reuse_covariances(step, f.gains, state, taken)
+        _reuse_covariances(step, f.gains, state, batch)
     z, transition = f.z, f.transition
     for i in range(n):
         z[i] = B[(HEAD_ROWS + i * NODE_ROWS + T) * LANES + lane]
@@ -607,7 +613,7 @@ def filter_lane(
             for j in range(n + 1):
                 transition[i, j] = w.end[i, 1 + m + rank + j]
         transition[n, n] = decay
-    take_readings(step, readings, state, taken, z, transition, history, out)
+    take_readings(step, readings, state, batch, z, transition, history, out)
     if keep:
         history.mean[lane, k, : n + 1] = z[: n + 1]
         _copy_matrix(state.P[lane], history.covariance[lane, k])

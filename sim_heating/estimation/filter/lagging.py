@@ -57,10 +57,15 @@ class LaggingFilter(OnlineFilter):
         conditions: FloatArray,
         initial_K: Sequence[FloatArray | None] | None = None,
         covariance_K2: Sequence[FloatArray | None] | None = None,
-        at: Sequence[FloatArray] | None = None,
+        values: Sequence[FloatArray] | None = None,
     ) -> None:
-        """Start at a time, as OnlineFilter does; a wall whose temperatures are known exactly was at rest."""
-        super().begin(time_s, conditions, initial_K, covariance_K2, at)
+        """Start at a time; a wall whose temperatures are known exactly was at rest, so that its sensors have no lag.
+
+        time_s        : [s];  conditions : (point, condition) there
+        initial_K     : (node,) temperatures of each point [K];  covariance_K2 : (node, node) of them [K2]
+        values        : (parameter,) of each point, where it is linearised; at the means of its priors where None
+        """
+        super().begin(time_s, conditions, initial_K, covariance_K2, values)
         self._offset_K[:], self._per[:] = 0.0, 0.0
         spread = list(covariance_K2 or [None] * len(self.points))
         rests = np.array([C is None or not np.any(C) for C in spread])
@@ -71,30 +76,32 @@ class LaggingFilter(OnlineFilter):
     ) -> PointReadings:
         """Readings of the next steps with what lags take from them in their biases and direct terms.
 
-        time_s, conditions, readings : as for `step`;  numbers : (reading,) of their sensors
+        time_s     : (step,) ends of the steps [s];  conditions : (point, step, condition) there
+        readings   : in order of time, up to the last of the steps;  numbers : (reading,) of their sensors
+        returns    : the readings with biases [K] and direct terms of lagging sensors changed
         """
-        own = self.lagging
-        slot = np.searchsorted(own.number, numbers)
-        slot[slot == len(own.number)] = 0
-        behind = own.number[slot] == numbers
+        lags = self.lagging
+        slot = np.searchsorted(lags.number, numbers)
+        slot[slot == len(lags.number)] = 0
+        behind = lags.number[slot] == numbers
         bias, direct = readings.bias_K.copy(), readings.direct.copy()
         (begin_s, T_0, S_0), before = (self.now_s, *self._at_places()), self.snapshot()
         step = np.searchsorted(time_s, readings.time_s)
-        offset, per, known = self._offset_K.copy(), self._per.copy(), self._is_known > 0.0
+        offset, per, is_known = self._offset_K.copy(), self._per.copy(), self._is_known > 0.0
         for k, end_s in enumerate(time_s.tolist()):
             self.step(time_s[k : k + 1], conditions[:, k : k + 1], no_readings(self._size[1]))
             T_1, S_1 = self._at_places()
             slope, per_slope = (T_1 - T_0) / (end_s - begin_s), (S_1 - S_0) / (end_s - begin_s)
-            if not np.all(known):  # as behind the slope of the first step
-                offset = np.where(known, offset, -own.tau_s * slope)
-                per = np.where(known[:, np.newaxis], per, -own.tau_s[:, np.newaxis] * per_slope)
-                known[:] = True
+            if not np.all(is_known):  # as behind the slope of the first step
+                offset = np.where(is_known, offset, -lags.tau_s * slope)
+                per = np.where(is_known[:, np.newaxis], per, -lags.tau_s[:, np.newaxis] * per_slope)
+                is_known[:] = True
             for q in np.flatnonzero(behind & (step == k)):
                 j, since_s = slot[q], readings.time_s[q] - begin_s
-                bias[q] += readings.gain[q] * _offset(offset[j], slope[j], since_s, own.tau_s[j])
-                direct[q, :, CONSTANT] += readings.gain[q] * _offset(per[j], per_slope[j], since_s, own.tau_s[j])
-            offset = _offset(offset, slope, end_s - begin_s, own.tau_s)
-            per = _offset(per, per_slope, end_s - begin_s, own.tau_s[:, np.newaxis])
+                bias[q] += readings.gain[q] * _offset(offset[j], slope[j], since_s, lags.tau_s[j])
+                direct[q, :, CONSTANT] += readings.gain[q] * _offset(per[j], per_slope[j], since_s, lags.tau_s[j])
+            offset = _offset(offset, slope, end_s - begin_s, lags.tau_s)
+            per = _offset(per, per_slope, end_s - begin_s, lags.tau_s[:, np.newaxis])
             begin_s, T_0, S_0 = end_s, T_1, S_1
         self.restore(before)
         self.done_with(before)
@@ -119,8 +126,8 @@ class LaggingFilter(OnlineFilter):
         before = at.copy()
         if not super().linearise_again(i, *moved):
             return False
-        mine = self.lagging.point == i
-        self._offset_K[mine] += self._per[mine] @ (at - before)
+        of_point = self.lagging.point == i
+        self._offset_K[of_point] += self._per[of_point] @ (at - before)
         return True
 
     def _at_places(self) -> tuple[FloatArray, FloatArray]:
@@ -142,7 +149,7 @@ def online_filter(
     return OnlineFilter(points, priors, corrects_mesh)
 
 
-def _offset(before: FloatArray, slope: FloatArray, since_s: FloatArray | float, tau_s: FloatArray) -> FloatArray:
+def _offset(offset: FloatArray, slope: FloatArray, since_s: FloatArray | float, tau_s: FloatArray) -> FloatArray:
     """Offset of a lagging value so much later, where what it follows goes on with a constant slope.
 
         o = -tau slope + (o_0 + tau slope) exp(-t / tau)
@@ -150,4 +157,4 @@ def _offset(before: FloatArray, slope: FloatArray, since_s: FloatArray | float, 
     That is `base.kernels.lag.lag_step` less what it follows.
     """
     ramp = -tau_s * slope
-    return np.asarray(ramp + (before - ramp) * np.exp(-since_s / tau_s))
+    return np.asarray(ramp + (offset - ramp) * np.exp(-since_s / tau_s))

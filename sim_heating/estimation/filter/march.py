@@ -310,22 +310,22 @@ class FilterMarch(LinearMarch):
 
     def _take_over(self, B: FloatArray) -> None:
         """Take over the block of a finished march, its ratios undisturbed again."""
-        own = self.nominal.memory.block(0)
+        nominal = self.nominal.memory.block(0)
         d0 = [parameters_at(lane) + D0 for lane in range(LANES)]
-        B[d0] = own[d0]
-        own[:] = B
+        B[d0] = nominal[d0]
+        nominal[:] = B
 
     def _state(self, points: Sequence[FilterTrack], n: int, m: int) -> State:
         lanes = len(points)
         P, S, d = np.zeros((lanes, n + 1, n + 1)), np.zeros((lanes, n + 1, m)), np.zeros(lanes)
         for i, point in enumerate(points):
-            lane, own = self._lane_of[i], point.mesh.nodes
+            lane, nodes = self._lane_of[i], point.mesh.nodes
             if point.covariance_K2 is not None:
-                P[lane, :own, :own] = point.covariance_K2
+                P[lane, :nodes, :nodes] = point.covariance_K2
             # The disturbance stands behind the point's own nodes, not behind those of the largest point.
-            P[lane, own, own] = point.disturbance.start_sigma**2
+            P[lane, nodes, nodes] = point.disturbance.start_sigma**2
             if point.initial_columns is not None:
-                S[lane, :own, len(point.names) : point.parameters] = point.initial_columns
+                S[lane, :nodes, len(point.names) : point.parameters] = point.initial_columns
         return State(P, S, d, np.zeros(lanes, dtype=np.int64))
 
     def _noise(self, points: Sequence[FilterTrack], n: int) -> Noise:
@@ -346,10 +346,10 @@ class FilterMarch(LinearMarch):
             np.zeros((lanes, count, n + 1)),
         )  # fmt: skip
         for i, point in enumerate(points if keep else ()):
-            lane, own = self._lane_of[i], point.mesh.nodes
-            history.mean[lane, 0, :own] = initial_profile(self.tracks[i])
-            history.covariance[lane, 0, :own, :own] = 0.0 if point.covariance_K2 is None else point.covariance_K2
-            history.covariance[lane, 0, own, own] = point.disturbance.start_sigma**2
+            lane, nodes = self._lane_of[i], point.mesh.nodes
+            history.mean[lane, 0, :nodes] = initial_profile(self.tracks[i])
+            history.covariance[lane, 0, :nodes, :nodes] = 0.0 if point.covariance_K2 is None else point.covariance_K2
+            history.covariance[lane, 0, nodes, nodes] = point.disturbance.start_sigma**2
         return history
 
     def _readings(self, points: Sequence[FilterTrack], m: int) -> Readings:
@@ -359,32 +359,32 @@ class FilterMarch(LinearMarch):
         direct = np.zeros((lanes, most, m, 3))
         for i, point in enumerate(points):
             lane, s = self._lane_of[i], point.samples
-            own = slice(len(s.time_s))
-            count[lane], time_s[lane, own], node[lane, own] = len(s.time_s), s.time_s, s.node
-            gain[lane, own], bias[lane, own], variance[lane, own] = s.gain, s.bias_K, s.variance_K2
-            lower[lane, own], upper[lane, own] = s.lower_K, s.upper_K
+            columns = slice(len(s.time_s))
+            count[lane], time_s[lane, columns], node[lane, columns] = len(s.time_s), s.time_s, s.node
+            gain[lane, columns], bias[lane, columns], variance[lane, columns] = s.gain, s.bias_K, s.variance_K2
+            lower[lane, columns], upper[lane, columns] = s.lower_K, s.upper_K
             if s.direct is not None:
-                direct[lane, own, : point.parameters] = s.direct
+                direct[lane, columns, : point.parameters] = s.direct
         return Readings(count, time_s, node, gain, bias, variance, lower, upper, direct)
 
     def _filtered(
         self, i: int, point: FilterTrack, step: IntArray, out: FloatArray, state: State, history: SmootherHistory
     ) -> Filtered:
-        lane, own = self._lane_of[i], point.mesh.nodes + 1
+        lane, size = self._lane_of[i], point.mesh.nodes + 1
         read = out[lane, : len(point.samples.time_s)]
         kept = None
         if history.mean.shape[1]:
             kept = FilterHistory(
-                self.time_s, history.mean[lane, :, :own], history.covariance[lane, :, :own, :own],
-                history.transition[lane, :, :own, :own], history.rows[lane, : len(read), :own], step,
+                self.time_s, history.mean[lane, :, :size], history.covariance[lane, :, :size, :size],
+                history.transition[lane, :, :size, :size], history.rows[lane, : len(read), :size], step,
             )  # fmt: skip
         return Filtered(
             read[:, PRIOR], read[:, PRIOR_VARIANCE], read[:, POSTERIOR], read[:, POSTERIOR_VARIANCE],
             read[:, PREDICTED], read[:, PREDICTED_VARIANCE],
             read[:, INNOVATION], read[:, VARIANCE], read[:, LOG_LIKELIHOOD],
             read[:, N_OUT : N_OUT + point.parameters],
-            node_rows(self.nominal.memory.block(0))[: own - 1, T, lane].copy(), float(state.d[lane]),
-            state.P[lane, :own, :own], kept,
+            node_rows(self.nominal.memory.block(0))[: size - 1, T, lane].copy(), float(state.d[lane]),
+            state.P[lane, :size, :size], kept,
         )  # fmt: skip
 
 

@@ -34,7 +34,9 @@ class MeshError:
         coarse = [self._both.node_offsets(i) for i in range(count)]
         fine = [self._both.node_offsets(count + i, nodes) for i, nodes in enumerate(same)]
         # (mesh, point, node); points with fewer nodes repeat their last one
-        self._at = np.array([[[*of, *[of[-1]] * (most - len(of))] for of in both] for both in (coarse, fine)])
+        self._at = np.array(
+            [[[*offsets, *[offsets[-1]] * (most - len(offsets))] for offsets in both] for both in (coarse, fine)]
+        )
 
     def begin(self, models: Sequence[PointModel], initial_K: Sequence[FloatArray], conditions: FloatArray) -> None:
         """Start a march.
@@ -47,9 +49,9 @@ class MeshError:
         count = len(self._meshes)
         self._both.counters.clear()
         for i, (model, mesh, fine) in enumerate(zip(models, self._meshes, self._fine, strict=True)):
-            for k, own in ((i, mesh), (count + i, fine)):
+            for k, to_mesh in ((i, mesh), (count + i, fine)):
                 self._both.set_model(k, model)
-                self._both.set_profile(k, interpolate_profile(initial_K[i], mesh, own))
+                self._both.set_profile(k, interpolate_profile(initial_K[i], mesh, to_mesh))
         self._both.begin(np.concatenate([conditions, conditions]))
 
     def advance(self, conditions: FloatArray, dt: float) -> None:
@@ -63,9 +65,9 @@ class MeshError:
         docs/theory/estimation_statistics.md, equation 31.
         """
         coarse, fine = self._both.state[self._at]
-        found = 4.0 / 3.0 * (fine - coarse)
-        found[~np.isfinite(found).all(axis=1)] = 0.0
-        return found
+        error_K = 4.0 / 3.0 * (fine - coarse)
+        error_K[~np.isfinite(error_K).all(axis=1)] = 0.0
+        return error_K
 
     @property
     def state(self) -> FloatArray:

@@ -29,7 +29,6 @@ from sim_heating.base.errors import InputError
 from sim_heating.base.kernels.block import (
     C_STAGES,
     COLUMN,
-    D0,
     END,
     FILM,
     H_REF,
@@ -45,7 +44,6 @@ from sim_heating.base.kernels.block import (
     scalar_row,
 )
 from sim_heating.base.kernels.jit import njit
-from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.estimation.filter.arrays import (
     Blocks,
     FilterArrays,
@@ -64,12 +62,12 @@ from sim_heating.estimation.filter.kernel import (
     begin_march,
     filter_steps,
 )
+from sim_heating.estimation.filter.lane_models import LaneModels
+from sim_heating.estimation.filter.lane_parameters import Information, LaneParameters, Prior
 from sim_heating.estimation.filter.march import FilterMarch, FilterTrack, Samples
 from sim_heating.estimation.filter.mesh_error import MeshError
 from sim_heating.march.frames import Flights
-from sim_heating.march.linearised import RATIO_ITSELF
-from sim_heating.march.packing import PointLanes
-from sim_heating.march.point import PointModel, heating_vector, initial_temperatures, stack_values
+from sim_heating.march.point import initial_temperatures
 from sim_heating.thermal.sensitivity import (
     ACTS_NOWHERE,
     OWN_PERTURBATION,
@@ -84,21 +82,6 @@ MOVED = 0.1
 is linearised again."""
 LARGEST_SHIFT_K = 50.0
 """Most by which a new linearisation moves a temperature [K]; the rest of the way follows the next time."""
-
-
-class Information(NamedTuple):
-    """What prior and readings say of the parameters of all lanes (docs/theory/filter.md, equation 17).
-
-    A     : (lane, parameter, parameter) sum of m' m'^T / S;  b : (lane, parameter) sum of m' nu / S
-    prior : (lane, parameter, parameter) Lambda_0;  pull : (lane, parameter) Lambda_0 (p_0 - p_m)
-    at    : (lane, parameter) p_0, where the filter is linearised, each in its unit
-    """
-
-    A: FloatArray
-    b: FloatArray
-    prior: FloatArray
-    pull: FloatArray
-    at: FloatArray
 
 
 class PointReadings(NamedTuple):
@@ -121,18 +104,18 @@ class PointReadings(NamedTuple):
     direct: FloatArray
 
 
-def own_readings(readings: PointReadings, mine: IntArray, first: int, parameters: int) -> PointReadings:
+def own_readings(readings: PointReadings, rows: IntArray, first: int, parameters: int) -> PointReadings:
     """Readings of the points of one filter, by its own numbers of the points.
 
-    readings : of the points of several filters;  mine : numbers of those that are of this one
+    readings : of the points of several filters;  rows : of those of this filter
     first    : number of its first point;  parameters : number of parameters of its point that has most of them
 
     Temperatures [K] and direct terms of docs/theory/filter.md, equation 12, are as they were.
     """
     point, time_s, node, lower, upper, variance, gain, bias, direct = readings
     return PointReadings(
-        point[mine] - first, time_s[mine], node[mine], lower[mine], upper[mine], variance[mine], gain[mine],
-        bias[mine], direct[mine, :parameters],
+        point[rows] - first, time_s[rows], node[rows], lower[rows], upper[rows], variance[rows], gain[rows],
+        bias[rows], direct[rows, :parameters],
     )  # fmt: skip
 
 
@@ -175,14 +158,6 @@ class Outlook(NamedTuple):
     p: FloatArray
     covariance: FloatArray
     ratio: FloatArray
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known of a parameter before any reading, in its unit; sigma above 0 and finite."""
-
-    mean: float
-    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,11 +220,10 @@ class OnlineFilter(FilterMarch):
     def __init__(
         self, points: Sequence[FilterTrack], priors: Sequence[Mapping[str, Prior]], corrects_mesh: bool = False
     ) -> None:
-        own = [replace(p, samples=_no_samples(), flight=i) for i, p in enumerate(points)]
-        super().__init__(own, np.zeros(1), np.zeros((len(own), 1, N_CONDITIONS)))
-        self.names = [_parameter_names(p, known) for p, known in zip(own, priors, strict=True)]
-        self.priors = [[known[name] for name in names] for names, known in zip(self.names, priors, strict=True)]
-        n, m = int(self._nodes.max()), max(p.parameters for p in own)
+        tracks = [replace(p, samples=_no_samples(), flight=i) for i, p in enumerate(points)]
+        super().__init__(tracks, np.zeros(1), np.zeros((len(tracks), 1, N_CONDITIONS)))
+        n, m = int(self._nodes.max()), max(p.parameters for p in tracks)
+        self._parameters = LaneParameters(tracks, priors, self._lane_of, m)
         self._size = n, m
         self.now_s = math.nan
         self._stepped = False
@@ -258,18 +232,16 @@ class OnlineFilter(FilterMarch):
         if self.perturbed is None:
             raise InputError("online filter: nothing to filter")
         self._X = Blocks(self.perturbed.state, self.perturbed.state.copy(), self.perturbed.state.copy())
-        self._process = self._noise(own, n)
-        self._state_now = self._state(own, n, m)
-        self._information = self._prior_information()
-        self._heated_at = HeatedAt(np.zeros(len(own)), np.zeros((len(own), m)))
-        self._declared = np.zeros((len(own), m))
-        for i, point in enumerate(own):
+        self._process = self._noise(tracks, n)
+        self._state_now = self._state(tracks, n, m)
+        self._heated_at = HeatedAt(np.zeros(len(tracks)), np.zeros((len(tracks), m)))
+        self._declared = np.zeros((len(tracks), m))
+        for i, point in enumerate(tracks):
             self._declared[self._lane_of[i], : len(point.names)] = [point.model.value(n) for n in point.names]
-        self._packed = [PackedModel.of(p.model, p.names) for p in own]
-        self._lanes_of = [self._written(i) for i in range(len(own))]
+        self._models = LaneModels(tracks, self.nominal, self.perturbed, self._lanes)
         self._arrays_of: dict[int, FilterArrays] = {}
         self._columns = self._offsets(1 + m)
-        self._mesh_error = MeshError([p.model for p in own], [p.mesh for p in own]) if corrects_mesh else None
+        self._mesh_error = MeshError([p.model for p in tracks], [p.mesh for p in tracks]) if corrects_mesh else None
 
     def begin(
         self,
@@ -277,7 +249,7 @@ class OnlineFilter(FilterMarch):
         conditions: FloatArray,
         initial_K: Sequence[FloatArray | None] | None = None,
         covariance_K2: Sequence[FloatArray | None] | None = None,
-        at: Sequence[FloatArray] | None = None,
+        values: Sequence[FloatArray] | None = None,
     ) -> None:
         """Start at a time.
 
@@ -285,7 +257,7 @@ class OnlineFilter(FilterMarch):
         initial_K     : (node,) temperatures of each point [K]; as its track declares where None
         covariance_K2 : (node, node) of them [K2]; as its track declares where None
 
-        at            : (parameter,) of each point, where it is linearised; at the means of its priors where None
+        values        : (parameter,) of each point, where it is linearised; at the means of its priors where None
 
         No reading is known. Derived in docs/theory/filter.md, equation 17.
         """
@@ -295,10 +267,11 @@ class OnlineFilter(FilterMarch):
             replace(p, initial_K=p.initial_K if T_0 is None else T_0, covariance_K2=p.covariance_K2 if C is None else C)
             for p, T_0, C in zip(self.points, start, spread, strict=True)
         ]
-        self._state_now, self._information = self._state(points, *self._size), self._prior_information()
+        self._state_now = self._state(points, *self._size)
+        self._parameters.reset()
         for i in range(len(points)):
-            if at is not None:
-                self._linearise_at(i, at[i])
+            if values is not None:
+                self._parameters.linearise_at(i, values[i])
             self._write_model(i)
         self._begin([p.initial_K for p in points])
         for other in self._X[1:]:
@@ -317,9 +290,10 @@ class OnlineFilter(FilterMarch):
     def gap(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings, error: float) -> Innovations:
         """Filter all points through steps whose conditions are not known well: an unknown error of the ratio in them.
 
-        time_s, conditions, readings : as for `step`
-        error : standard deviation of the error over the ratio itself [-], one error for the whole gap
-        returns : as `step`
+        time_s     : (step,) ends of the steps [s];  conditions : (point, step, condition) there
+        readings   : in order of time, up to the last of the steps
+        error      : standard deviation of the error over the ratio itself [-], one error for the whole gap
+        returns    : innovations of the readings [K]
 
         Points whose ratio wanders have that anyway, and none added. Derived in docs/theory/filter.md, equation 22.
         """
@@ -330,12 +304,12 @@ class OnlineFilter(FilterMarch):
             if d.start_sigma == d.density_1_s == 0.0 and h_ref[lane] > 0.0:
                 state.P[lane, n, n] = (error * float(self.nominal.film_kg_m2_s[i]) / h_ref[lane]) ** 2
                 added.append(i)
-        found = self.step(time_s, conditions, readings)
+        innovations = self.step(time_s, conditions, readings)
         for i in added:
             lane, n = self._lane_of[i], self.points[i].mesh.nodes
             state.P[lane, n, :] = state.P[lane, :, n] = state.S[lane, n] = state.d[lane] = 0.0
             self._write_model(i)
-        return found
+        return innovations
 
     def _h_ref(self) -> FloatArray:
         """(lane,) reference film coefficient of each lane at the present time [kg/(m2 s)]."""
@@ -369,20 +343,20 @@ class OnlineFilter(FilterMarch):
         lane_of = self._lane_of[readings.point]
         lanes = len(self.points)
         count = np.bincount(lane_of, minlength=lanes)
-        most, place = int(np.max(count)), _places(lane_of)
+        most, rank = int(np.max(count)), _places(lane_of)
         if len(time_s) > 1:
             steps = np.searchsorted(time_s, readings.time_s)
             most = int(np.max(np.bincount(steps * lanes + lane_of), initial=0))
-        arrays = self._arrays(most)._replace(readings=self._given(readings, lane_of, place, count))
+        arrays = self._arrays(most)._replace(readings=_by_lane(readings, lane_of, rank, count, self._size[1]))
         rows = max(1, int(np.max(count, initial=0)))
         out = np.full((lanes, rows, N_OUT + self._size[1]), np.nan)
-        found = np.full((lanes, rows, 4), np.nan)
+        innovations = np.full((lanes, rows, 4), np.nan)
         run_online(
             self._group, self._X, self._groups, self._columns, self._flights_of(times, histories), not self._stepped,
-            arrays, out, self._information, found,
+            arrays, out, self._information, innovations,
         )  # fmt: skip
         self._stepped, self.now_s = True, float(times[-1])
-        return Innovations(*found[lane_of, place].T)
+        return Innovations(*innovations[lane_of, rank].T)
 
     def _with_mesh_error(self, time_s: FloatArray, conditions: FloatArray, readings: PointReadings) -> PointReadings:
         """Readings of some steps as the mesh of their points shows them: their biases have its error at those times."""
@@ -392,9 +366,9 @@ class OnlineFilter(FilterMarch):
         for k, end_s in enumerate(time_s.tolist()):
             self._mesh_error.advance(conditions[:, k], end_s - now_s)
             now_s = end_s
-            mine = step == k
-            if np.any(mine):
-                error_K[mine] = self._mesh_error.of_nodes()[readings.point[mine], readings.node[mine]]
+            in_step = step == k
+            if np.any(in_step):
+                error_K[in_step] = self._mesh_error.of_nodes()[readings.point[in_step], readings.node[in_step]]
         return readings._replace(bias_K=readings.bias_K + readings.gain * error_K)
 
     def linearise_again(self, i: int, moved: float = MOVED) -> bool:
@@ -409,7 +383,7 @@ class OnlineFilter(FilterMarch):
         equation 21.
         """
         lane = int(self._lane_of[i])
-        lower, upper = self._bounds[i]
+        lower, upper = self._parameters.bounds[i]
         if not shift_linearisation(self._group.B, self._state_now, self._information, lane,
                                    int(self._nodes[lane]), moved, lower, upper):  # fmt: skip
             return False
@@ -420,26 +394,35 @@ class OnlineFilter(FilterMarch):
         """State and parameters of all points now (docs/theory/filter.md, equations 18 and 19)."""
         state, (n, m) = self._state_now, self._size
         lanes = len(self.points)
-        found = Outlook(
+        outlook = Outlook(
             np.full((lanes, n + 1), np.nan), np.full((lanes, n + 1), np.nan), np.zeros((lanes, m)),
             np.zeros((lanes, m, m)), np.full((lanes, 3), np.nan),
         )  # fmt: skip
         read_estimates(
             self._group.B, self._X.end, self._columns, state, self._information, self._heated_at, self._declared,
-            self._stepped, found,
+            self._stepped, outlook,
         )  # fmt: skip
         error_K = np.zeros((lanes, n)) if self._mesh_error is None else self._mesh_error.of_nodes()
-        return [self._estimate(i, found, error_K[i]) for i in range(lanes)]
+        return [self._estimate(i, outlook, error_K[i]) for i in range(lanes)]
 
-    def _estimate(self, i: int, found: Outlook, error_K: FloatArray) -> PointEstimate:
+    def _estimate(self, i: int, outlook: Outlook, error_K: FloatArray) -> PointEstimate:
         lane, n, m = self._lane_of[i], self.points[i].mesh.nodes, self.points[i].parameters
-        sigma = np.sqrt(np.maximum(found.variance[lane, : n + 1], 0.0))
-        ratio, ratio_sigma, ratio_declared = found.ratio[lane].tolist()
+        sigma = np.sqrt(np.maximum(outlook.variance[lane, : n + 1], 0.0))
+        ratio, ratio_sigma, ratio_declared = outlook.ratio[lane].tolist()
         return PointEstimate(
-            self.now_s, found.z[lane, :n] + error_K[:n], sigma[:n], float(found.z[lane, n]), float(sigma[n]),
-            ratio, ratio_sigma, ratio_declared, self.names[i], found.p[lane, :m], found.covariance[lane, :m, :m],
+            self.now_s, outlook.z[lane, :n] + error_K[:n], sigma[:n], float(outlook.z[lane, n]), float(sigma[n]),
+            ratio, ratio_sigma, ratio_declared, self.names[i], outlook.p[lane, :m], outlook.covariance[lane, :m, :m],
             self._state_now.P[lane, : n + 1, : n + 1].copy(), self._state_now.S[lane, : n + 1, :m].copy(),
         )  # fmt: skip
+
+    @property
+    def names(self) -> list[tuple[str, ...]]:
+        """Names of the parameters of each point."""
+        return self._parameters.names
+
+    @property
+    def _information(self) -> Information:
+        return self._parameters.information
 
     @property
     def most_parameters(self) -> int:
@@ -453,7 +436,7 @@ class OnlineFilter(FilterMarch):
 
     def parameters(self, i: int) -> dict[str, float]:
         """Values of the parameters of a point where it is linearised, each in its unit ([-] for a ratio)."""
-        return dict(zip(self.names[i], self._information.at[self._lane_of[i]].tolist(), strict=False))
+        return self._parameters.values(i)
 
     # Snapshots -------------------------------------------------------------------------------------------------------
 
@@ -481,8 +464,8 @@ class OnlineFilter(FilterMarch):
             self._copy_back(snapshot.numbers)
         # The next step assembles them anew; what stays in them, parameters and the memory of lag, is that of the end.
         for x in self._X[:2]:
-            for own, end in zip(_heads(x, groups), _heads(self._X.end, groups), strict=True):
-                own[:] = end
+            for present, end in zip(_heads(x, groups), _heads(self._X.end, groups), strict=True):
+                present[:] = end
         # Polynomials of their nodes that were gathered with other parameters, or in another column of pressures.
         for x, columns in zip(self._X, gathered, strict=True):
             for (first, last, *_), before, head in zip(groups, columns, _heads(x, groups), strict=True):
@@ -491,9 +474,9 @@ class OnlineFilter(FilterMarch):
 
     def _copy_back(self, numbers: FloatArray) -> None:
         at = 0
-        for own in self._changing():
-            own[...] = numbers[at : at + own.size].reshape(own.shape)
-            at += own.size
+        for array in self._changing():
+            array[...] = numbers[at : at + array.size].reshape(array.shape)
+            at += array.size
 
     def _changing(self) -> tuple[FloatArray | IntArray, ...]:
         """All that changes from step to step and is not found anew by the next one: what is in the nodes of the
@@ -508,38 +491,6 @@ class OnlineFilter(FilterMarch):
     def _flights_of(self, time_s: FloatArray, histories: FloatArray) -> Flights:
         return Flights(time_s, np.ascontiguousarray(histories), self._flights.of_lane)
 
-    def _prior_information(self) -> Information:
-        lanes, m = len(self.points), self._size[1]
-        information = Information(
-            np.zeros((lanes, m, m)), np.zeros((lanes, m)), np.zeros((lanes, m, m)), np.zeros((lanes, m)),
-            np.zeros((lanes, m)),
-        )  # fmt: skip
-        for i, priors in enumerate(self.priors):
-            lane = self._lane_of[i]
-            # parameters that another point has more of: known exactly, without effect
-            information.prior[lane] = np.diag([*(p.sigma**-2.0 for p in priors), *[1.0] * (m - len(priors))])
-            information.at[lane, : len(priors)] = [p.mean for p in priors]
-        self._bounds = [self._bounds_of(p) for p in self.points]
-        for names, priors, bounds in zip(self.names, self.priors, self._bounds, strict=True):
-            for k, name in enumerate(names):
-                if name == CLOCK_SKEW.name:  # readings come at the times of its mean: it stays linearised there
-                    bounds[0][k] = bounds[1][k] = priors[k].mean
-        return information
-
-    def _linearise_at(self, i: int, values: FloatArray) -> None:
-        """Linearise a point about given parameters within their bounds, before any reading."""
-        info, lane = self._information, self._lane_of[i]
-        mean = info.at[lane].copy()
-        info.at[lane, : len(values)] = np.clip(values, *(b[: len(values)] for b in self._bounds[i]))
-        info.pull[lane] = info.prior[lane] @ (info.at[lane] - mean)
-
-    def _bounds_of(self, point: FilterTrack) -> tuple[FloatArray, FloatArray]:
-        bounds = np.tile([[-np.inf], [np.inf]], self._size[1])
-        for k, name in enumerate(point.names):
-            definition = point.model.definition(name)
-            bounds[:, k] = definition.lower, definition.upper
-        return bounds[0], bounds[1]
-
     def _arrays(self, most: int) -> FilterArrays:
         """Arrays of the filter with room for a number of readings in a step; their readings are to be replaced."""
         if most not in self._arrays_of:
@@ -552,103 +503,10 @@ class OnlineFilter(FilterMarch):
             )  # fmt: skip
         return self._arrays_of[most]._replace(state=self._state_now)
 
-    def _given(self, readings: PointReadings, lane_of: IntArray, place: IntArray, count: IntArray) -> Readings:
-        lanes, rows, m = len(count), max(1, int(np.max(count, initial=0))), self._size[1]
-        numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
-        direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + place
-        numbers[:, at] = (
-            readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
-        )  # fmt: skip
-        node.ravel()[at] = readings.node
-        if np.any(readings.direct):
-            direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
-        time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
-        return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
-
-    def _written(self, i: int) -> tuple[PointLanes, PointLanes, list[tuple[str, float]]]:
-        """Nominal and perturbed lanes of a point, and by how much which parameter is larger in each of all of them."""
-        assert self.perturbed is not None
-        mine = [k for k, perturbed in enumerate(self._lanes) if perturbed.track == i]
-        changes = [("", 0.0), *((self._lanes[k].name, self._lanes[k].by) for k in mine)]
-        return self.nominal.writer.lanes_of([i]), self.perturbed.writer.lanes_of(mine), changes
-
     def _write_model(self, i: int) -> None:
         """Give the lanes of a point the parameters that it is linearised at, its ratio disturbance among them."""
-        lane, e = self._lane_of[i], self.perturbed
-        at, d = self._information.at[lane].tolist(), float(self._state_now.d[lane])
-        own, perturbed, changes = self._lanes_of[i]
-        stack, heating = self._packed[i].rows(at, d, changes)
-        self.nominal.writer.write_lanes(self.nominal.state, own, stack[:1], heating[:1])
-        if e is not None:
-            for state in self._X:
-                e.writer.write_lanes(state, perturbed, stack[1:], heating[1:])
-
-
-@dataclass(frozen=True, eq=False)
-class PackedModel:
-    """Values of a point as its lanes take them, at any values of its named parameters.
-
-    stack, heating : of the model itself;  places : entries of both that each parameter is, by its name, one array
-    each; None where a parameter acts in another way, and the model has to be made
-    """
-
-    model: PointModel
-    names: tuple[str, ...]
-    stack: FloatArray
-    heating: FloatArray
-    places: Mapping[str, tuple[IntArray, IntArray] | None]
-
-    @staticmethod
-    def of(model: PointModel, names: tuple[str, ...]) -> PackedModel:
-        """Find the entries that parameters are, the ratio itself among them, as entries that follow two values."""
-        places: dict[str, tuple[IntArray, IntArray] | None] = {}
-        for name in dict.fromkeys((*names, RATIO_ITSELF)):
-            tried = [model.value(name) + by for by in (0.013, 0.029)]
-            made = [model.with_parameters({name: v}) for v in tried]
-            own = []
-            for vectors in ([stack_values(m) for m in made], [heating_vector(m) for m in made]):
-                changed = np.flatnonzero(vectors[0] != vectors[1])
-                is_entry = all(np.all(x[changed] == v) for x, v in zip(vectors, tried, strict=True))
-                own.append(changed if is_entry else None)
-            places[name] = None if own[0] is None or own[1] is None else (own[0], own[1])
-        return PackedModel(model, names, stack_values(model), heating_vector(model), places)
-
-    def values(self, at: Sequence[float], d: float, name: str, by: float) -> tuple[FloatArray, FloatArray]:
-        """Values of stack and heating at parameters, one of them perturbed, with a disturbance of the ratio [-]."""
-        given = dict(zip(self.names, at, strict=False))
-        if name:
-            given[name] = given.get(name, self.model.value(name)) + by
-        if any(self.places[n] is None for n in given):
-            model = self.model.with_parameters(given)
-            stack, heating = stack_values(model), heating_vector(model)
-        else:
-            stack, heating = self.stack.copy(), self.heating.copy()
-            for n, value in given.items():
-                in_stack, in_heating = self.places[n] or (0, 0)
-                stack[in_stack], heating[in_heating] = value, value
-        heating[D0] += d
-        return stack, heating
-
-    def rows(
-        self, at: Sequence[float], d: float, changes: Sequence[tuple[str, float]]
-    ) -> tuple[FloatArray, FloatArray]:
-        """(lane, value) of stack and heating as of `values`, of lanes with one parameter each larger by so much in its
-        unit ([-], [K] ...), and a disturbance of the ratio d [-]; source: docs/theory/equations_march.md, equation 9.
-        """
-        stack, heating = self.values(at, 0.0, "", 0.0)
-        stacks, heatings = np.empty((len(changes), len(stack))), np.empty((len(changes), len(heating)))
-        stacks[:], heatings[:] = stack, heating
-        known = dict(zip(self.names, at, strict=False))
-        is_entries = all(self.places[n] is not None for n in known)
-        for k, (name, by) in enumerate(changes):
-            place = self.places[name] if name and is_entries else None
-            if place is not None:
-                value = known.get(name, self.model.value(name)) + by
-                stacks[k, place[0]], heatings[k, place[1]] = value, value
-            elif name:
-                stacks[k], heatings[k] = self.values(at, 0.0, name, by)
-        heatings[:, D0] += d
-        return stacks, heatings
+        at, d = self._information.at[self._lane_of[i]].tolist(), float(self._state_now.d[self._lane_of[i]])
+        self._models.write(i, at, d, self._X)
 
 
 def _no_samples() -> Samples:
@@ -669,32 +527,29 @@ def _heads(X: FloatArray, groups: IntArray) -> list[FloatArray]:
     return [X[first : first + HEAD_ROWS * LANES] for first in groups[:, 0]]
 
 
+def _by_lane(readings: PointReadings, lane_of: IntArray, rank: IntArray, count: IntArray, m: int) -> Readings:
+    """Readings of several points as rows of their lanes, `count` of each; m : number of columns of direct terms."""
+    lanes, rows = len(count), max(1, int(np.max(count, initial=0)))
+    numbers, node = np.full((6, lanes * rows), np.nan), np.zeros((lanes, rows), dtype=np.int64)
+    direct, at = np.zeros((lanes, rows, m, 3)), lane_of * rows + rank
+    numbers[:, at] = (
+        readings.time_s, readings.gain, readings.bias_K, readings.variance_K2, readings.lower_K, readings.upper_K,
+    )  # fmt: skip
+    node.ravel()[at] = readings.node
+    if np.any(readings.direct):
+        direct.reshape(-1, m, 3)[at, : readings.direct.shape[1]] = readings.direct
+    time_s, gain, bias, variance, lower, upper = numbers.reshape(6, lanes, rows)
+    return Readings(count.astype(np.int64), time_s, node, gain, bias, variance, lower, upper, direct)
+
+
 def _places(lane_of: IntArray) -> IntArray:
     """(reading,) how many readings of its own lane come before each."""
     order = np.argsort(lane_of, kind="stable")
     ordered = lane_of[order]
     first = np.searchsorted(ordered, ordered)
-    places = np.empty(len(lane_of), dtype=np.int64)
-    places[order] = np.arange(len(lane_of)) - first
-    return places
-
-
-def _parameter_names(point: FilterTrack, priors: Mapping[str, Prior]) -> tuple[str, ...]:
-    """Names of the parameters of a point: of its march, then those that only its readings depend on."""
-    own = point.names
-    others = tuple(name for name in priors if name not in own)
-    if [name for name in own if name not in priors] or len(own) + len(others) != point.parameters:
-        raise InputError(
-            f"{point.model.name}: priors of {', '.join(priors) or 'nothing'} for {point.parameters} parameters, "
-            f"{', '.join(own)} among them; give one for each"
-        )
-    for name, prior in priors.items():
-        if not (0.0 < prior.sigma < math.inf and math.isfinite(prior.mean)):
-            raise InputError(
-                f"{point.model.name}: the prior of `{name}` is {prior.mean:g} +- {prior.sigma:g}; a running estimate "
-                "needs a mean, and a sigma above 0 and finite"
-            )
-    return own + others
+    ranks = np.empty(len(lane_of), dtype=np.int64)
+    ranks[order] = np.arange(len(lane_of)) - first
+    return ranks
 
 
 # Compiled ------------------------------------------------------------------------------------------------------------
@@ -758,8 +613,8 @@ def unwhiten(L: FloatArray, scale: FloatArray, x: FloatArray) -> None:
 
 
 @njit
-def _sum_information(information: Information, lane: int, count: int, out: FloatArray, found: FloatArray) -> None:
-    """Add what the readings of a lane say of its parameters, one after the other, and fill `found` (equation 20)."""
+def _sum_information(information: Information, lane: int, count: int, out: FloatArray, innovations: FloatArray) -> None:
+    """Add what the readings of a lane say of its parameters, one after the other; fills `innovations` (equation 20)."""
     m = information.b.shape[1]
     scale, pulled, x, L = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((m, m))
     for q in range(count):
@@ -767,39 +622,42 @@ def _sum_information(information: Information, lane: int, count: int, out: Float
         for k in range(m):
             x[k] = out[q, N_OUT + k]
         whiten(L, scale, x)
-        shift, more = 0.0, 0.0
+        shift, added = 0.0, 0.0
         for k in range(m):
             shift += x[k] * pulled[k]
-            more += x[k] * x[k]
-        found[q, 0], found[q, 1] = out[q, PREDICTED] + shift, out[q, PREDICTED_VARIANCE] + more
+            added += x[k] * x[k]
+        innovations[q, 0], innovations[q, 1] = out[q, PREDICTED] + shift, out[q, PREDICTED_VARIANCE] + added
         nu, variance = out[q, INNOVATION], out[q, VARIANCE]
         if not (math.isfinite(nu) and math.isfinite(variance)):
             continue
-        found[q, 2], found[q, 3] = nu - shift, variance + more
+        innovations[q, 2], innovations[q, 3] = nu - shift, variance + added
         for k in range(m):
-            share = out[q, N_OUT + k] / variance
-            information.b[lane, k] += share * nu
+            weight = out[q, N_OUT + k] / variance
+            information.b[lane, k] += weight * nu
             for j in range(m):
-                information.A[lane, k, j] += share * out[q, N_OUT + j]
+                information.A[lane, k, j] += weight * out[q, N_OUT + j]
 
 
 @njit
 def run_online(
     group: LaneGroup, X: Blocks, perturbed: PerturbedGroups, offsets: PerturbedOffsets, flights: Flights, first: bool,
-    f: FilterArrays, out: FloatArray, information: Information, found: FloatArray,
+    f: FilterArrays, out: FloatArray, information: Information, innovations: FloatArray,
 ) -> None:  # fmt: skip
     """Filter the lanes of one group through some steps, and sum what their readings say of the parameters.
 
-    group ... out : as in kernel.filter_steps
+    group         : the nominal lanes;  X, perturbed, offsets : blocks of the perturbed lanes, their groups, and where
+                    those of each nominal lane are
+    flights       : ends of the steps and conditions;  first : whether the first of them is that of the march
+    f, out        : arrays of the filter, and its results by (lane, reading)
     information   : of all lanes, updated
-    found         : (lane, reading, 4) receives prediction [K], its variance [K2], innovation [K] and its variance [K2]
+    innovations   : (lane, reading, 4) receives prediction [K], its variance [K2], innovation [K] and its variance [K2]
                     with the parameters estimated from the readings before
 
     Derived in docs/theory/filter.md, equations 17 and 20.
     """
     filter_steps(group, X, perturbed, offsets, flights, first, f, out)
     for lane in range(f.state.P.shape[0]):
-        _sum_information(information, lane, f.readings.number[lane], out[lane], found[lane])
+        _sum_information(information, lane, f.readings.number[lane], out[lane], innovations[lane])
 
 
 @njit
@@ -824,12 +682,12 @@ def shift_linearisation(
         x[:] = 0.0
         x[k] = 1.0
         whiten(L, scale, x)
-        own = 0.0
+        variance = 0.0
         for j in range(m):
-            own += x[j] * x[j]
+            variance += x[j] * x[j]
         target = min(max(information.at[lane, k] + step[k], lower[k]), upper[k])
         step[k] = target - information.at[lane, k]
-        away = away or abs(step[k]) > moved * math.sqrt(own)
+        away = away or abs(step[k]) > moved * math.sqrt(variance)
     if not away:
         return False
     largest = 0.0
@@ -840,9 +698,9 @@ def shift_linearisation(
         largest = max(largest, abs(change))
     if not math.isfinite(largest):
         return False
-    part = min(1.0, LARGEST_SHIFT_K / max(largest, 1e-300))
+    fraction = min(1.0, LARGEST_SHIFT_K / max(largest, 1e-300))
     for k in range(m):
-        step[k] *= part
+        step[k] *= fraction
     for i in range(nodes + 1):
         change = 0.0
         for k in range(m):
@@ -862,9 +720,9 @@ def shift_linearisation(
 @njit
 def read_estimates(
     B: FloatArray, X: FloatArray, offsets: PerturbedOffsets, state: State, information: Information,
-    heated_at: HeatedAt, declared: FloatArray, stepped: bool, found: Outlook,
+    heated_at: HeatedAt, declared: FloatArray, stepped: bool, outlook: Outlook,
 ) -> None:  # fmt: skip
-    """State [K] and parameters of all lanes from what the readings say of both; `found` is filled.
+    """State [K] and parameters of all lanes from what the readings say of both; `outlook` is filled.
 
     B, X    : block of the lanes, and blocks of the perturbed lanes at the end of the last step
     offsets : where the perturbed lanes of each lane are, the column of the ratio disturbance first
@@ -886,25 +744,25 @@ def read_estimates(
             for k in range(m):
                 mean += x[k] * pulled[k]
                 variance += x[k] * x[k]
-            found.z[lane, i], found.variance[lane, i] = mean, variance
+            outlook.z[lane, i], outlook.variance[lane, i] = mean, variance
         if stepped:
-            _read_ratio(B, X, offsets, state, information, heated_at, declared, lane, x, found.ratio)
+            _read_ratio(B, X, offsets, state, information, heated_at, declared, lane, x, outlook.ratio)
             whiten(L, scale, x)
-            variance = found.ratio[lane, 1]
+            variance = outlook.ratio[lane, 1]
             for k in range(m):
-                found.ratio[lane, 0] += x[k] * pulled[k]
+                outlook.ratio[lane, 0] += x[k] * pulled[k]
                 variance += x[k] * x[k]
-            found.ratio[lane, 1] = math.sqrt(max(variance, 0.0))
+            outlook.ratio[lane, 1] = math.sqrt(max(variance, 0.0))
         for k in range(m):
             x[:] = 0.0
             x[k] = 1.0
             whiten(L, scale, x)
             unwhiten(L, scale, x)
-            found.covariance[lane, k] = x
+            outlook.covariance[lane, k] = x
         x[:] = pulled
         unwhiten(L, scale, x)
         for k in range(m):
-            found.p[lane, k] = information.at[lane, k] + x[k]
+            outlook.p[lane, k] = information.at[lane, k] + x[k]
 
 
 @njit

@@ -78,11 +78,11 @@ class Levels:
 
         The search is that of docs/theory/estimation_statistics.md, equation 35.
         """
-        own = [name for name in self.noise.estimated if getattr(self.noise, name) > 0.0]
+        names = [name for name in self.noise.estimated if getattr(self.noise, name) > 0.0]
         if self.noise.ratio_sigma == 0.0:
             # without a disturbance its correlation time has no meaning
-            own = [name for name in own if name != CORRELATION]
-        return [*own, *self.sigma_K]
+            names = [name for name in names if name != CORRELATION]
+        return [*names, *self.sigma_K]
 
     def scaled(self, level: Level, factor: float) -> Levels:
         """Levels with one of them multiplied by a factor.

@@ -61,7 +61,7 @@ def calibration_line(sensor: Sensor, read_K: FloatArray) -> tuple[FloatArray, Fl
 
 
 def filter_samples(
-    found: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
+    channels: Sequence[FittedChannel], time_s: FloatArray, mesh: Mesh, sigma_K: Mapping[int, float],
     values: Mapping[str, float] | None = None, added_K: FloatArray | float = 0.0, names: Sequence[str] = (),
     lag: Sensed | None = None,
 ) -> tuple[Samples, NDArray[np.int64]]:  # fmt: skip
@@ -69,15 +69,15 @@ def filter_samples(
 
     A calibration is its tangent at each reading, so that reading = gain * T_node + constant.
 
-    found   : channels of a record
-    time_s  : (sample,) times that the channels' places refer to [s]
-    mesh    : whose sensors are nodes
-    sigma_K : noise [K] by the number of the sensor
-    values  : parameters of clock and sensors (bias, gain, drift)
-    added_K : (sensor, sample) correction on top of the march [K], 0 by default
-    names   : parameters of the filter, of which clock and sensors act on the readings themselves
-    lag     : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
-    returns : readings of all channels, and the place of each among those of the channels one after the other
+    channels : of a record
+    time_s   : (sample,) times that the channels' places refer to [s]
+    mesh     : whose sensors are nodes
+    sigma_K  : noise [K] by the number of the sensor
+    values   : parameters of clock and sensors (bias, gain, drift)
+    added_K  : (sensor, sample) correction on top of the march [K], 0 by default
+    names    : parameters of the filter, of which clock and sensors act on the readings themselves
+    lag      : what the lags of the thermocouples add to the march (RecordFit.lag_offset), or None
+    returns  : readings of all channels, and the place of each among those of the channels one after the other
 
     Source: docs/theory/estimation_statistics.md, equations 1, 2 and 4.
     """
@@ -85,14 +85,14 @@ def filter_samples(
     if lag is not None:
         added = added + lag.temperature_K
     direct = []
-    for channel in found:
+    for channel in channels:
         low, high = channel.intervals.lower_K, channel.intervals.upper_K
         # the tangent is taken at the middle of a word, at the finite end of an open one
         middle = middle_K(low, high)
         slope, constant = calibration_line(channel.sensor, middle)
-        wrong, own = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
-        constant = constant + slope * (wrong.gain * own + wrong.bias_K + wrong.drift_K_s * channel.since_s)
-        direct.append(direct_terms(channel.sensor, names, slope, wrong.gain, own, channel.since_s))
+        wrong, added_here_K = sensor_errors(channel.sensor, values or {}), added[channel.number, channel.samples]
+        constant = constant + slope * (wrong.gain * added_here_K + wrong.bias_K + wrong.drift_K_s * channel.since_s)
+        direct.append(direct_terms(channel.sensor, names, slope, wrong.gain, added_here_K, channel.since_s))
         if lag is not None:
             direct[-1][..., CONSTANT] += (slope * wrong.gain)[:, np.newaxis] * _through_lag(channel, names, lag)
         variance = np.zeros(len(low)) + channel.noise_K(sigma_K[channel.number]) ** 2
@@ -111,7 +111,7 @@ def filter_samples(
 def direct_terms(
     sensor: Sensor, names: Sequence[str], slope: FloatArray, gain: float, added_K: FloatArray, since_s: FloatArray
 ) -> FloatArray:
-    """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor (filter_march.Samples).
+    """(reading, parameter, 3) derivatives of readings to parameters of clock and sensor.
 
     sensor  : whose readings they are;  names : of all parameters
     slope   : (reading,) of its calibration [-];  gain : of the sensor [-]
@@ -120,32 +120,32 @@ def direct_terms(
     Split into parts that are constant, per temperature and per rate. Source: docs/theory/estimation_statistics.md,
     equation 2.
     """
-    found = np.zeros((len(slope), len(names), 3))
+    derivatives = np.zeros((len(slope), len(names), 3))
     for k, name in enumerate(names):
         if name == CLOCK_SKEW.name:
-            found[:, k, PER_RATE] = -slope * gain
+            derivatives[:, k, PER_RATE] = -slope * gain
         elif name == sensor_parameter(sensor, "bias"):
-            found[:, k, CONSTANT] = slope
+            derivatives[:, k, CONSTANT] = slope
         elif name == sensor_parameter(sensor, "drift"):
-            found[:, k, CONSTANT] = slope * since_s
+            derivatives[:, k, CONSTANT] = slope * since_s
         elif name == sensor_parameter(sensor, "gain"):
-            found[:, k, CONSTANT], found[:, k, PER_TEMPERATURE] = slope * added_K, slope
-    return found
+            derivatives[:, k, CONSTANT], derivatives[:, k, PER_TEMPERATURE] = slope * added_K, slope
+    return derivatives
 
 
 def _through_lag(channel: FittedChannel, names: Sequence[str], lag: Sensed) -> FloatArray:
     """(reading, parameter) derivatives of what the lag of a channel adds to the temperature of its place [K]."""
     i, at = channel.number, channel.samples
-    found = np.zeros((len(at), len(names)))
+    derivatives = np.zeros((len(at), len(names)))
     # the unknowns of march and start come first
     columns = min(lag.sensitivity.shape[2], len(names))
-    found[:, :columns] = lag.sensitivity[i, at, :columns]
+    derivatives[:, :columns] = lag.sensitivity[i, at, :columns]
     for k, name in enumerate(names):
         if name == CLOCK_SKEW.name:
-            found[:, k] = -lag.rate_K_s[i, at]
+            derivatives[:, k] = -lag.rate_K_s[i, at]
         elif name in (COMMON_LAG.name, sensor_parameter(channel.sensor, "tau_s")):
-            found[:, k] = lag.per_lag_K_s[i, at]
-    return found
+            derivatives[:, k] = lag.per_lag_K_s[i, at]
+    return derivatives
 
 
 def track_of_record(
@@ -164,17 +164,17 @@ def track_of_record(
     conditions, t = conditions_of_record(record, flow_of_record(record, model.effects)), record.time_s
     begin, end = conditions.time_s[0], min(conditions.time_s[-1], np.inf if end_s is None else end_s)
     chosen = (t >= begin) & (t <= end) & ~record.holdout_mask()
-    found = fitted_channels(record, t[chosen], chosen)
-    if not found:
+    channels = fitted_channels(record, t[chosen], chosen)
+    if not channels:
         raise InputError(f"{record.name}: no used sensor is read between {begin:g} and {end:g} s; nothing to filter")
-    sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in found}
+    sigma = {c.number: max(c.sensor.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(c.sensor)) for c in channels}
     # fully correlated: a wall that has soaked is off as a whole, not node by node
     covariance = np.full((mesh.nodes, mesh.nodes), START_SIGMA_K**2)
     steps = march_times(conditions, begin, end)
     steps = np.append(steps[steps < end], end)
-    part = RecordFit(record, model, mesh, None, conditions, (), (), time_s=steps, sample_s=t[chosen])
-    steps = part.time_s = part.divided_times()
-    samples, _ = filter_samples(found, t[chosen], mesh, sigma, lag=part.lag_offset(np.zeros(0)))
+    record_fit = RecordFit(record, model, mesh, None, conditions, (), (), time_s=steps, sample_s=t[chosen])
+    steps = record_fit.time_s = record_fit.divided_times()
+    samples, _ = filter_samples(channels, t[chosen], mesh, sigma, lag=record_fit.lag_offset(np.zeros(0)))
     history = condition_history(conditions.at(steps))[np.newaxis]
     return FilterTrack(model, mesh, samples, covariance_K2=covariance), steps, history
 
@@ -193,5 +193,5 @@ def filtered_start(record: Record, model: PointModel, mesh: Mesh, time_s: float)
     track, steps, history = track_of_record(record, model, mesh, time_s)
     point = replace(track, disturbance=most_likely_disturbance(track, steps, history))
     filtered = FilterMarch([point], steps, history).filter()[0]
-    nothing, known = np.zeros((mesh.nodes, 0)), filtered.covariance[:-1, :-1]
-    return Start(time_s, filtered.temperature_K, nothing, covariance_K2=known)
+    nothing, covariance = np.zeros((mesh.nodes, 0)), filtered.covariance[:-1, :-1]
+    return Start(time_s, filtered.temperature_K, nothing, covariance_K2=covariance)

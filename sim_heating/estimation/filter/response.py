@@ -66,10 +66,10 @@ class Response:
         state, answer = np.zeros((nodes + 1, columns.shape[1])), np.zeros((len(self.step), columns.shape[1]))
         if start is not None:
             state[:nodes, :extra] = start
-        own = np.searchsorted(self.step, np.arange(len(weights) + 1))
+        bounds = np.searchsorted(self.step, np.arange(len(weights) + 1))
         for k, (F, a) in enumerate(zip(self.transition, np.maximum.accumulate(reached), strict=True)):
             state[nodes, :a] = columns[k, :a]
-            answer[own[k] : own[k + 1], :a] = self.rows[own[k] : own[k + 1]] @ state[:, :a]
+            answer[bounds[k] : bounds[k + 1], :a] = self.rows[bounds[k] : bounds[k + 1]] @ state[:, :a]
             state[:nodes, :a] = F @ state[:, :a]
         return answer
 
@@ -124,19 +124,19 @@ class ResponseMarch(FilterMarch):
 
     def _response(self, i: int, output: MarchOutput, step: IntArray) -> Response:
         point, lane = self.points[i], self._lane_of[i]
-        own, s = point.mesh.nodes, point.samples
-        z = slice(own + 1)
-        found = Response(
-            output.temperature_K[lane, :, :own], s.gain * output.read_K[lane, : len(step)] + s.bias_K,
-            output.transition[lane, :, :own, z], s.gain[:, np.newaxis] * output.rows[lane, : len(step), z],
+        nodes, s = point.mesh.nodes, point.samples
+        z = slice(nodes + 1)
+        response = Response(
+            output.temperature_K[lane, :, :nodes], s.gain * output.read_K[lane, : len(step)] + s.bias_K,
+            output.transition[lane, :, :nodes, z], s.gain[:, np.newaxis] * output.rows[lane, : len(step), z],
             step,
         )  # fmt: skip
-        if not np.all(np.isfinite(found.read_K)):
+        if not np.all(np.isfinite(response.read_K)):
             raise RunError(
                 f"{point.model.name}: a filtered temperature is not a number; "
                 "declare a larger noise_sigma_K, or start from values nearer to the declared ones"
             )
-        return found
+        return response
 
 
 @njit

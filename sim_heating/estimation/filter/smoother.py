@@ -77,11 +77,11 @@ def smooth(filtered: Filtered) -> Smoothed:
     read = filtered.read
     first = np.searchsorted(history.step, np.arange(steps + 1))
     for k in range(steps - 1, -1, -1):
-        own = np.arange(first[k], first[k + 1])
-        own = own[read[own]]
+        in_step = np.arange(first[k], first[k + 1])
+        in_step = in_step[read[in_step]]
         # A has the readings of its step taken already: rows and transition refer to the state at its start.
-        A, H, weight = history.transition[k], history.rows[own], 1.0 / filtered.variance_K2[own]
-        adjoint = A.T @ adjoint + H.T @ (weight * filtered.innovation_K[own])
+        A, H, weight = history.transition[k], history.rows[in_step], 1.0 / filtered.variance_K2[in_step]
+        adjoint = A.T @ adjoint + H.T @ (weight * filtered.innovation_K[in_step])
         information = A.T @ information @ A + (H.T * weight) @ H
         P = history.covariance[k]
         mean[k] = history.mean[k] + P @ adjoint

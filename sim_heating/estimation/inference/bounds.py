@@ -245,9 +245,9 @@ def _solve_autocovariances(
     system = weighted @ np.concatenate([e.plain for e in expectations]).T
     ends = np.cumsum([last + 1 for last in lags])
     for expectation, end, last in zip(expectations, ends, lags, strict=True):
-        own = slice(end - last - 1, end)
+        of_channel = slice(end - last - 1, end)
         # the product above couples all channels through the shared parameters; this term is each channel's own
-        system[own, own] += expectation.own
+        system[of_channel, of_channel] += expectation.uncoupled
     sums = np.concatenate([e.sums for e in expectations])
     # least squares: where parameters absorb a lag entirely the system is singular there
     solved = lstsq(system, sums, cond=1e-10, lapack_driver="gelsy")[0]
@@ -265,24 +265,24 @@ class _Expectation:
     """
 
     sums: FloatArray
-    own: FloatArray
+    uncoupled: FloatArray
     weighted: FloatArray
     plain: FloatArray
 
     @classmethod
     def of(cls, g: _GriddedResiduals, last: int, inverse: FloatArray) -> _Expectation:
         # tr(W_k T_l) is 0 for different lags
-        own = np.diag(lagged_sums(g.D, last) @ g.D)
+        uncoupled = np.diag(lagged_sums(g.D, last) @ g.D)
         weighted, plain = [], []
         for a, projected in zip(g.A.T, inverse @ g.A.T, strict=True):
             rows, columns = g.weighted_lagged(projected, last), g.lagged(a, last)
-            own -= 2.0 * rows @ columns.T
+            uncoupled -= 2.0 * rows @ columns.T
             weighted.append(rows @ g.A)
             plain.append(columns @ g.A @ inverse)
         flat = (last + 1, -1)
         return cls(
             lagged_sums(g.u, last) @ g.u,
-            own,
+            uncoupled,
             np.stack(weighted, axis=2).reshape(flat),
             np.stack(plain, axis=2).reshape(flat),
         )
@@ -316,10 +316,10 @@ def cramer_rao_bounds(
     white = covariance(information)
     # unidentified directions do not reduce the residuals
     inverse = np.where(np.isfinite(white), white, 0.0)
-    found = autocovariances(channels, inverse)
+    autocovariance = autocovariances(channels, inverse)
     middle, free = prior.astype(float), 0.0
     tapered = {}
-    for channel, c in zip(channels, found, strict=True):
+    for channel, c in zip(channels, autocovariance, strict=True):
         w = taper_weights(len(c) - 1)
         g = _GriddedResiduals.of(channel)
         filtered = np.stack([w * c @ g.lagged(a, len(c) - 1) for a in g.A.T], axis=1)

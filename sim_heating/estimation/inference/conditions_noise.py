@@ -57,8 +57,8 @@ def conditions_noise(record: Record) -> FlightNoise | None:
 
 def _roughness(time_s: FloatArray, column: FloatArray) -> float:
     """Noise of a column in its own unit; 0 where it is smooth, or has too few rows to tell."""
-    found = noise_of_readings(time_s, column)
-    return 0.0 if found is None or found <= LEAST_NOISE_K else found
+    noise = noise_of_readings(time_s, column)
+    return 0.0 if noise is None or noise <= LEAST_NOISE_K else noise
 
 
 def heating_noise(record_fit: RecordFit, values: FloatArray) -> HeatingNoise | None:
@@ -84,5 +84,5 @@ def heating_noise(record_fit: RecordFit, values: FloatArray) -> HeatingNoise | N
 
 def _over(changed: FloatArray, ratio: FloatArray) -> FloatArray:
     """(row,) a changed heating ratio over the ratio, 1 where there is none."""
-    known = np.isfinite(changed) & np.isfinite(ratio) & (np.abs(ratio) > 0.0) & (np.abs(changed) > 0.0)
-    return np.divide(changed, ratio, out=np.ones_like(ratio), where=known)
+    is_usable = np.isfinite(changed) & np.isfinite(ratio) & (np.abs(ratio) > 0.0) & (np.abs(changed) > 0.0)
+    return np.divide(changed, ratio, out=np.ones_like(ratio), where=is_usable)

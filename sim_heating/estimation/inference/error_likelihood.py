@@ -115,24 +115,24 @@ def _white_K(record_fit: RecordFit, values: FloatArray, noise: HeatingNoise) -> 
 
 def _correlated_noise(record_fit: RecordFit) -> dict[int, CorrelatedNoise]:
     """Noise that changes slowly, by the number of the sensor."""
-    found, t = {}, record_fit.sample_s
+    by_sensor, t = {}, record_fit.sample_s
     for channel in record_fit.channels:
         sigma, tau = channel.sensor.noise_sigma_K, channel.sensor.noise_correlation_s
         if sigma and tau:
             count = max(math.ceil((t[-1] - t[0]) / max(tau / KNOTS_A_TIME, float(np.median(np.diff(t))))), 1) + 1
-            found[channel.number] = CorrelatedNoise(np.linspace(t[0], t[-1], count), sigma, tau)
-    return found
+            by_sensor[channel.number] = CorrelatedNoise(np.linspace(t[0], t[-1], count), sigma, tau)
+    return by_sensor
 
 
 def _marched_K(record_fit: RecordFit, values: FloatArray, histories: Sequence[FloatArray]) -> FloatArray:
     """(history, sensor, sample) temperatures of the thermocouples along several histories [K]."""
-    track, shift, found = record_fit.track(values, sensitive=False), record_fit.shift_s(values), []
+    track, shift, temperatures_K = record_fit.track(values, sensitive=False), record_fit.shift_s(values), []
     for begin in range(0, len(histories), LANES):
         lanes = histories[begin : begin + LANES]
         tracks = [replace(track, flight=k) for k in range(len(lanes))]
         marched = LinearMarch(tracks, record_fit.time_s, np.stack(lanes)).march([shift] * len(lanes))
-        found += [record_fit.sensed(m, values).temperature_K for m in marched]
-    return np.array(found)
+        temperatures_K += [record_fit.sensed(m, values).temperature_K for m in marched]
+    return np.array(temperatures_K)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,11 +156,11 @@ class ScoredReadings:
         Source: docs/theory/model_error.md, equation 4.
         """
         weighed = sensitivity * self.weight[:, np.newaxis]
-        whole = weighed.T @ sensitivity
+        information = weighed.T @ sensitivity
         if self.root is None:
-            return whole
+            return information
         lost = self._taken_up @ sensitivity
-        return np.asarray(whole - lost.T @ lost)
+        return np.asarray(information - lost.T @ lost)
 
     @cached_property
     def _taken_up(self) -> FloatArray:
@@ -216,8 +216,12 @@ def _size(lower: FloatArray, step: FloatArray) -> float:
 def _scored(record_fit: RecordFit, means_K: Sequence[FloatArray]) -> tuple[float, FloatArray, FloatArray]:
     """Log likelihood, (reading,) scores [1/K] and weights [1/K2] of the readings of all channels."""
     pairs = zip(record_fit.channels, means_K, strict=True)
-    found = [scores(c.intervals, m, c.noise_K(record_fit.sigma_K[c.number])) for c, m in pairs]
-    return sum(s[0] for s in found), np.concatenate([s[1] for s in found]), np.concatenate([s[2] for s in found])
+    of_channels = [scores(c.intervals, m, c.noise_K(record_fit.sigma_K[c.number])) for c, m in pairs]
+    return (
+        sum(s[0] for s in of_channels),
+        np.concatenate([s[1] for s in of_channels]),
+        np.concatenate([s[2] for s in of_channels]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,55 +246,57 @@ def innovations(
     """
     if record_fit.error_root_K is None:
         return list(samples), None
-    (found,), known = innovations_of_several(record_fit, [samples], state)
-    return found, known
+    (predicted,), error_state = innovations_of_several(record_fit, [samples], state)
+    return predicted, error_state
 
 
 def innovations_of_several(
-    record_fit: RecordFit, several: Sequence[Sequence[PredictedSamples]], state: ErrorState | None = None
+    record_fit: RecordFit, sets: Sequence[Sequence[PredictedSamples]], state: ErrorState | None = None
 ) -> tuple[list[list[PredictedSamples]], ErrorState]:
-    """`innovations` of several sets of readings of one record, which differ in nothing else.
+    """Predictions of several sets of readings of one record, each from those before it; nothing else differs.
 
-    several : sets of readings, each its channels;  state : from readings before, with means (unknown, set)
+    sets    : of readings, each its channels;  state : from readings before, with means (unknown, set)
     returns : by set, channels with mean and standard deviation [K]; what is then known of the error
 
     A reading at an end of a word's span in any set informs none. Source: docs/theory/model_error.md, equation 6.
     """
-    G, noise, samples = record_fit.error_root_K, record_fit.reading_noise_K, several[0]
+    G, noise, samples = record_fit.error_root_K, record_fit.reading_noise_K, sets[0]
     assert G is not None  # the caller's record has an error
     mean_K = np.concatenate([s.mean_K for s in samples])
-    read = np.array([np.concatenate([_middle_K(s.channel.intervals) for s in one]) for one in several]).T
+    read = np.array([np.concatenate([_middle_K(s.channel.intervals) for s in channels]) for channels in sets]).T
     time_s = np.concatenate([record_fit.sample_s[s.channel.samples] for s in samples])
     n = G.shape[1]
-    u, P = (np.zeros((n, len(several))), np.eye(n)) if state is None else (state.mean, state.covariance)
+    u, P = (np.zeros((n, len(sets))), np.eye(n)) if state is None else (state.mean, state.covariance)
     u = u.reshape(n, -1)
     predicted, variance = np.empty(read.shape), np.empty(len(read))
     is_known = np.all(np.isfinite(read), axis=1)
     order = np.argsort(time_s, kind="stable")
     for group in np.array_split(order, max(len(order) // TOGETHER, 1)):
-        known, lost = group[is_known[group]], group[~is_known[group]]
+        informed, lost = group[is_known[group]], group[~is_known[group]]
         predicted[lost] = mean_K[lost, np.newaxis] + G[lost] @ u
         variance[lost] = np.einsum("ij,jk,ik->i", G[lost], P, G[lost])
-        if len(known) == 0:
+        if len(informed) == 0:
             continue
         # the root of the readings' covariance, in the order of time, has what those before leave of each
-        across = P @ G[known].T
-        lower = np.linalg.cholesky(G[known] @ across + np.diag(noise[known] ** 2))
-        left = np.diag(lower)
-        white = solve_triangular(lower, read[known] - mean_K[known, np.newaxis] - G[known] @ u, lower=True)
-        predicted[known] = read[known] - white * left[:, np.newaxis]
-        variance[known] = left**2 - noise[known] ** 2
+        across = P @ G[informed].T
+        lower = np.linalg.cholesky(G[informed] @ across + np.diag(noise[informed] ** 2))
+        sigma_left = np.diag(lower)
+        white = solve_triangular(lower, read[informed] - mean_K[informed, np.newaxis] - G[informed] @ u, lower=True)
+        predicted[informed] = read[informed] - white * sigma_left[:, np.newaxis]
+        variance[informed] = sigma_left**2 - noise[informed] ** 2
         gain = solve_triangular(lower, across.T, lower=True)
         u, P = u + gain.T @ white, P - gain.T @ gain
     sigma = np.split(np.sqrt(np.maximum(variance, 0.0)), np.cumsum([len(s.mean_K) for s in samples])[:-1])
-    found = [
+    by_set = [
         [
             replace(s, mean_K=m, predicted_sigma_K=d)
-            for s, m, d in zip(one, np.split(means, np.cumsum([len(s.mean_K) for s in one])[:-1]), sigma, strict=True)
+            for s, m, d in zip(
+                channels, np.split(means, np.cumsum([len(s.mean_K) for s in channels])[:-1]), sigma, strict=True
+            )
         ]
-        for one, means in zip(several, predicted.T, strict=True)
+        for channels, means in zip(sets, predicted.T, strict=True)
     ]
-    return found, ErrorState(u, P)
+    return by_set, ErrorState(u, P)
 
 
 def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: BoolArray) -> list[ChannelResiduals]:
@@ -314,13 +320,13 @@ def whitened(record_fit: RecordFit, samples: Sequence[PredictedSamples], free: B
     order = order[np.isfinite(left_K[order])]
     lower = np.linalg.cholesky(G[order] @ G[order].T + np.diag(noise[order] ** 2))
     white = solve_triangular(lower, np.column_stack([left_K, jacobian])[order], lower=True)
-    found = []
+    residuals = []
     for i, s in enumerate(samples):
         rows = channel[order] == i
         residual, sensitivity = white[rows, 0], white[rows, 1:]
         name = f"{record_fit.record.name}/{s.channel.sensor.name}"
-        found.append(ChannelResiduals(name, time_s[order][rows], residual, np.ones(len(residual)), sensitivity))
-    return found
+        residuals.append(ChannelResiduals(name, time_s[order][rows], residual, np.ones(len(residual)), sensitivity))
+    return residuals
 
 
 def _middle_K(intervals: ReadingIntervals) -> FloatArray:
@@ -355,25 +361,25 @@ def error_size(
     mean_K = np.concatenate([s.mean_K for s in samples])
     S, F = record_fit.error_responses_K
     sensitivity = np.concatenate([s.sensitivity for s in samples])[:, free]
-    known = np.isfinite(read)
-    scale = noise[known, np.newaxis]
-    r, S = (read - mean_K)[known] / noise[known], S[known] / scale
-    J = np.column_stack([F[known], sensitivity[known]]) / scale
+    is_read = np.isfinite(read)
+    scale = noise[is_read, np.newaxis]
+    r, S = (read - mean_K)[is_read] / noise[is_read], S[is_read] / scale
+    J = np.column_stack([F[is_read], sensitivity[is_read]]) / scale
     flight = F.shape[1]
     information = np.append(np.ones(flight), towards_prior[0][free])
     distance = np.append(np.zeros(flight), towards_prior[1][free])
     sizes, times_s, weights = prior.grid()
-    found = np.empty(weights.shape)
+    log_likelihood = np.empty(weights.shape)
     for i, tau in enumerate(times_s):
         U, singular, _ = np.linalg.svd(S @ error.of_size(1.0, tau).correlation_root, full_matrices=False)
         Ur, UJ = U.T @ r, U.T @ J
         for k, size in enumerate(sizes):
             variance = (size * singular) ** 2
-            taken = variance / (1.0 + variance)
-            M = J.T @ J - (UJ * taken[:, np.newaxis]).T @ UJ + np.diag(information)
-            g = J.T @ r - UJ.T @ (taken * Ur) + information * distance
-            square = float(r @ r - Ur @ (taken * Ur)) + float(information @ distance**2)
+            explained = variance / (1.0 + variance)
+            M = J.T @ J - (UJ * explained[:, np.newaxis]).T @ UJ + np.diag(information)
+            g = J.T @ r - UJ.T @ (explained * Ur) + information * distance
+            square = float(r @ r - Ur @ (explained * Ur)) + float(information @ distance**2)
             step = np.linalg.lstsq(M, g, rcond=None)[0]
             volume = float(np.sum(np.log1p(variance))) + float(np.linalg.slogdet(M[:flight, :flight])[1])
-            found[i, k] = -0.5 * (square - float(g @ step) + volume)
-    return ErrorSize(sizes, times_s, found, weights)
+            log_likelihood[i, k] = -0.5 * (square - float(g @ step) + volume)
+    return ErrorSize(sizes, times_s, log_likelihood, weights)

@@ -75,17 +75,17 @@ def scaled_eigenvectors(information: FloatArray) -> tuple[FloatArray, FloatArray
     return np.maximum(values, 0.0), vectors
 
 
-def directions(information: FloatArray, names: Sequence[str], below: float = SINGULAR) -> list[Direction]:
+def directions(information: FloatArray, names: Sequence[str], threshold: float = SINGULAR) -> list[Direction]:
     """Directions whose scaled eigenvalue lies below a threshold, the least identified first.
 
     information : (parameter, parameter);  names : (parameter,)
-    below       : threshold on the scaled eigenvalue [-]
+    threshold   : threshold on the scaled eigenvalue [-]
 
     Source: docs/theory/estimation_statistics.md, equation 19.
     """
     values, vectors = scaled_eigenvectors(information)
     s = scale(information)
-    return [_direction(float(v), vectors[:, k], s, names) for k, v in enumerate(values) if v < below]
+    return [_direction(float(v), vectors[:, k], s, names) for k, v in enumerate(values) if v < threshold]
 
 
 def _direction(eigenvalue: float, vector: FloatArray, s: FloatArray, names: Sequence[str]) -> Direction:

@@ -87,7 +87,9 @@ def reading_intervals(sensor: Sensor, reading_K: ArrayLike) -> ReadingIntervals:
 def word_intervals(
     reading_K: FloatArray, lowest_K: FloatArray | float, lsb_K: FloatArray | float, last: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Ends of the intervals that readings of recorder words represent [K], as `reading_intervals` describes them.
+    """Ends of the intervals of the indicated temperature that readings of recorder words represent [K].
+
+        code k = rint((reading - R0) / LSB),   [a, b) = [R0 + (k - 1/2) LSB, R0 + (k + 1/2) LSB)
 
     reading_K : (sample,) [K];  lowest_K, lsb_K : R0 and LSB [K];  last : last code [-]; NaN for an unrounded reading
 

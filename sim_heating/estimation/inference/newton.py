@@ -174,8 +174,8 @@ class Fit:
     history: FloatArray
 
     def __repr__(self) -> str:
-        found = zip(self.names, self.values, self.sigma, strict=True)
-        values = ", ".join(f"{name}={value:.5g} +- {sigma:.2g}" for name, value, sigma in found)
+        estimates = zip(self.names, self.values, self.sigma, strict=True)
+        values = ", ".join(f"{name}={value:.5g} +- {sigma:.2g}" for name, value, sigma in estimates)
         return f"Fit({values}; {self.status.name.lower()} after {self.iterations} iterations)"
 
     @property
@@ -195,22 +195,22 @@ class Fit:
         """
         return np.sqrt(np.diag(self.covariance))
 
-    def select(self, at: IntArray, names: Sequence[str]) -> Fit:
+    def select(self, index: IntArray, names: Sequence[str]) -> Fit:
         """The fit of some of its parameters, in another order, the others held at their values.
 
-        at    : (selected,) indices of the parameters;  names : (selected,) what they are called
+        index : (selected,) indices of the parameters;  names : (selected,) what they are called
 
         Source: marginal covariance of docs/theory/estimation_statistics.md, equation 18.
         """
         return replace(
             self,
             names=tuple(names),
-            values=self.values[at],
-            covariance=self.covariance[np.ix_(at, at)],
-            information=self.information[np.ix_(at, at)],
-            prior_information=self.prior_information[at],
-            on_bound=self.on_bound[at],
-            history=self.history[:, at],
+            values=self.values[index],
+            covariance=self.covariance[np.ix_(index, index)],
+            information=self.information[np.ix_(index, index)],
+            prior_information=self.prior_information[index],
+            on_bound=self.on_bound[index],
+            history=self.history[:, index],
         )
 
     def describe(self) -> list[str]:
@@ -247,18 +247,18 @@ class _Posterior:
         """Log prior density [-] of (..., parameter) values, without its constant."""
         return np.asarray(-0.5 * np.sum(self.information * (values - self.mean) ** 2, axis=-1))
 
-    def evaluation(self, at: FloatArray, likelihood: Evaluation) -> Evaluation:
+    def evaluation(self, vector: FloatArray, likelihood: Evaluation) -> Evaluation:
         """Log posterior, gradient and information at a point, from those of the likelihood there."""
         return Evaluation(
-            likelihood.log_likelihood + float(self.log_prior(at)),
-            likelihood.gradient + self.information * (self.mean - at),
+            likelihood.log_likelihood + float(self.log_prior(vector)),
+            likelihood.gradient + self.information * (self.mean - vector),
             likelihood.information + np.diag(self.information),
         )
 
-    def on_bound(self, at: FloatArray, gradient: FloatArray) -> BoolArray:
+    def on_bound(self, vector: FloatArray, gradient: FloatArray) -> BoolArray:
         """Parameters on a bound that the gradient would push beyond it."""
         # released as soon as the gradient points inwards again
-        return ((at <= self.lower) & (gradient <= 0.0)) | ((at >= self.upper) & (gradient >= 0.0))
+        return ((vector <= self.lower) & (gradient <= 0.0)) | ((vector >= self.upper) & (gradient >= 0.0))
 
 
 def check_parameters(parameters: Sequence[Parameter]) -> None:
@@ -288,7 +288,7 @@ def maximise(
     start: ArrayLike | None = None,
     log_likelihoods: LogLikelihoods | None = None,
     settings: NewtonSettings | None = None,
-    on_step: StepCallback = lambda at, log_posterior: None,
+    on_step: StepCallback = lambda vector, log_posterior: None,
 ) -> Fit:
     """The most probable values of parameters with priors and bounds.
 
@@ -304,11 +304,11 @@ def maximise(
 
     Source: docs/theory/estimation_statistics.md, equations 13 to 17.
     """
-    several = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
+    evaluate_all = log_likelihoods or (lambda values: np.array([evaluate(v).log_likelihood for v in values]))
     search = iteration(parameters, start, settings, on_step)
     request: FloatArray | Fit = next(search)
     while not isinstance(request, Fit):
-        request = next_request(search, evaluate(request) if request.ndim == 1 else several(request))
+        request = next_request(search, evaluate(request) if request.ndim == 1 else evaluate_all(request))
     return request
 
 
@@ -316,7 +316,7 @@ def iteration(
     parameters: Sequence[Parameter],
     start: ArrayLike | None = None,
     settings: NewtonSettings | None = None,
-    on_step: StepCallback = lambda at, log_posterior: None,
+    on_step: StepCallback = lambda vector, log_posterior: None,
 ) -> Iteration:
     """The search of `maximise` as a generator, whose caller evaluates: so that many fits can be marched side by side.
 
@@ -332,10 +332,10 @@ def iteration(
     posterior = _Posterior.of(parameters)
     settings = settings or NewtonSettings()
     first = [settings.first_values.get(p.name, p.value) for p in parameters] if start is None else start
-    at = np.clip(np.asarray(first, dtype=float), posterior.lower, posterior.upper)
+    vector = np.clip(np.asarray(first, dtype=float), posterior.lower, posterior.upper)
     names = tuple(p.name for p in parameters)
     limited = np.array([name not in settings.unlimited for name in names])
-    search = _NewtonSearch(posterior, settings, at, limited, on_step)
+    search = _NewtonSearch(posterior, settings, vector, limited, on_step)
     status = yield from search.run()
     return search.fit(names, status)
 
@@ -363,31 +363,31 @@ class _NewtonSearch:
         self,
         posterior: _Posterior,
         settings: NewtonSettings,
-        at: FloatArray,
+        vector: FloatArray,
         limited: BoolArray,
         on_step: StepCallback,
     ) -> None:
         self.posterior, self.settings, self.limited, self.on_step = posterior, settings, limited, on_step
         self.damping, self.trust, self.watched = 0.0, 1.0, WATCHED
-        self.history = [at]
+        self.history = [vector]
         self.reached: list[float] = []
         """Log posterior at the start and after each step [-]."""
-        self.kink = np.zeros((len(at), len(at)))
+        self.kink = np.zeros((len(vector), len(vector)))
         """(parameter, parameter) information across the kinks that are met, equation 17a."""
-        self.kink_at = at
+        self.kink_at = vector
         """Where the last kink was met."""
 
-    def move_to(self, at: FloatArray, likelihood: Evaluation) -> None:
-        self.at, self.likelihood = at, likelihood
-        self.found = self.posterior.evaluation(at, self.likelihood)
-        self.on_bound = self.posterior.on_bound(at, self.found.gradient)
+    def move_to(self, vector: FloatArray, likelihood: Evaluation) -> None:
+        self.at, self.likelihood = vector, likelihood
+        self.evaluation = self.posterior.evaluation(vector, self.likelihood)
+        self.on_bound = self.posterior.on_bound(vector, self.evaluation.gradient)
 
     def run(self) -> Generator[FloatArray, Any, Status]:
         start = self.history[0]
         self.move_to(start, (yield start))
-        if not _finite(self.found):
+        if not _finite(self.evaluation):
             return Status.NO_START
-        self.reached.append(self.found.log_likelihood)
+        self.reached.append(self.evaluation.log_likelihood)
         for _ in range(self.settings.iterations):
             step = self.step(self.damping, self.trust)
             if self.is_converged(step):
@@ -397,12 +397,12 @@ class _NewtonSearch:
                     return Status.KINK
                 continue
             if self.watched:
-                whole = yield from self.take_whole_steps(step)
-                accepted = whole or (yield from self.take_fraction(step)) > 0.0
+                is_whole = yield from self.take_whole_steps(step)
+                accepted = is_whole or (yield from self.take_fraction(step)) > 0.0
             else:
                 # along a bent valley whole steps keep failing: do not pay for one and its gradient before its fractions
-                taken = yield from self.take_fraction(step, whole_first=True)
-                whole, accepted = taken == 1.0, taken > 0.0
+                fraction = yield from self.take_fraction(step, whole_first=True)
+                is_whole, accepted = fraction == 1.0, fraction > 0.0
             if not accepted:
                 begin = self.at
                 at_kink = yield from self.meets_kink(step)
@@ -411,8 +411,8 @@ class _NewtonSearch:
                     continue
                 if not accepted and self.is_settled():
                     return Status.CONVERGED if self.is_within_rounding() else Status.KINK
-            self.trust = min(self.trust / SHORTER, 1.0) if whole else SHORTER * self.trust
-            self.watched = WATCHED if whole else 0
+            self.trust = min(self.trust / SHORTER, 1.0) if is_whole else SHORTER * self.trust
+            self.watched = WATCHED if is_whole else 0
             while not accepted and self.damping < LARGEST_DAMPING:
                 self.damping = max(FIRST_DAMPING, MORE * self.damping)
                 accepted = (yield from self.take_fraction(self.step(self.damping, self.trust))) > 0.0
@@ -420,9 +420,9 @@ class _NewtonSearch:
                 # no fraction helps at the maximum either, where the remaining gradient is rounding
                 return Status.CONVERGED if self.is_within_rounding() else Status.STALLED
             self.history.append(self.at)
-            self.reached.append(self.found.log_likelihood)
-            self.on_step(self.at, self.found.log_likelihood)
-            if not _finite(self.found):
+            self.reached.append(self.evaluation.log_likelihood)
+            self.on_step(self.at, self.evaluation.log_likelihood)
+            if not _finite(self.evaluation):
                 return Status.STALLED
             if self.is_out_of_reach():
                 return Status.BEHIND
@@ -443,12 +443,12 @@ class _NewtonSearch:
         step, free = np.zeros_like(self.at), ~self.on_bound
         if not free.any():
             return step
-        information = (self.found.information + self.kink)[np.ix_(free, free)]
+        information = (self.evaluation.information + self.kink)[np.ix_(free, free)]
         values, vectors = scaled_eigenvectors(information)
         s = scale(information)
         lifted = np.where(values > ROUNDING, values, 1.0)  # a singular direction goes uphill as far as one sigma alone
         root = np.sqrt(lifted + damping)
-        target = vectors.T @ (s * self.found.gradient[free]) / root
+        target = vectors.T @ (s * self.evaluation.gradient[free]) / root
         step[free] = s * (vectors @ (target / root))
         lower, upper = (side[free] for side in self.box(trust))
         if np.any((step[free] < lower) | (step[free] > upper)):
@@ -482,7 +482,7 @@ class _NewtonSearch:
         if self.damping > 0.0 or self.trust < 1.0:
             # a damped or shortened step is small because it was made small: convergence is judged on the full one
             step = self.step(0.0, 1.0)
-        improvement = 0.5 * float(self.found.gradient @ step)
+        improvement = 0.5 * float(self.evaluation.gradient @ step)
         sigma = np.sqrt(np.diag(self.covariance()))
         small = np.abs(step) <= self.settings.min_step * np.where(self.on_bound, np.inf, sigma)
         # at a kink the gradient does not vanish: what a step across it promises says nothing
@@ -504,19 +504,19 @@ class _NewtonSearch:
         for k in range(1, SHORTENINGS + 1):
             candidate = np.clip(self.at + fraction**k * step, self.posterior.lower, self.posterior.upper)
             beyond = (candidate, (yield candidate))
-            found = self.posterior.evaluation(*beyond)
-            if not _finite(found):
+            evaluation = self.posterior.evaluation(*beyond)
+            if not _finite(evaluation):
                 continue
-            if found.log_likelihood > self.found.log_likelihood:
+            if evaluation.log_likelihood > self.evaluation.log_likelihood:
                 self.move_to(*beyond)
                 return False
-            if self.found.gradient @ step > 0.0 > found.gradient @ step:
+            if self.evaluation.gradient @ step > 0.0 > evaluation.gradient @ step:
                 return (yield from self.close_in(beyond))
         return False
 
-    def close_in(self, beyond: tuple[FloatArray, Evaluation]) -> Generator[FloatArray, Any, bool]:
+    def close_in(self, outer: tuple[FloatArray, Evaluation]) -> Generator[FloatArray, Any, bool]:
         """Move to a kink between here and a point beyond it, and note the information across it."""
-        ends = [(self.at, self.likelihood), beyond]
+        ends = [(self.at, self.likelihood), outer]
         sigma = np.sqrt(np.diag(self.covariance()))
         for k in range(MOST_CLOSER):
             (a, of_a), (b, of_b) = ends
@@ -528,17 +528,17 @@ class _NewtonSearch:
             t = (after.log_likelihood - before.log_likelihood - down) / (up - down) if k % 2 == 0 else 0.5
             between = a + np.clip(t, NEAREST, 1.0 - NEAREST) * (b - a)
             likelihood = yield between
-            found = self.posterior.evaluation(between, likelihood)
-            if not _finite(found):
+            evaluation = self.posterior.evaluation(between, likelihood)
+            if not _finite(evaluation):
                 return False
-            ends[0 if found.gradient @ (b - a) > 0.0 else 1] = (between, likelihood)
+            ends[0 if evaluation.gradient @ (b - a) > 0.0 else 1] = (between, likelihood)
         (a, of_a), (b, of_b) = ends
         before, after = self.posterior.evaluation(a, of_a), self.posterior.evaluation(b, of_b)
         if self.kink_at is not self.at:  # along a kink that was followed, the information may have changed
             self.kink = np.zeros_like(self.kink)
         self.move_to(*ends[0 if before.log_likelihood >= after.log_likelihood else 1])
         self.kink_at = self.at
-        y = before.gradient - after.gradient - (self.found.information + self.kink) @ (b - a)
+        y = before.gradient - after.gradient - (self.evaluation.information + self.kink) @ (b - a)
         if y @ (b - a) <= 0.0:
             return False
         self.kink = self.kink + np.outer(y, y) / (y @ (b - a))
@@ -547,10 +547,10 @@ class _NewtonSearch:
 
     def leaves_kink(self) -> Generator[FloatArray, Any, bool]:
         """Whether a step that knows nothing of the kinks helps, where those along them have converged; it is taken."""
-        before, kink = self.found.log_likelihood, self.kink
+        before, kink = self.evaluation.log_likelihood, self.kink
         self.kink = np.zeros_like(kink)
         yield from self.take_fraction(self.step(0.0, 1.0))
-        if self.found.log_likelihood - before > self.settings.min_improvement:
+        if self.evaluation.log_likelihood - before > self.settings.min_improvement:
             return True
         self.kink = kink
         return False
@@ -561,22 +561,22 @@ class _NewtonSearch:
         if steps < RECENT:
             return False
         gain = max(after - before for before, after in pairwise(self.reached[-1 - RECENT :]))
-        left = self.settings.iterations - steps
-        return self.likelihood.log_likelihood + left * gain < self.settings.needed_log_likelihood
+        remaining = self.settings.iterations - steps
+        return self.likelihood.log_likelihood + remaining * gain < self.settings.needed_log_likelihood
 
     def take_whole_steps(self, step: FloatArray) -> Generator[FloatArray, Any, bool]:
         """Take a whole step, cut off at the bounds, where it raises the posterior, which is the usual case.
 
         Where it does not, further whole steps from its end may: along a curved ridge every step leaves it a little.
         """
-        begin, least = (self.at, self.likelihood), self.found.log_likelihood
+        begin, least = (self.at, self.likelihood), self.evaluation.log_likelihood
         for _ in range(1 + self.watched):
             # evaluated with gradient: if it is accepted, as mostly, the next step needs no further march
             candidate = np.clip(self.at + step, self.posterior.lower, self.posterior.upper)
             self.move_to(candidate, (yield candidate))
-            if self.found.log_likelihood > least:
+            if self.evaluation.log_likelihood > least:
                 return True
-            if not _finite(self.found):
+            if not _finite(self.evaluation):
                 break
             step = self.step(self.damping, self.trust)
         self.move_to(*begin)
@@ -595,7 +595,7 @@ class _NewtonSearch:
         reached = np.asarray((yield candidates), dtype=float) + self.posterior.log_prior(candidates)
         # a candidate that cannot be marched loses to any that can
         reached = np.where(np.isfinite(reached), reached, -np.inf)
-        raises = reached > self.found.log_likelihood
+        raises = reached > self.evaluation.log_likelihood
         if not np.any(raises):
             return 0.0
         best = 0 if whole_first and raises[0] else int(np.argmax(reached))
@@ -604,42 +604,42 @@ class _NewtonSearch:
 
     def is_within_rounding(self) -> bool:
         """Whether the improvement that an undamped step predicts is below the rounding of the log posterior."""
-        improvement = 0.5 * float(self.found.gradient @ self.step(0.0, self.trust))
-        return improvement < max(self.settings.min_improvement, 1e-12 * abs(self.found.log_likelihood))
+        improvement = 0.5 * float(self.evaluation.gradient @ self.step(0.0, self.trust))
+        return improvement < max(self.settings.min_improvement, 1e-12 * abs(self.evaluation.log_likelihood))
 
     def covariance(self) -> FloatArray:
         """(parameter, parameter) bound on the parameters that are not on a bound; 0 for the others."""
         free = np.ix_(~self.on_bound, ~self.on_bound)
-        whole = np.zeros_like(self.found.information)
-        whole[free] = covariance(self.found.information[free])
-        return whole
+        bound = np.zeros_like(self.evaluation.information)
+        bound[free] = covariance(self.evaluation.information[free])
+        return bound
 
     def fit(self, names: tuple[str, ...], status: Status) -> Fit:
-        broken = status is Status.NO_START or not _finite(self.found)
+        broken = status is Status.NO_START or not _finite(self.evaluation)
         free = np.flatnonzero(~self.on_bound)
-        information = self.found.information[np.ix_(free, free)]
+        information = self.evaluation.information[np.ix_(free, free)]
         singular = [] if broken else directions(information, [names[i] for i in free], SINGULAR)
-        C = np.full_like(self.found.information, np.nan) if broken else self.covariance()
+        C = np.full_like(self.evaluation.information, np.nan) if broken else self.covariance()
         return Fit(
             names=names,
             values=self.at,
             covariance=C,
             log_likelihood=self.likelihood.log_likelihood,
-            log_posterior=self.found.log_likelihood,
+            log_posterior=self.evaluation.log_likelihood,
             information=self.likelihood.information,
             prior_information=self.posterior.information,
             on_bound=self.on_bound,
             singular=tuple(singular),
             status=status,
             iterations=len(self.history) - 1,
-            predicted_gain=0.0 if broken else predicted_gain(self.found.gradient, C),
+            predicted_gain=0.0 if broken else predicted_gain(self.evaluation.gradient, C),
             history=np.array(self.history),
         )
 
 
-def _finite(found: Evaluation) -> bool:
+def _finite(evaluation: Evaluation) -> bool:
     return bool(
-        np.isfinite(found.log_likelihood)
-        and np.all(np.isfinite(found.gradient))
-        and np.all(np.isfinite(found.information))
+        np.isfinite(evaluation.log_likelihood)
+        and np.all(np.isfinite(evaluation.gradient))
+        and np.all(np.isfinite(evaluation.information))
     )

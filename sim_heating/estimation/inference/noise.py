@@ -80,7 +80,7 @@ def noise_of_readings(time_s: FloatArray, reading_K: FloatArray, step_K: float =
     good = np.isfinite(reading_K)
     t, T = np.asarray(time_s)[good], np.asarray(reading_K)[good]
     scales = [[_difference_scale(t[start::k], T[start::k]) for start in range(k)] for k in STRIDES]
-    means = [float(np.mean([s for s in own if s is not None])) for own in scales if None not in own]
+    means = [float(np.mean([s for s in by_start if s is not None])) for by_start in scales if None not in by_start]
     if not means:
         return None
     sigma = max(means)
@@ -148,9 +148,9 @@ def _limits(value: Callable[[float], float], least: float, most: float) -> Noise
     grid = np.linspace(least, most, POINTS)
     k = int(np.argmax([value(x) for x in grid]))
     around = (grid[max(k - 1, 0)], grid[min(k + 1, POINTS - 1)])
-    found = minimize_scalar(lambda x: -value(x), bounds=around, method="bounded", options={"xatol": 1e-8})
+    optimum = minimize_scalar(lambda x: -value(x), bounds=around, method="bounded", options={"xatol": 1e-8})
     # a bounded search never returns the end of its interval itself
-    best = float(found.x) if -found.fun > value(least) else least
+    best = float(optimum.x) if -optimum.fun > value(least) else least
     top = value(best)
 
     def above_limit(x: float) -> float:

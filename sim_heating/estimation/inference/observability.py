@@ -216,9 +216,9 @@ def uninformed(labels: Sequence[str], information: FloatArray, prior_sigma: Floa
     remaining, reasons = [k for k, _ in enumerate(labels)], {}
     while remaining:
         sigma = np.sqrt(np.abs(np.diag(covariance(information[np.ix_(remaining, remaining)]))))
-        share = np.where([bool(labels[k]) for k in remaining], sigma / prior_sigma[remaining], 0.0)
-        worst = int(np.argmax(share))
-        if not share[worst] > INFORMED_BELOW:
+        over_prior = np.where([bool(labels[k]) for k in remaining], sigma / prior_sigma[remaining], 0.0)
+        worst = int(np.argmax(over_prior))
+        if not over_prior[worst] > INFORMED_BELOW:
             break
         k = remaining.pop(worst)
         reasons[labels[k]] = (
@@ -285,8 +285,8 @@ def least_determined(
 
 def _is_still(read: FloatArray) -> bool:
     """Whether there are enough readings to call a sensor stuck, and all are equal."""
-    known = read[np.isfinite(read)]
-    return len(known) >= FEWEST_STUCK and bool(np.ptp(known) == 0.0)
+    finite = read[np.isfinite(read)]
+    return len(finite) >= FEWEST_STUCK and bool(np.ptp(finite) == 0.0)
 
 
 def without_stuck_sensors(record: Record) -> tuple[Record, list[str]]:

@@ -79,7 +79,7 @@ def without_outliers(record: Record) -> tuple[Record, list[Outlier]]:
 
     Source: docs/theory/estimation_statistics.md, equation 21a.
     """
-    found: list[Outlier] = []
+    outliers: list[Outlier] = []
     columns: dict[str, FloatArray] = {}
     for sensor in record.used_sensors:
         read = record.thermocouples[sensor.column]
@@ -88,14 +88,14 @@ def without_outliers(record: Record) -> tuple[Record, list[Outlier]]:
             continue
         columns[sensor.column] = np.where(away, np.nan, read)
         rows = record.rows if len(record.rows) == len(read) else None
-        found += [
+        outliers += [
             Outlier(
                 record.name, sensor.name, float(record.time_s[i]), float(read[i]), float(expected_K[i]),
                 None if rows is None else int(rows[i]),
             )
             for i in np.flatnonzero(away)
         ]  # fmt: skip
-    return (replace(record, thermocouples={**record.thermocouples, **columns}), found) if found else (record, [])
+    return (replace(record, thermocouples={**record.thermocouples, **columns}), outliers) if outliers else (record, [])
 
 
 def outlier_lines(outliers: Sequence[Outlier], files: Mapping[str, Record]) -> list[str]:
@@ -107,15 +107,19 @@ def outlier_lines(outliers: Sequence[Outlier], files: Mapping[str, Record]) -> l
     for outlier in outliers:
         by_sensor.setdefault((outlier.record, outlier.sensor), []).append(outlier)
     lines = []
-    for (name, sensor), own in by_sensor.items():
+    for (name, sensor), of_sensor in by_sensor.items():
         record = files[name]
         file = display_path(record.directory / record.declared.thermocouples.file)
-        more = f" and {len(own) - MOST_LISTED} more" if len(own) > MOST_LISTED else ""
-        one = len(own) == 1
-        count = "1 isolated reading is an outlier and" if one else f"{len(own)} isolated readings are outliers and"
-        count += " is" if one else " are"
-        listed = ", ".join(o.in_words for o in own[:MOST_LISTED])
-        lines.append(f"{name}, sensor {sensor}: {count} left out: {listed}{more} of {file}")
+        unlisted = f" and {len(of_sensor) - MOST_LISTED} more" if len(of_sensor) > MOST_LISTED else ""
+        is_single = len(of_sensor) == 1
+        count = (
+            "1 isolated reading is an outlier and"
+            if is_single
+            else f"{len(of_sensor)} isolated readings are outliers and"
+        )
+        count += " is" if is_single else " are"
+        listed = ", ".join(o.in_words for o in of_sensor[:MOST_LISTED])
+        lines.append(f"{name}, sensor {sensor}: {count} left out: {listed}{unlisted} of {file}")
     return lines
 
 
@@ -138,10 +142,10 @@ def isolated(time_s: FloatArray, reading_K: FloatArray, sensor: Sensor) -> tuple
     by_neighbours = _polynomial(t, T, middle, (-2, -1, 1, 2))
     d = T[middle] - by_neighbours
     scale = _scales(d, T[middle], sensor)
-    left = _polynomial(t, T, middle, (-2, -1))
-    right = _polynomial(t, T, middle, (1, 2))
+    before = _polynomial(t, T, middle, (-2, -1))
+    after = _polynomial(t, T, middle, (1, 2))
     sign = np.sign(d)
-    beyond = np.minimum(sign * (T[middle] - left), sign * (T[middle] - right)) >= BEYOND * np.abs(d)
+    beyond = np.minimum(sign * (T[middle] - before), sign * (T[middle] - after)) >= BEYOND * np.abs(d)
     far = (np.abs(d) > LIMIT * scale) & beyond
     for k in np.flatnonzero(far):
         i = middle[k]
@@ -166,13 +170,13 @@ def _scales(d: FloatArray, T: FloatArray, sensor: Sensor) -> FloatArray:
     return np.maximum(np.maximum(NORMAL_MEDIAN * np.maximum(nearby, np.median(size)), declared), LEAST_SCALE_K)
 
 
-def _polynomial(t: FloatArray, T: FloatArray, at: np.ndarray, others: Sequence[int]) -> FloatArray:
+def _polynomial(t: FloatArray, T: FloatArray, index: np.ndarray, others: Sequence[int]) -> FloatArray:
     """(reading,) values at some readings of the polynomial through others, by their distances in the list."""
-    total = np.zeros(len(at))
+    total = np.zeros(len(index))
     for j in others:
-        weight = np.ones(len(at))
+        weight = np.ones(len(index))
         for m in others:
             if m != j:
-                weight *= (t[at] - t[at + m]) / (t[at + j] - t[at + m])
-        total += weight * T[at + j]
+                weight *= (t[index] - t[index + m]) / (t[index + j] - t[index + m])
+        total += weight * T[index + j]
     return total

@@ -136,21 +136,23 @@ class _Refit:
 class _Walk:
     """Refits along one parameter, outward from the values of a fit."""
 
-    def __init__(self, problem: FitProblem, fit: Fit, at: int, colour: float, settings: NewtonSettings | None) -> None:
-        self.problem, self.at, self.colour, self.settings = problem, at, colour, settings
+    def __init__(
+        self, problem: FitProblem, fit: Fit, index: int, colour: float, settings: NewtonSettings | None
+    ) -> None:
+        self.problem, self.at, self.colour, self.settings = problem, index, colour, settings
         self.parameters: Sequence[Parameter] = problem.parameters
-        self.parameter = self.parameters[at]
-        self.others = [p for k, p in enumerate(self.parameters) if k != at]
+        self.parameter = self.parameters[index]
+        self.others = [p for k, p in enumerate(self.parameters) if k != index]
         self.begin = fit.values
-        self.refits = {float(fit.values[at]): self._told(fit.values, fit.log_posterior)}
-        variance = float(fit.covariance[at, at])
-        known = math.isfinite(variance) and variance > 0.0
+        self.refits = {float(fit.values[index]): self._told(fit.values, fit.log_posterior)}
+        variance = float(fit.covariance[index, index])
+        is_bounded = math.isfinite(variance) and variance > 0.0
         span = self.parameter.upper - self.parameter.lower
         size = abs(self.parameter.value) or 1.0
-        wide = math.sqrt(variance * colour) if known else 0.0
-        self.step = FIRST_STEP * wide if known else SPAN_SHARE * (span if math.isfinite(span) else size)
+        wide = math.sqrt(variance * colour) if is_bounded else 0.0
+        self.step = FIRST_STEP * wide if is_bounded else SPAN_SHARE * (span if math.isfinite(span) else size)
         # along the ridge of a parabola the others move with the parameter
-        self.ridge = fit.covariance[:, at] / variance if known else np.zeros_like(fit.values)
+        self.ridge = fit.covariance[:, index] / variance if is_bounded else np.zeros_like(fit.values)
         self.ridge = np.where(np.isfinite(self.ridge), self.ridge, 0.0)
 
     def _told(self, values: FloatArray, log_posterior: float) -> _Refit:
@@ -172,27 +174,27 @@ class _Walk:
         start = self.refits[near].values + self.ridge * (value - near)
         k = self.at
 
-        def whole(rest: FloatArray) -> FloatArray:
+        def with_value(rest: FloatArray) -> FloatArray:
             return np.insert(rest, k, value, axis=-1)
 
-        own = -0.5 * ((value - self.parameter.value) / self.parameter.sigma) ** 2
+        log_prior = -0.5 * ((value - self.parameter.value) / self.parameter.sigma) ** 2
         if not self.others:
             alone = np.array([value])
-            return self._told(alone, float(self.problem.log_likelihoods(alone[np.newaxis])[0]) + own)
+            return self._told(alone, float(self.problem.log_likelihoods(alone[np.newaxis])[0]) + log_prior)
 
         def evaluate(rest: FloatArray) -> Evaluation:
-            found = self.problem.evaluate(whole(rest))
-            gradient, information = np.delete(found.gradient, k), found.information
-            return Evaluation(found.log_likelihood, gradient, np.delete(np.delete(information, k, 0), k, 1))
+            evaluation = self.problem.evaluate(with_value(rest))
+            gradient, information = np.delete(evaluation.gradient, k), evaluation.information
+            return Evaluation(evaluation.log_likelihood, gradient, np.delete(np.delete(information, k, 0), k, 1))
 
         def log_likelihoods(candidates: FloatArray) -> FloatArray:
-            return self.problem.log_likelihoods(whole(candidates))
+            return self.problem.log_likelihoods(with_value(candidates))
 
         fits = [maximise(evaluate, self.others, np.delete(start, k), log_likelihoods, self.settings)]
         if not math.isfinite(fits[0].log_posterior):  # the ridge led out of what can be marched
             first = np.delete(self.refits[near].values, k)
             fits.append(maximise(evaluate, self.others, first, log_likelihoods, self.settings))
-        return self._told(whole(fits[-1].values), fits[-1].log_posterior + own)
+        return self._told(with_value(fits[-1].values), fits[-1].log_posterior + log_prior)
 
     def end(self, side: float) -> tuple[float, bool]:
         """An end of the interval, and whether it is a bound, or infinite, that the record does not exclude.
@@ -206,11 +208,11 @@ class _Walk:
                 return bound, True
             outer = inner + side * step
             outer = max(outer, bound) if side < 0.0 else min(outer, bound)
-            found = self.deviance(outer)
-            if found > LIMIT:
+            deviance = self.deviance(outer)
+            if deviance > LIMIT:
                 return self._between(inner, outer), False
-            step *= GROWTH if found - before < FLAT else 1.0
-            inner, before = outer, found
+            step *= GROWTH if deviance - before < FLAT else 1.0
+            inner, before = outer, deviance
         if inner == bound:
             return bound, True
         return (bound if math.isfinite(bound) else side * math.inf), True
@@ -225,8 +227,8 @@ class _Walk:
                 middle = inner + (math.sqrt(LIMIT) - roots[0]) / (roots[1] - roots[0]) * (outer - inner)
             if middle in (inner, outer):
                 return middle
-            found = self.deviance(middle)
-            if abs(found - LIMIT) < CLOSE * LIMIT:
+            deviance = self.deviance(middle)
+            if abs(deviance - LIMIT) < CLOSE * LIMIT:
                 return middle
-            inner, outer = (middle, outer) if found < LIMIT else (inner, middle)
+            inner, outer = (middle, outer) if deviance < LIMIT else (inner, middle)
         return 0.5 * (inner + outer)

@@ -74,8 +74,8 @@ class EstimatedParameter(Extensible):
         prior = "" if self.prior_sigma is None else f"{self.prior_mean or 0.0:g} +- {self.prior_sigma:g}"
         if self.lower is None or self.upper is None:
             return prior
-        within = f"{self.lower:g} to {self.upper:g}"
-        return f"{prior}, {within}" if prior else within
+        bounds = f"{self.lower:g} to {self.upper:g}"
+        return f"{prior}, {bounds}" if prior else bounds
 
 
 class Remark(Extensible):
@@ -142,8 +142,10 @@ class ReferenceCondition(Extensible):
 
     @model_validator(mode="after")
     def _check(self) -> ReferenceCondition:
-        found = {name: getattr(self, name) for name in RATIO_VARIABLES}
-        problems = [((name,), limit_message(name, value)) for name, value in found.items() if out_of_range(name, value)]
+        values = {name: getattr(self, name) for name in RATIO_VARIABLES}
+        problems = [
+            ((name,), limit_message(name, value)) for name, value in values.items() if out_of_range(name, value)
+        ]
         if problems:
             raise LocatedError(*problems)
         return self
@@ -278,12 +280,12 @@ class Estimate(Extensible):
 
     def _parameter_problems(self) -> list[tuple[Location, str]]:
         """Ratio parameters that do not exist, or have another unit."""
-        known = [name for name in MODEL if name.startswith("ratio.")]
+        ratio_names = [name for name in MODEL if name.startswith("ratio.")]
         problems: list[tuple[Location, str]] = []
         for label, p in self.parameters.items():
             name = label.partition(AT)[0]
             if name.startswith("ratio.") and name not in MODEL:
-                problems.append((("parameters", name), f"unknown parameter{suggestion(name, known)}"))
+                problems.append((("parameters", name), f"unknown parameter{suggestion(name, ratio_names)}"))
             elif name in MODEL and p.unit != MODEL[name].unit:
                 rule = f'"{p.unit}" is not the unit of {name}; it is "{MODEL[name].unit}"'
                 problems.append((("parameters", name, "unit"), rule))

@@ -54,7 +54,7 @@ class FilteredSensor:
     def columns(self) -> dict[str, FloatArray]:
         """Columns of a CSV, by name."""
         states = ("prior", "posterior", "smoothed")
-        return {f"{n}{what}_K": getattr(self, f"{n}{what}_K") for n in states for what in ("", "_sigma")}
+        return {f"{n}{suffix}_K": getattr(self, f"{n}{suffix}_K") for n in states for suffix in ("", "_sigma")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +72,11 @@ def filtered_history(innovations: Innovations, values: FloatArray, record_fit: R
     k = innovations.problem.record_fits.index(record_fit)
     track, filtered, order = innovations.filtered(values, k)
     smoothed, s = smooth(filtered), track.samples
-    along = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.temperature_K.T]
+    mean = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.temperature_K.T]
     spread = [np.interp(s.time_s, smoothed.time_s, column) for column in smoothed.sigma_K.T]
     reading = np.arange(len(s.node))
     indicated = np.empty((6, len(order)))
-    temperatures = [filtered.prior_K, filtered.posterior_K, np.array(along)[s.node, reading]]
+    temperatures = [filtered.prior_K, filtered.posterior_K, np.array(mean)[s.node, reading]]
     # readings are in order of time for the filter, channels one after the other for a picture: `order` maps them
     indicated[0::2, order] = s.gain * temperatures + s.bias_K
     variances = [filtered.prior_variance_K2, filtered.posterior_variance_K2, np.array(spread)[s.node, reading] ** 2]
@@ -84,44 +84,44 @@ def filtered_history(innovations: Innovations, values: FloatArray, record_fit: R
     ends = np.cumsum([len(c.samples) for c in record_fit.channels])[:-1]
     marched = [m for m in innovations.problem.samples(values) if m.record_fit is record_fit]
     sensors = []
-    for m, own in zip(marched, np.split(indicated, ends, axis=1), strict=True):
+    for m, columns in zip(marched, np.split(indicated, ends, axis=1), strict=True):
         at = np.searchsorted(record_fit.record.time_s, m.time_s)
         read = record_fit.record.thermocouples[m.channel.sensor.column][at]
-        sensors.append(FilteredSensor(m.channel, m.time_s, read, m.mean_K, *own))
+        sensors.append(FilteredSensor(m.channel, m.time_s, read, m.mean_K, *columns))
     return FilteredHistory(record_fit, tuple(sensors), smoothed, track.disturbance.density_1_s > 0.0)
 
 
-def write_filtered(folder: Path, found: FilteredHistory) -> None:
+def write_filtered(folder: Path, history: FilteredHistory) -> None:
     """Write filtered.csv, filtered.png and, where the ratio has a disturbance, ratio_disturbance.csv."""
-    time_s, smoothed = found.record_fit.sample_s, found.smoothed
+    time_s, smoothed = history.record_fit.sample_s, history.smoothed
     columns: dict[str, FloatArray] = {"time_s": time_s}
-    for s in found.sensors:
-        for what, values in s.columns().items():
-            columns[f"{s.channel.sensor.name}_{what}"] = np.full(len(time_s), np.nan)
-            columns[f"{s.channel.sensor.name}_{what}"][s.channel.samples] = values
+    for s in history.sensors:
+        for key, values in s.columns().items():
+            columns[f"{s.channel.sensor.name}_{key}"] = np.full(len(time_s), np.nan)
+            columns[f"{s.channel.sensor.name}_{key}"][s.channel.samples] = values
     write_csv(folder / CSV, columns, {"time_s": ".10g"} | {name: ".4f" for name in columns if name != "time_s"})
-    if found.disturbed:
+    if history.disturbed:
         columns = {"time_s": smoothed.time_s, "delta_ratio": smoothed.ratio, "sigma": smoothed.ratio_sigma}
         write_csv(folder / RATIO_CSV, columns)
-    draw_filtered(folder / PICTURE, found)
+    draw_filtered(folder / PICTURE, history)
 
 
 @replaced_if_undrawable
-def draw_filtered(path: Path, found: FilteredHistory) -> None:
+def draw_filtered(path: Path, history: FilteredHistory) -> None:
     """Draw the temperatures of each sensor relative to the plain march, the ratio disturbance and the flight."""
-    shown = sorted(found.sensors, key=lambda s: s.channel.sensor.depth_m)[:MOST_SENSORS]
-    rows = len(shown) + found.disturbed + 1
-    heights = [2.0] * len(shown) + [1.6] * found.disturbed + [1.0]
+    shown = sorted(history.sensors, key=lambda s: s.channel.sensor.depth_m)[:MOST_SENSORS]
+    rows = len(shown) + history.disturbed + 1
+    heights = [2.0] * len(shown) + [1.6] * history.disturbed + [1.0]
     figure, axes = new_figure(9.5, 1.7 * rows + 0.8, rows, sharex=True, height_ratios=heights)
     for a, s in zip(axes, shown, strict=False):
         _plot_sensor(a, s)
     legend_above(axes[0])
-    if found.disturbed:
-        a, smoothed = axes[len(shown)], found.smoothed
+    if history.disturbed:
+        a, smoothed = axes[len(shown)], history.smoothed
         _band(a, smoothed.time_s, smoothed.ratio, smoothed.ratio_sigma, SMOOTHED, step="post", drawstyle="steps-post")
         a.axhline(0.0, color="0.3", linewidth=0.8)
         a.set_ylabel("added to the\nheating ratio")
-    record, t = found.record_fit.record, found.record_fit.sample_s
+    record, t = history.record_fit.record, history.record_fit.sample_s
     plot_flown(axes[-1], record.conditions, float(t[0]), float(t[-1]))
     axes[-1].set_xlim(t[0], t[-1])
     axes[-1].set_xlabel(f"time, s; bands: {SIGMAS:g} sigma; dots: measured")

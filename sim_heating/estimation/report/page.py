@@ -26,7 +26,7 @@ NOTABLE = 0.5
 
 def estimate_page(
     fitted: FitResult,
-    found: Estimate,
+    estimate: Estimate,
     parameters: Table,
     fit_pictures: Sequence[Path],
     pictures: Sequence[tuple[Path, str]],
@@ -41,51 +41,51 @@ def estimate_page(
     """
     records = [p.record for p in fitted.after]
     titles = dict.fromkeys(r.declared.title or r.declared.control_point for r in records)
-    subtitle = f"Record{'s' if len(records) > 1 else ''} {', '.join(r.name for r in records)}, {found.vehicle or ''}"
+    subtitle = f"Record{'s' if len(records) > 1 else ''} {', '.join(r.name for r in records)}, {estimate.vehicle or ''}"
     sections = [
-        _parameters_section(fitted, found, parameters), *_profiles_section(profiles), _errors_section(found),
-        _comparison_section(fitted, fit_pictures), _residuals_section(found), *_pictures_section(pictures),
+        _parameters_section(fitted, estimate, parameters), *_profiles_section(profiles), _errors_section(estimate),
+        _comparison_section(fitted, fit_pictures), _residuals_section(estimate), *_pictures_section(pictures),
         credibility_section(fitted.credibility.as_json()),
     ]  # fmt: skip
     return Page(
         "; ".join(titles),
         subtitle.rstrip(", "),
         sections,
-        _headline(fitted, found),
-        further_warnings(fitted.warnings, found.remarks),
+        _headline(fitted, estimate),
+        further_warnings(fitted.warnings, estimate.remarks),
     )
 
 
-def _headline(fitted: FitResult, found: Estimate) -> tuple[str, str]:
+def _headline(fitted: FitResult, estimate: Estimate) -> tuple[str, str]:
     """Whether the fit converged, and its errors."""
-    count = f"{found.iterations} iteration{'s' if found.iterations != 1 else ''}"
-    head = f"Converged after {count}" if found.converged else f"Not converged: {fitted.fit.status.value}"
-    declared = _declared(found, "fit")
+    count = f"{estimate.iterations} iteration{'s' if estimate.iterations != 1 else ''}"
+    head = f"Converged after {count}" if estimate.converged else f"Not converged: {fitted.fit.status.value}"
+    declared = _declared(estimate, "fit")
     before = "" if declared is None else f"{declared.rmse_K:.2f} K with the declared model, "
-    after = "" if found.fit is None else f"RMSE over fitted data: {before}{found.fit.rmse_K:.2f} K fitted"
-    floor = "" if found.noise_floor_K is None else f"; noise floor {floor_in_words(found)}"
+    after = "" if estimate.fit is None else f"RMSE over fitted data: {before}{estimate.fit.rmse_K:.2f} K fitted"
+    floor = "" if estimate.noise_floor_K is None else f"; noise floor {floor_in_words(estimate)}"
     return head, f"{after}{floor}." if after else ""
 
 
-def _declared(found: Estimate, segments: str) -> FitErrors | None:
+def _declared(estimate: Estimate, segments: str) -> FitErrors | None:
     """Errors of the declared model over fit or holdout segments."""
-    errors = ((found.model_extra or {}).get("predicted") or {}).get(segments)
+    errors = ((estimate.model_extra or {}).get("predicted") or {}).get(segments)
     return None if errors is None else FitErrors.model_validate(errors, from_attributes=True)
 
 
-def _parameters_section(fitted: FitResult, found: Estimate, parameters: Table) -> Section:
-    about = derivatives_about(found.parameters, found.reference_condition.values())
+def _parameters_section(fitted: FitResult, estimate: Estimate, parameters: Table) -> Section:
+    about = derivatives_about(estimate.parameters, estimate.reference_condition.values())
     text = f"One standard deviation, corrected for coloured residuals. {about}".rstrip()
     points = [
         f"{n}: fixed at {p.value:g}{'' if p.unit == '1' else f' {p.unit}'}"
-        for n, p in found.fixed.items()
-        if n not in found.not_estimated
+        for n, p in estimate.fixed.items()
+        if n not in estimate.not_estimated
     ]
-    points += [f"{n}: tied to {other}" for n, other in found.ties.items() if n != other]
+    points += [f"{n}: tied to {other}" for n, other in estimate.ties.items() if n != other]
     points += [p.in_words() for p in fitted.profiles.values()]
-    points += [f"{n}: not estimated, {why}" for n, why in found.not_estimated.items()]
-    points += [remark.in_words for remark in found.remarks]
-    strongest = sorted(found.correlation.items(), key=lambda item: -abs(item[1]))
+    points += [f"{n}: not estimated, {why}" for n, why in estimate.not_estimated.items()]
+    points += [remark.in_words for remark in estimate.remarks]
+    strongest = sorted(estimate.correlation.items(), key=lambda item: -abs(item[1]))
     rows = [[*pair.split(PAIR), rho] for pair, rho in strongest if abs(rho) >= NOTABLE]
     columns = [Column("parameter"), Column("and", is_text=True), Column("correlation", format="+.3f")]
     caption = f"Correlations of a magnitude of {NOTABLE:g} and more."
@@ -93,14 +93,14 @@ def _parameters_section(fitted: FitResult, found: Estimate, parameters: Table) -
     return Section("Estimated parameters", [text], points, tables)
 
 
-def _errors_section(found: Estimate) -> Section:
+def _errors_section(estimate: Estimate) -> Section:
     rows: list[list[Any]] = []
     for label, errors in (
-        ("declared model, fitted samples", _declared(found, "fit")),
-        ("fitted model, fitted samples", found.fit),
-        ("declared model, held out", _declared(found, "holdout")),
-        ("fitted model, held out", found.holdout),
-        ("predictions of the filter, which the fit minimised", found.innovations),
+        ("declared model, fitted samples", _declared(estimate, "fit")),
+        ("fitted model, fitted samples", estimate.fit),
+        ("declared model, held out", _declared(estimate, "holdout")),
+        ("fitted model, held out", estimate.holdout),
+        ("predictions of the filter, which the fit minimised", estimate.innovations),
     ):
         if errors is not None:
             rows.append([label, errors.rmse_K, errors.max_abs_K, errors.n])
@@ -109,7 +109,7 @@ def _errors_section(found: Estimate) -> Section:
         Column("samples", format=".0f"),
     ]  # fmt: skip
     caption = "Errors of the plain march, with no measurement assimilated; held-out samples entered no fit."
-    samples = samples_in_words((found.model_extra or {}).get("samples", {}))
+    samples = samples_in_words((estimate.model_extra or {}).get("samples", {}))
     caption += f" {samples[0].upper()}{samples[1:]}." if samples else ""
     return Section("Errors", tables=[Table(caption, columns, rows)])
 
@@ -123,9 +123,9 @@ def _comparison_section(fitted: FitResult, pictures: Sequence[Path]) -> Section:
     return Section("Measured against predicted", charts=charts)
 
 
-def _residuals_section(found: Estimate) -> Section:
+def _residuals_section(estimate: Estimate) -> Section:
     """Tests of the normalised residuals of each sensor."""
-    sensors = (found.model_extra or {}).get("statistics", {}).get("sensors", {})
+    sensors = (estimate.model_extra or {}).get("statistics", {}).get("sensors", {})
     rows = [
         [
             name, s["n"], s["noise_sigma_K"], s["normalised_mean"], s["normalised_rms"],

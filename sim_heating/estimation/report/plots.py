@@ -37,16 +37,16 @@ LAMP = "q_add_W_m2"
 
 
 @replaced_if_undrawable
-def draw_fit(path: Path, before: Prediction, after: Prediction, *, filtered: bool = False) -> None:
+def draw_fit(path: Path, declared: Prediction, prediction: Prediction, *, filtered: bool = False) -> None:
     """Draw each sensor with its residual below, declared and fitted, and the angles flown in the last panel.
 
     filtered : whether the fit was one with process noise, of which the march draws the values alone
 
     Holdout segments are shaded.
     """
-    record = after.record
+    record = prediction.record
     fitted = "fitted, plain march" if filtered else "fitted"
-    figure, axes = fit_figure(record, [(before, BEFORE, "declared"), (after, AFTER, fitted)])
+    figure, axes = fit_figure(record, [(declared, BEFORE, "declared"), (prediction, AFTER, fitted)])
     title = record.declared.title or record.declared.control_point
     save_figure(figure, path, f"{record.name}: declared and fitted\n{title}", axes)
 
@@ -115,9 +115,9 @@ def fit_chart(
     *,
     temperatures: bool = True,
 ) -> Chart:
-    """The chart of `fit_figure`, for a page.
+    """The chart of measured temperatures, predictions and residuals, for a page.
 
-    curves       : as `fit_figure` takes them;  picture : in its place on paper
+    curves       : (prediction, colour, label);  picture : in its place on paper
     temperatures : whether these are drawn, or the residuals alone
     """
     models = [ModelCurve(name, color, p.indicated_K, p.residual_K) for p, color, name in curves]

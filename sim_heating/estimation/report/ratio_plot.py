@@ -47,11 +47,11 @@ def describe_condition(reference: FloatArray) -> str:
 
 def derivatives_about(names: Iterable[str], reference: ArrayLike) -> str:
     """What estimates of the ratio change, and the condition that derivatives are about; empty without estimates."""
-    own = [n.partition(AT)[0] for n in names]
+    parameters = [n.partition(AT)[0] for n in names]
     lines = []
-    if MAGNITUDES[0] in own:
+    if MAGNITUDES[0] in parameters:
         lines.append(f"The ratio is that of the declared table times 1 + {MAGNITUDES[0]}, plus the derivatives.")
-    if any(n.startswith("ratio.d_") for n in own):
+    if any(n.startswith("ratio.d_") for n in parameters):
         lines.append(f"Derivatives are about {describe_condition(np.asarray(reference, dtype=float))}.")
     return " ".join(lines)
 
@@ -94,11 +94,11 @@ def draw_ratio(path: Path, fitted: FitResult, record_fit: RecordFit) -> bool:
 
     returns : whether there was a ratio parameter to draw, and a variable of the flight that it could be drawn against
     """
-    known = {p.name for p in RATIO}
-    chosen = {n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in known}
+    ratio_names = {p.name for p in RATIO}
+    chosen = {n: int(k) for n, k in zip(record_fit.names, record_fit.index, strict=True) if n in ratio_names}
     if not chosen:
         return False
-    fixed = {n: v for n, v in record_fit.model.parameters.items() if n in known and n not in chosen}
+    fixed = {n: v for n, v in record_fit.model.parameters.items() if n in ratio_names and n not in chosen}
     names, index = (*chosen, *fixed), list(chosen.values())
     reference = np.array(fitted.problem.reference)
     values = np.append(fitted.fit.values[index], list(fixed.values()))

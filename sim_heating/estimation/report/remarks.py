@@ -74,12 +74,12 @@ def remarks(fitted: FitResult) -> list[Remark]:
     ]  # fmt: skip
 
 
-def floor_in_words(found: Estimate) -> str:
+def floor_in_words(estimate: Estimate) -> str:
     """The noise floor of a fit [K], and whether it is only the misfit of the fit itself; empty without one."""
-    if found.noise_floor_K is None:
+    if estimate.noise_floor_K is None:
         return ""
-    circular = any(r.kind == NOISE for r in found.remarks)
-    return f"{found.noise_floor_K:.2f} K{', from the misfit itself' if circular else ''}"
+    circular = any(r.kind == NOISE for r in estimate.remarks)
+    return f"{estimate.noise_floor_K:.2f} K{', from the misfit itself' if circular else ''}"
 
 
 def samples_in_words(samples: Mapping[str, Any]) -> str:
@@ -94,19 +94,19 @@ def samples_in_words(samples: Mapping[str, Any]) -> str:
     left_out = samples.get("left_out", {})
     if not left_out:
         return ""
-    whole = samples["fit"] + sum(left_out.values())
+    total = samples["fit"] + sum(left_out.values())
     reasons = ", ".join(f"{count} ({reason})" for reason, count in left_out.items())
-    return f"{samples['fit']} of {whole} readings of the fit segments are fitted; left out: {reasons}"
+    return f"{samples['fit']} of {total} readings of the fit segments are fitted; left out: {reasons}"
 
 
-def further_warnings(warnings: Sequence[str], found: Sequence[Remark]) -> list[str]:
+def further_warnings(warnings: Sequence[str], fit_remarks: Sequence[Remark]) -> list[str]:
     """Warnings on a fit that no remark repeats."""
-    return [line for line in warnings if line not in {r.message for r in found}]
+    return [line for line in warnings if line not in {r.message for r in fit_remarks}]
 
 
-def short_remarks(found: Sequence[Remark], parameter: str) -> str:
+def short_remarks(fit_remarks: Sequence[Remark], parameter: str) -> str:
     """The kinds of the remarks on a parameter, for a cell of a table."""
-    return ", ".join(dict.fromkeys(r.kind for r in found if parameter in r.parameters))
+    return ", ".join(dict.fromkeys(r.kind for r in fit_remarks if parameter in r.parameters))
 
 
 def _impossible_values(fitted: FitResult) -> Iterator[Remark]:
@@ -122,14 +122,14 @@ def _impossible_values(fitted: FitResult) -> Iterator[Remark]:
             yield _remark(NEGATIVE_RATIO, ratios, f"{name}: the heating ratio is negative for {negative_s:.0f} s")
         radiative = _labels(fitted, record_fit, RADIATIVE, f"{EFFECT_PREFIX}radiative-conduction.")
         if radiative and model.value(RADIATIVE) < 0.0:
-            found = f"{name}: the radiative conductivity is {model.value(RADIATIVE):.3g} W/(m K)"
-            yield _remark(NEGATIVE_CONDUCTIVITY, radiative, found)
+            message = f"{name}: the radiative conductivity is {model.value(RADIATIVE):.3g} W/(m K)"
+            yield _remark(NEGATIVE_CONDUCTIVITY, radiative, message)
 
 
 def _labels(fitted: FitResult, record_fit: RecordFit, *beginnings: str) -> list[str]:
     """Labels of the estimated parameters of a record whose names begin so."""
-    own = [fitted.problem.unknowns[k] for k in record_fit.index]
-    return [u.label for u in own if u.parameter.name.partition(AT)[0].startswith(beginnings)]
+    unknowns = [fitted.problem.unknowns[k] for k in record_fit.index]
+    return [u.label for u in unknowns if u.parameter.name.partition(AT)[0].startswith(beginnings)]
 
 
 def _largest_emittance(model: PointModel, history: PointHistory) -> tuple[float, float]:
@@ -142,8 +142,8 @@ def _largest_emittance(model: PointModel, history: PointHistory) -> tuple[float,
     emittance = np.interp(T, *table.T) * model.value(EMITTANCE_FACTOR)
     for used in model.effects:
         if used.effect.name == "emissivity":
-            own = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
-            emittance *= np.maximum(own["emissivity_factor"] + own["emissivity_slope"] * (T - 1000.0), 0.0)
+            values = dict(zip((p.name for p in used.effect.parameters), used.values, strict=True))
+            emittance *= np.maximum(values["emissivity_factor"] + values["emissivity_slope"] * (T - 1000.0), 0.0)
     k = int(np.argmax(emittance))
     return float(emittance[k]), float(T[k])
 
@@ -160,8 +160,8 @@ def _far_from_priors(fitted: FitResult) -> Iterator[Remark]:
         distance = (value - prior.value) / prior.sigma if np.isfinite(prior.sigma) and prior.sigma > 0.0 else 0.0
         if abs(distance) > FAR_FROM_PRIOR:
             stated = f"{prior.value:g} +- {prior.sigma:g}"
-            found = f"{unknown.label} is {abs(distance):.1f} sigmas of its prior from its mean ({stated})"
-            yield _remark(PRIOR, [unknown.label], found)
+            message = f"{unknown.label} is {abs(distance):.1f} sigmas of its prior from its mean ({stated})"
+            yield _remark(PRIOR, [unknown.label], message)
 
 
 def _correlations(fitted: FitResult) -> Iterator[Remark]:
@@ -171,13 +171,13 @@ def _correlations(fitted: FitResult) -> Iterator[Remark]:
     pairs = sorted((p for p in combinations(single, 2) if abs(rho[p]) > CORRELATED), key=lambda p: -abs(rho[p]))
     if len(pairs) == 1:
         (i, j) = pairs[0]
-        found = f"{labels[i]} and {labels[j]} have a correlation of {rho[i, j]:+.3f}"
-        yield _remark(CORRELATION, [labels[i], labels[j]], found)
+        message = f"{labels[i]} and {labels[j]} have a correlation of {rho[i, j]:+.3f}"
+        yield _remark(CORRELATION, [labels[i], labels[j]], message)
     elif pairs:
         listed = ", ".join(f"{labels[i]} and {labels[j]} {rho[i, j]:+.3f}" for i, j in pairs[:SHOWN_PAIRS])
-        more = f", and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
-        found = f"{len(pairs)} pairs have a correlation beyond {CORRELATED:g}: {listed}{more}"
-        yield _remark(CORRELATION, list(dict.fromkeys(labels[k] for pair in pairs for k in pair)), found)
+        unlisted = f", and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        message = f"{len(pairs)} pairs have a correlation beyond {CORRELATED:g}: {listed}{unlisted}"
+        yield _remark(CORRELATION, list(dict.fromkeys(labels[k] for pair in pairs for k in pair)), message)
 
 
 def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:
@@ -191,11 +191,11 @@ def _misfits_as_noise(fitted: FitResult) -> Iterator[Remark]:
                 continue
             # readings that stay on one code of a recorder for long hide up to half a step of noise
             if sensor.noise_floor_K(assumed_K) > MISFIT * math.hypot(own_K, sensor.lsb_K / 2.0):
-                found = (
+                message = (
                     f"{record.name}, sensor {sensor.name}: no noise is declared, and {assumed_K:.2g} K is the misfit "
                     f"of the model; neighbouring readings scatter by {own_K:.2g} K"
                 )
-                yield _remark(NOISE, [], found)
+                yield _remark(NOISE, [], message)
 
 
 def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
@@ -204,7 +204,7 @@ def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
         intervals, sensor, record = s.channel.intervals, s.channel.sensor, s.record_fit.record
         if sensor.range_K is None:
             continue
-        for at, end_K, what in (
+        for at, end_K, side in (
             (np.isposinf(intervals.upper_K), sensor.range_K[1], "upper"),
             (np.isneginf(intervals.lower_K), sensor.range_K[0], "lower"),
         ):
@@ -213,12 +213,12 @@ def _ends_of_ranges(fitted: FitResult) -> Iterator[Remark]:
             beyond_K = float(np.max(np.abs(s.mean_K[at] - end_K)))
             if beyond_K > BEYOND_RANGE * sensor.noise_floor_K(s.sigma_K):
                 times = s.time_s[at]
-                found = (
+                message = (
                     f"{record.name}, sensor {sensor.name}: {len(times)} readings from {times[0]:.0f} to "
-                    f"{times[-1]:.0f} s are at the {what} end of its range, {end_K:.0f} K; the model differs from it "
+                    f"{times[-1]:.0f} s are at the {side} end of its range, {end_K:.0f} K; the model differs from it "
                     f"by up to {beyond_K:.0f} K"
                 )
-                yield _remark(RANGE_END, [], found)
+                yield _remark(RANGE_END, [], message)
 
 
 def _remark(kind: str, parameters: Sequence[str], message: str) -> Remark:

@@ -78,9 +78,9 @@ def estimate_contents(fitted: FitResult) -> Estimate:
             "holdout": _errors(fitted.after, "holdout"),
             "predicted": None
             if any(r.lacks_ratio for r in records)
-            else {what: _errors(fitted.before, what) for what in ("fit", "holdout")},
+            else {segments: _errors(fitted.before, segments) for segments in ("fit", "holdout")},
             "samples": sample_counts(fitted),
-            "profiles": {name: found.as_json() for name, found in fitted.profiles.items()},
+            "profiles": {name: profile.as_json() for name, profile in fitted.profiles.items()},
             "outliers": [outlier.as_json() for outlier in fitted.outliers],
             "innovations": _innovations(fitted),
             "degrees_of_freedom": fitted.bounds.dof,
@@ -149,12 +149,12 @@ def _process_noise(fitted: FitResult) -> dict[str, Any] | None:
 
 def _starts(fitted: FitResult) -> list[dict[str, Any] | None] | None:
     """Where the march of each record began, with the temperatures found; None where all began with the record."""
-    found: list[dict[str, Any] | None] = []
+    starts: list[dict[str, Any] | None] = []
     for record_fit in fitted.problem.record_fits:
         initial_K = record_fit.initial_K(fitted.fit.values)
         profile = None if initial_K is None else np.column_stack([record_fit.mesh.depth_m, initial_K]).tolist()
-        found.append(None if profile is None else {"time_s": record_fit.begin_s, "profile": profile})
-    return found if any(found) else None
+        starts.append(None if profile is None else {"time_s": record_fit.begin_s, "profile": profile})
+    return starts if any(starts) else None
 
 
 def _segments(record: Record) -> list[list[float]]:
@@ -169,8 +169,8 @@ def _errors(predictions: tuple[Prediction, ...], segments: str) -> FitErrors | N
         used = [i for i, sensor in enumerate(p.record.sensors) if sensor.used]
         mask = p.record.fit_mask() if segments == "fit" else p.record.holdout_mask()
         residuals.append(p.residual_K[used][:, mask].ravel())
-    found = pooled_rmse_K(np.concatenate(residuals))
-    return None if found is None else FitErrors.model_validate(found)
+    pooled = pooled_rmse_K(np.concatenate(residuals))
+    return None if pooled is None else FitErrors.model_validate(pooled)
 
 
 def sample_counts(fitted: FitResult) -> dict[str, Any]:
@@ -190,12 +190,12 @@ def _innovations(fitted: FitResult) -> dict[str, float] | None:
     """Errors of the filter's predictions [K], pooled over the fitted samples; None in an output-error fit."""
     if fitted.innovations is None:
         return None
-    samples, found = fitted.samples(), []
+    samples, residuals = fitted.samples(), []
     for s in samples:
         record = s.record_fit.record
         read_K = record.thermocouples[s.channel.sensor.column][np.searchsorted(record.time_s, s.time_s)]
-        found.append(read_K - s.mean_K)
-    pooled = pooled_rmse_K(np.concatenate(found))
+        residuals.append(read_K - s.mean_K)
+    pooled = pooled_rmse_K(np.concatenate(residuals))
     return None if pooled is None else {**pooled, "normalised_rms": rms_normalised_residual(samples)}
 
 
@@ -203,7 +203,7 @@ def _sensitivity_to_effort(fitted: FitResult) -> dict[str, dict[str, float]]:
     """Standard deviations of the derivatives with twice the excursions, and with twice as many samples."""
     factors = sensitivity_to_effort(fitted.labels, fitted.fit.information, fitted.fit.prior_information)
     now = dict(zip(fitted.labels, fitted.bounds.sigma, strict=True))
-    return {n: {f"{k}_sigma": f * float(now[n]) for k, f in found.items()} for n, found in factors.items()}
+    return {n: {f"{k}_sigma": f * float(now[n]) for k, f in by_change.items()} for n, by_change in factors.items()}
 
 
 def noise_floor_K(fitted: FitResult) -> float | None:
@@ -220,10 +220,10 @@ def noise_floor_K(fitted: FitResult) -> float | None:
 def sensor_residual_tests(fitted: FitResult) -> list[SensorResiduals]:
     """Normalised residuals of every fitted sensor, and their tests; the random draws are the same every time."""
     rng = np.random.default_rng(0)
-    several = len(fitted.problem.record_fits) > 1
+    is_joint = len(fitted.problem.record_fits) > 1
     return [
         sensor_residuals(
-            f"{s.record_fit.record.name}/{s.channel.sensor.name}" if several else s.channel.sensor.name,
+            f"{s.record_fit.record.name}/{s.channel.sensor.name}" if is_joint else s.channel.sensor.name,
             s.time_s, s.channel.intervals, s.mean_K, s.spread_K, rng,
         )
         for s in fitted.samples()
@@ -317,8 +317,8 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
     from sim_heating.estimation.report.page import estimate_page
 
     with output_directory(out, "estimate", inputs=[p.record.directory for p in fitted.after]) as folder:
-        found = estimate_contents(fitted)
-        draw_files(write_fit_data(fitted, found, folder))
+        estimate = estimate_contents(fitted)
+        draw_files(write_fit_data(fitted, estimate, folder))
         if page:
             captions = {RATIO_PICTURE: "heating ratio, declared and fitted", PICTURE: "filtered temperatures"}
             folders = _record_folders(fitted, folder)
@@ -328,35 +328,35 @@ def write_fit(fitted: FitResult, out: str | os.PathLike[str], *, page: bool = Tr
                 for name, caption in captions.items()
             ]
             profiles = folder / PROFILE_PICTURE if fitted.profiles else None
-            table, fits = estimate_table("", found), [f / FIT_PICTURE for f in folders]
-            write_page(folder / PAGE, lambda: estimate_page(fitted, found, table, fits, pictures, profiles))
+            table, fits = estimate_table("", estimate), [f / FIT_PICTURE for f in folders]
+            write_page(folder / PAGE, lambda: estimate_page(fitted, estimate, table, fits, pictures, profiles))
         return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
 
 
-def write_fit_data(fitted: FitResult, found: Estimate, folder: Path) -> list[Callable[[], object]]:
+def write_fit_data(fitted: FitResult, estimate: Estimate, folder: Path) -> list[Callable[[], object]]:
     """Write the numbers of a fit into an existing folder: estimate.json and temperatures.
 
-    found   : contents of estimate.json
-    returns : functions that draw its pictures there, for `draw_files`
+    estimate : contents of estimate.json
+    returns  : functions that draw its pictures there, for `draw_files`
     """
     from sim_heating.estimation.report.filtered import filtered_history, write_filtered
     from sim_heating.estimation.report.plots import draw_fit, draw_profiles  # matplotlib is slow to import
     from sim_heating.estimation.report.ratio_plot import draw_ratio
 
-    write_estimate(folder / NAME, found)
+    write_estimate(folder / NAME, estimate)
     draws: list[Callable[[], object]] = []
     if fitted.profiles:
         sigmas = dict(zip(fitted.labels, fitted.bounds.sigma.tolist(), strict=True))
         draws.append(partial(draw_profiles, folder / PROFILE_PICTURE, list(fitted.profiles.values()), sigmas))
     parts = zip(fitted.problem.record_fits, fitted.before, fitted.after, _record_folders(fitted, folder), strict=True)
-    for record_fit, before, after, own in parts:
-        own.mkdir(exist_ok=True, parents=True)
-        write_temperatures_csv(own / TEMPERATURES, after.history.time_s, after.history, after.record.sensors)
+    for record_fit, before, after, record_folder in parts:
+        record_folder.mkdir(exist_ok=True, parents=True)
+        write_temperatures_csv(record_folder / TEMPERATURES, after.history.time_s, after.history, after.record.sensors)
         filtered = fitted.innovations is not None
-        draws.append(partial(draw_fit, own / FIT_PICTURE, before, after, filtered=filtered))
-        draws.append(partial(draw_ratio, own / RATIO_PICTURE, fitted, record_fit))
+        draws.append(partial(draw_fit, record_folder / FIT_PICTURE, before, after, filtered=filtered))
+        draws.append(partial(draw_ratio, record_folder / RATIO_PICTURE, fitted, record_fit))
         if fitted.innovations is not None:
-            write_filtered(own, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
+            write_filtered(record_folder, filtered_history(fitted.innovations, fitted.fit.values, record_fit))
     return draws
 
 

@@ -66,11 +66,11 @@ class FlownPath:
         k = np.flatnonzero((before >= 0.0) != (after >= 0.0))
         if len(k) == 0:
             return float(self.time_s[np.argmin(np.abs(speed))])
-        places = self.time_s[k] + before[k] / (before[k] - after[k]) * np.diff(self.time_s)[k]
-        if len(places) == 1 or "altitude_m" not in self.columns:
-            return float(places[0])
-        altitude = np.interp(places, self.time_s, self.columns["altitude_m"])
-        return float(places[np.argmin(np.abs(altitude - now["altitude_m"]))])
+        crossings_s = self.time_s[k] + before[k] / (before[k] - after[k]) * np.diff(self.time_s)[k]
+        if len(crossings_s) == 1 or "altitude_m" not in self.columns:
+            return float(crossings_s[0])
+        altitude = np.interp(crossings_s, self.time_s, self.columns["altitude_m"])
+        return float(crossings_s[np.argmin(np.abs(altitude - now["altitude_m"]))])
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,12 @@ class Course:
     def at(self, time_s: FloatArray) -> dict[str, FloatArray]:
         """(time,) conditions at times [s] not before the present."""
         since = np.asarray(time_s, dtype=float) - self.begin_s
-        found = self.path.at(self.path_s + since)
+        conditions = self.path.at(self.path_s + since)
         for name, value in self.stays.items():
-            found[name] = found[name] * value if name in SHARES else found[name] + value
+            conditions[name] = conditions[name] * value if name in SHARES else conditions[name] + value
         for name, (value, over_s) in self.returns.items():
-            found[name] = found[name] + value * np.clip(1.0 - since / over_s, 0.0, 1.0)
-        return {**found, "time_s": np.asarray(time_s, dtype=float)}
+            conditions[name] = conditions[name] + value * np.clip(1.0 - since / over_s, 0.0, 1.0)
+        return {**conditions, "time_s": np.asarray(time_s, dtype=float)}
 
     @property
     def corners_s(self) -> list[float]:
@@ -218,20 +218,20 @@ class Futures:
             if name in SURFACES and name not in commanded:
                 returns[name] = (difference - trim.get(name, 0.0), longest)
             elif name not in commanded:
-                share = name in SHARES and there[name] > 0.0
-                stays[name] = frame.values[name] / there[name] if share else difference
+                is_ratio = name in SHARES and there[name] > 0.0
+                stays[name] = frame.values[name] / there[name] if is_ratio else difference
         return Course(path, begin, frame.time_s, stays, returns)
 
     def after(self, frame: Frame) -> dict[str, Future]:
         """The futures of a frame by their names; without a manoeuvre in the scenario there is none planned."""
         trim = self.trim(frame)
-        found: dict[str, Future] = {
+        futures: dict[str, Future] = {
             "nominal": self.follow(self.nominal, frame, trim),
             "held": held(self.columns, frame),
         }
         if self.windows:
-            found["planned"] = self.follow(self.planned, frame, trim)
-        return found
+            futures["planned"] = self.follow(self.planned, frame, trim)
+        return futures
 
     def stopped(self, planned: Course, frame: Frame, stop_s: float) -> Stopped:
         """The planned future of a frame, its manoeuvre stopped at a time [s]."""
@@ -253,8 +253,8 @@ def _fly(scenario: Scenario, manoeuvres: Sequence[object]) -> tuple[Conditions, 
     spec = scenario.declared.trajectory.model_copy(update={"manoeuvre": tuple(manoeuvres)})
     sources = ("entry-3dof", "jsbsim") if spec.source == "jsbsim" else (spec.source,)
     for source in sources:
-        own = spec.model_copy(update={"source": source})
-        declared = scenario.declared.model_copy(update={"trajectory": own})
+        trajectory = spec.model_copy(update={"source": source})
+        declared = scenario.declared.model_copy(update={"trajectory": trajectory})
         try:
             flown = fly_scenario(replace(scenario, declared=declared))
             return flown.conditions, flown.windows

@@ -33,7 +33,8 @@ from sim_heating.base.files import display_path
 from sim_heating.base.kernels.block import LANES, N_CONDITIONS, P_SURFACE
 from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import SENSOR_PREFIX
-from sim_heating.estimation.filter.online import PackedModel, PointEstimate
+from sim_heating.estimation.filter.lane_models import PackedModel
+from sim_heating.estimation.filter.online import PointEstimate
 from sim_heating.live.ahead.futures import Course, Future, Futures, held
 from sim_heating.live.filtering.estimates import LiveEstimate
 from sim_heating.live.filtering.estimator import LiveEstimator
@@ -146,9 +147,13 @@ class LookAhead:
         futures = {"held": held(self.source.columns, frame)} if self.futures is None else self.futures.after(frame)
         ahead = []
         with one_thread():
-            found = self._march_all(now, frame, futures)
+            predicted = self._march_all(now, frame, futures)
             for i in range(len(points)):
-                states = {n: self._state(p, self.limits[i]) for n, own in found.items() if (p := own[i]) is not None}
+                states = {
+                    n: self._state(p, self.limits[i])
+                    for n, of_future in predicted.items()
+                    if (p := of_future[i]) is not None
+                }
                 ahead.append(PointAhead(states, *self._knock_off(i, now[i], frame, futures.get("planned"), states)))
         return {p.name: a for p, a in zip(points, ahead, strict=True)}
 
@@ -176,13 +181,13 @@ class LookAhead:
     ) -> dict[str, list[Predicted | None]]:
         grids = {n: self._steps(frame.time_s, [f]) for n, f in futures.items()}
         histories = {n: self.source.histories(f.at(grids[n])) for n, f in futures.items()}
-        found: dict[str, list[Predicted | None]] = {n: [] for n in futures}
+        by_future: dict[str, list[Predicted | None]] = {n: [] for n in futures}
         for k, lanes in enumerate(self._packed(now)):
-            part = slice(k * LANES, (k + 1) * LANES)
-            lanes.begin(now[part])
+            group = slice(k * LANES, (k + 1) * LANES)
+            lanes.begin(now[group])
             for n in futures:
-                found[n] += lanes.march(grids[n], histories[n][part])
-        return found
+                by_future[n] += lanes.march(grids[n], histories[n][group])
+        return by_future
 
     def _steps(self, begin_s: float, futures: Sequence[Future]) -> FloatArray:
         """Steps of the march [s]: growing with the time from now, short in manoeuvres, one at each corner."""
@@ -275,8 +280,8 @@ class LookAhead:
         lanes, time_s = self._alone[i], self._steps(frame.time_s, courses)
         histories = np.stack([self.source.histories(c.at(time_s))[i] for c in courses])
         lanes.begin([now] * LANES)
-        found = lanes.march(time_s, histories)[: len(stops_s)]
-        return np.array([1.0 if p is None else passing_probability(p, self.limits[i]) for p in found])
+        predicted = lanes.march(time_s, histories)[: len(stops_s)]
+        return np.array([1.0 if p is None else passing_probability(p, self.limits[i]) for p in predicted])
 
 
 class AheadOfLink:
@@ -296,7 +301,7 @@ class AheadOfLink:
         self.latest: dict[str, PointAhead] = {}
         self.problem = ""
         self._at_s, self._not_before_s = -math.inf, -math.inf
-        own, futures = link.declared.ahead, None
+        settings, futures = link.declared.ahead, None
         try:
             with error_context(f"{display_path(link.path)}, [ahead]"):
                 if link.scenario is not None:
@@ -304,7 +309,7 @@ class AheadOfLink:
         except (InputError, RunError) as error:
             self.problem = f"{str(error).splitlines()[0]}; the look-ahead has the present conditions alone"
         self._ahead = LookAhead(
-            estimator.source, limits, futures, own.horizon_s, own.keep, link.declared.estimate.wander
+            estimator.source, limits, futures, settings.horizon_s, settings.keep, link.declared.estimate.wander
         )
         self._ahead.warm_up([e for f in estimator.stepper.filters for e in f.estimates()])
 
@@ -345,16 +350,16 @@ class _Lanes:
         self._wanders = [_wanders(e) for e in now]
         tracks = [
             Track(
-                p.model, p.mesh, (*own, *([RATIO_ITSELF] * wanders)), np.zeros(0), (0, p.mesh.bondline), flight=flight,
-                initial_columns=np.zeros((p.mesh.nodes, 1)),
+                p.model, p.mesh, (*names, *([RATIO_ITSELF] * wanders)), np.zeros(0), (0, p.mesh.bondline),
+                flight=flight, initial_columns=np.zeros((p.mesh.nodes, 1)),
             )
-            for p, own, wanders, flight in zip(points, self._own, self._wanders, flights, strict=True)
+            for p, names, wanders, flight in zip(points, self._own, self._wanders, flights, strict=True)
         ]  # fmt: skip
         self._march = LinearMarch(tracks, np.array([0.0, 1.0]), np.zeros((len(tracks), 2, N_CONDITIONS)))
         self._tracks: list[Track] = tracks
         packed = {
-            (id(t.model), t.names): PackedModel.of(t.model, tuple(own))
-            for t, own in zip(tracks, self._own, strict=True)
+            (id(t.model), t.names): PackedModel.of(t.model, tuple(names))
+            for t, names in zip(tracks, self._own, strict=True)
         }
         self._packed = [packed[id(t.model), t.names] for t in tracks]
         self._roots: list[tuple[FloatArray, FloatArray]] = []
@@ -368,17 +373,17 @@ class _Lanes:
         """Take over estimates: parameters, temperatures, and what of them is open."""
         tracks: list[Track] = []
         self._roots, self._now = [], list(now)
-        known: dict[int, tuple[Track, tuple[FloatArray, FloatArray]]] = {}
-        for track, own, wanders, estimate in zip(self._march.tracks, self._own, self._wanders, now, strict=True):
-            if id(estimate) not in known:
+        begun_of: dict[int, tuple[Track, tuple[FloatArray, FloatArray]]] = {}
+        for track, names, wanders, estimate in zip(self._march.tracks, self._own, self._wanders, now, strict=True):
+            if id(estimate) not in begun_of:
                 C, L = _root(estimate.covariance), _root(estimate.state_covariance, LEAST_SIGMA_K, DIRECTIONS)
-                m, S = len(own), estimate.sensitivity[:-1]
+                m, S = len(names), estimate.sensitivity[:-1]
                 named = np.concatenate([S[:, :m], np.zeros((len(S), int(wanders)))], axis=1)
                 first = np.concatenate([S[:, m:], L[:-1]], axis=1)
                 filled = first if first.shape[1] else np.zeros((len(S), 1))
                 begun = replace(track, initial_K=estimate.temperature_K, named_columns=named, initial_columns=filled)
-                known[id(estimate)] = begun, (C, L)
-            begun, roots = known[id(estimate)]
+                begun_of[id(estimate)] = begun, (C, L)
+            begun, roots = begun_of[id(estimate)]
             tracks.append(replace(begun, flight=track.flight))
             self._roots.append(roots)
         self._tracks = tracks
@@ -392,10 +397,10 @@ class _Lanes:
         time_s : steps [s];  histories : (lane, time, condition)
         """
         self._march.move([replace(t, sample_s=time_s) for t in self._tracks], time_s, histories)
-        found = self._march.attempt()
+        marched = self._march.attempt()
         return [
             None if f is None else Predicted.of(time_s, f.temperature_K, self._loading(i, f.sensitivity))
-            for i, f in enumerate(found)
+            for i, f in enumerate(marched)
         ]
 
     def _loading(self, i: int, X: FloatArray) -> FloatArray:

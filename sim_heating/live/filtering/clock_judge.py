@@ -120,7 +120,7 @@ class ClockJudge:
     def take_failed(self, ended: Repeated) -> list[tuple[str, str]]:
         """Point and name of the sensors whose own clock went back by the times that came again, each of them once."""
         failed = []
-        for number, count in ended.words.items():
+        for number, count in ended.by_sensor.items():
             if count < CONFIRMED_WORDS or number in self._left_out:
                 continue
             self._left_out.add(number)

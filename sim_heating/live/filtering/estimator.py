@@ -105,9 +105,9 @@ class LiveEstimator:
                 k += 1
                 if self._is_complete(sample):
                     self._add_out_of_order(sample)
-            elif taken := self.clocks.put_in_order(samples, k, self._now_s):
-                k += len(taken)
-                for reading in taken if self._gate.is_waiting else ():
+            elif in_order := self.clocks.put_in_order(samples, k, self._now_s):
+                k += len(in_order)
+                for reading in in_order if self._gate.is_waiting else ():
                     self._decide(reading)
                 self.stepper.is_due = True
             else:

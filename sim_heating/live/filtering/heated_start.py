@@ -87,15 +87,15 @@ def reading_sigma_K(rise_K: float) -> float:
 
 def _conducted(model: PointModel, mesh: Mesh, declared_K: float, rise_K: float, conditions: FloatArray) -> FloatArray:
     """(history, node) temperatures at the end of all histories [K]."""
-    wall, part = with_imposed_surface(model), np.linspace(0.0, 1.0, STEPS + 1)
-    shapes = np.array([np.interp(part, *curve) for curve in CURVES])
-    histories = np.tile(conditions, (len(CURVES), len(part), 1))
+    wall, fraction = with_imposed_surface(model), np.linspace(0.0, 1.0, STEPS + 1)
+    shapes = np.array([np.interp(fraction, *curve) for curve in CURVES])
+    histories = np.tile(conditions, (len(CURVES), len(fraction), 1))
     histories[..., H_REF], histories[..., Q_ADD] = IMPOSING_FILM, 0.0
     histories[..., RECOVERY_ENTHALPY] = IMPOSING_CP * np.maximum(declared_K + rise_K * shapes, 1.0)
     ensemble = Ensemble([wall] * len(CURVES), [mesh] * len(CURVES))
-    found = []
+    temperatures_K = []
     for duration_s in DURATIONS_S:
         ensemble.reset()
-        ensemble.march(duration_s * part, histories, keep=np.zeros(0, dtype=np.int64), longest_step_s=np.inf)
-        found += [ensemble.node_temperatures(i) for i in range(len(CURVES))]
-    return np.array(found)
+        ensemble.march(duration_s * fraction, histories, keep=np.zeros(0, dtype=np.int64), longest_step_s=np.inf)
+        temperatures_K += [ensemble.node_temperatures(i) for i in range(len(CURVES))]
+    return np.array(temperatures_K)

@@ -43,7 +43,7 @@ class StepMarch:
         self._sensors, self._gate, self._timeline, self._options = sensors, gate, timeline, options
         self.left_out = [LeftOut() for _ in sensors.sensors]
 
-    def words(self, after_s: float, until_s: float) -> FloatArray:
+    def readings_between(self, after_s: float, until_s: float) -> FloatArray:
         """(reading, 4) readings between two times [s]: time [s], number of the sensor, value [K], 1 if suspected."""
         return self._gate.readings(self._timeline, after_s, until_s)
 
@@ -51,52 +51,52 @@ class StepMarch:
         self,
         filters: Sequence[OnlineFilter],
         begin_s: float,
-        before: FloatArray,
+        first_vectors: FloatArray,
         end_s: float,
         vectors: FloatArray,
-        words: FloatArray,
+        rows: FloatArray,
         linearise: bool = True,
     ) -> FloatArray:
         """March filters from one time to another [s] with readings, in steps of `longest_step_s` at most.
 
-        before, vectors : (point, condition) at both ends
-        words           : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
-        linearise       : whether points whose time has come are linearised again
-        returns         : (reading, LOG_COLUMNS) what is logged of the readings
+        first_vectors, vectors : (point, condition) at both ends
+        rows                   : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
+        linearise              : whether points whose time has come are linearised again
+        returns                : (reading, LOG_COLUMNS) what is logged of the readings
         """
         steps = max(1, math.ceil((end_s - begin_s) / self._options.longest_step_s - 1e-9))
         fraction = np.arange(1, steps + 1) / steps
         time_s = begin_s + fraction * (end_s - begin_s)
         time_s[-1] = end_s
-        histories = before[:, np.newaxis] + fraction[:, np.newaxis] * (vectors - before)[:, np.newaxis]
+        histories = first_vectors[:, np.newaxis] + fraction[:, np.newaxis] * (vectors - first_vectors)[:, np.newaxis]
         histories[:, -1] = vectors
         # conditions are known at the ends of a gap alone
         gap_error = min(GAP_ERROR_1_S * (end_s - begin_s), LARGEST_GAP_ERROR) if steps > 1 else 0.0
-        number, doubtful = words[:, 1].astype(np.int64), words[:, 3] > 0.0
-        readings, is_out = self._sensors.readings(words, filters, self.left_out), np.zeros(len(words), dtype=bool)
+        number, doubtful = rows[:, 1].astype(np.int64), rows[:, 3] > 0.0
+        readings, is_out = self._sensors.readings(rows, filters, self.left_out), np.zeros(len(rows), dtype=bool)
         read_K = middle_K(readings.lower_K, readings.upper_K)
-        columns = np.empty((len(words), 4))
+        columns = np.empty((len(rows), 4))
         for k, f in enumerate(filters):
             first = k * LANES
             history = histories[first : first + LANES]
-            rows = np.flatnonzero((readings.point >= first) & (readings.point < first + LANES))
-            lane_readings = own_readings(readings, rows, first, f.most_parameters)
+            of_filter = np.flatnonzero((readings.point >= first) & (readings.point < first + LANES))
+            lane_readings = own_readings(readings, of_filter, first, f.most_parameters)
             if isinstance(f, LaggingFilter):
-                lane_readings = f.behind_lags(time_s, history, lane_readings, number[rows])
+                lane_readings = f.behind_lags(time_s, history, lane_readings, number[of_filter])
 
             def take_step(r: PointReadings, f: OnlineFilter = f, history: FloatArray = history) -> Innovations:
                 return f.gap(time_s, history, r, gap_error) if gap_error else f.step(time_s, history, r)
 
-            if np.any(doubtful[rows]):
-                innovations, is_out[rows] = self._gate.filter_without(
-                    f, take_step, lane_readings, number[rows], doubtful[rows], read_K[rows]
+            if np.any(doubtful[of_filter]):
+                innovations, is_out[of_filter] = self._gate.filter_without(
+                    f, take_step, lane_readings, number[of_filter], doubtful[of_filter], read_K[of_filter]
                 )
             else:
                 innovations = take_step(lane_readings)
-            columns[rows] = np.column_stack(innovations)
+            columns[of_filter] = np.column_stack(innovations)
         predicted, variance = columns[:, 0], columns[:, 1]
         columns = np.column_stack([
-            words[:, 0], words[:, 1], np.where(is_out, read_K - predicted, columns[:, 2]),
+            rows[:, 0], rows[:, 1], np.where(is_out, read_K - predicted, columns[:, 2]),
             np.where(is_out, variance, columns[:, 3]), predicted, variance, read_K, is_out,
         ])  # fmt: skip
         if linearise:

@@ -29,18 +29,18 @@ def check_estimated(sensors: Mapping[str, Sequence[Sensor]], names: Sequence[str
     sensors : of each control point, by its name;  names : parameters to estimate
     raises  : InputError with one line
     """
-    known = {s.name for own in sensors.values() for s in own if s.used}
+    used = {s.name for of_point in sensors.values() for s in of_point if s.used}
     for name in names:
         if not name.startswith((SENSOR_PREFIX, "clock.", "sensors.")) or name == CLOCK_SKEW.name:
             continue
-        sensor, _, what = name.removeprefix(SENSOR_PREFIX).rpartition(".")
-        if not name.startswith(SENSOR_PREFIX) or what not in ("bias", "gain", "drift"):
+        sensor, _, kind = name.removeprefix(SENSOR_PREFIX).rpartition(".")
+        if not name.startswith(SENSOR_PREFIX) or kind not in ("bias", "gain", "drift"):
             raise InputError(
                 f"`{name}`: a running estimate cannot have it; of sensors it has bias, gain and drift, and of the "
                 f"clock `{CLOCK_SKEW.name}`. Leave it out here and `estimate` the record"
             )
-        if sensor not in known:
-            raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, known)}")
+        if sensor not in used:
+            raise InputError(f"`{name}`: unknown or unused sensor `{sensor}`{suggestion(sensor, used)}")
 
 
 def is_of_march(name: str) -> bool:
@@ -56,14 +56,14 @@ def default_prior(model: PointModel, name: str) -> Prior:
     The derivative of a ratio may change it by half over a usual range of its variable; a scale may be off by half.
     """
     if name.startswith(SENSOR_PREFIX):
-        known: Parameter = SENSOR[name.rpartition(".")[2]]
-        return Prior(known.value, known.sigma)
+        definition: Parameter = SENSOR[name.rpartition(".")[2]]
+        return Prior(definition.value, definition.sigma)
     if name == CLOCK_SKEW.name:
         return Prior(CLOCK_SKEW.value, CLOCK_SKEW.sigma)
-    known = model.definition(name)
+    definition = model.definition(name)
     mean = model.value(name)
-    if math.isfinite(known.sigma) and known.sigma > 0.0:
-        return Prior(mean, known.sigma)
+    if math.isfinite(definition.sigma) and definition.sigma > 0.0:
+        return Prior(mean, definition.sigma)
     if name == "ratio.scale":
         return Prior(mean, WIDE)
     ratio = LARGEST_RATIO if model.ratio is None else float(np.max(np.abs(model.ratio.ratio)))
@@ -73,7 +73,7 @@ def default_prior(model: PointModel, name: str) -> Prior:
 
 def _variables(name: str) -> list[str]:
     """Variables of a derivative of the heating ratio by its name: `ratio.d_alpha_elevon` has two."""
-    what = name.removeprefix("ratio.d").strip("_0")
-    if what.endswith("2"):
-        return [what[:-1]] * 2
-    return [v for v in what.split("_") if v in USUAL_RANGE]
+    variables = name.removeprefix("ratio.d").strip("_0")
+    if variables.endswith("2"):
+        return [variables[:-1]] * 2
+    return [v for v in variables.split("_") if v in USUAL_RANGE]

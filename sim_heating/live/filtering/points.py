@@ -99,8 +99,8 @@ class VehiclePoints:
 
         raises : InputError for a column that is missing or a value out of range
         """
-        given = frame.values
-        values = np.array([frame.time_s, *(_value(given, c, self._spared) for c in FRAME[1:])])
+        columns = frame.values
+        values = np.array([frame.time_s, *(_value(columns, c, self._spared) for c in FRAME[1:])])
         for name, value in zip(FRAME, values.tolist(), strict=True):
             low, high, _ = LIMITS[name]
             if not low <= value <= high:
@@ -123,9 +123,9 @@ class VehiclePoints:
             if not np.all((frames[:, i] >= low) & (frames[:, i] <= high)):
                 k = int(np.flatnonzero(~((frames[:, i] >= low) & (frames[:, i] <= high)))[0])
                 raise InputError(f"conditions at {time_s[k]:g} s: {name} {limit_message(name, frames[k, i])}")
-        found = np.zeros((len(self.points), len(time_s), N_CONDITIONS))
-        derive_history(frames, self._host, self._constants, self._lanes, found)
-        return found
+        histories = np.zeros((len(self.points), len(time_s), N_CONDITIONS))
+        derive_history(frames, self._host, self._constants, self._lanes, histories)
+        return histories
 
 
 class RecordPoints:
@@ -177,18 +177,18 @@ def line_tolerance(columns: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
     """(column,) distance of each column from a straight line in time that heating does not notice, and share of its
     value that is added to it [-].
     """
-    known = {**LINE_TOLERANCE, **ALONG_LINE}
-    apart = [np.inf if c in FOLLOWING else known.get(c, 0.0) for c in columns]
-    share = [LINE_TOLERANCE_SHARE.get(c, 0.0 if c in known else OTHER_SHARE) for c in columns]
-    return np.array(apart), np.array(share)
+    tolerance = {**LINE_TOLERANCE, **ALONG_LINE}
+    apart = [np.inf if c in FOLLOWING else tolerance.get(c, 0.0) for c in columns]
+    relative = [LINE_TOLERANCE_SHARE.get(c, 0.0 if c in tolerance else OTHER_SHARE) for c in columns]
+    return np.array(apart), np.array(relative)
 
 
-def _value(given: Mapping[str, float], column: str, spared: set[str] | tuple[str, ...]) -> float:
-    if column in given:
-        return given[column]
+def _value(columns: Mapping[str, float], column: str, spared: set[str] | tuple[str, ...]) -> float:
+    if column in columns:
+        return columns[column]
     if column in spared:
         return 0.0
-    raise InputError(f"frame: no `{column}`; it has {', '.join(given)}")
+    raise InputError(f"frame: no `{column}`; it has {', '.join(columns)}")
 
 
 def _column(flown: Mapping[str, FloatArray], column: str, spared: set[str] | tuple[str, ...]) -> FloatArray:
@@ -200,5 +200,5 @@ def _column(flown: Mapping[str, FloatArray], column: str, spared: set[str] | tup
 
 
 def _meshed(models: Sequence[PointModel], nodes: int | None) -> list[tuple[PointModel, Mesh]]:
-    own = [m if nodes is None else replace(m, nodes=nodes) for m in models]
-    return [(m, mesh) for m, (mesh, _) in zip(own, choose_meshes(own), strict=True)]
+    refined = [m if nodes is None else replace(m, nodes=nodes) for m in models]
+    return [(m, mesh) for m, (mesh, _) in zip(refined, choose_meshes(refined), strict=True)]

@@ -21,13 +21,13 @@ LONGEST_S = 7200.0
 class SecondPass:
     """Filters that take the flight so far again, linearised about an estimate.
 
-    informed : number of steps whose readings that estimate has; up to there no other is better to be linearised about
-    taken    : number of steps that they took;  due : number that they are to have taken before the next step is final
+    informed    : number of steps whose readings that estimate has; up to there no other is better to linearise about
+    steps_taken : number of steps filtered again;  due : number to filter again before the next step is final
     """
 
     filters: list[OnlineFilter]
     informed: int
-    taken: int = 0
+    steps_taken: int = 0
     due: int = 0
 
 
@@ -53,8 +53,8 @@ class Relinearisation:
         self._stepper.past.give_up()
         self._final, self._second = 0, None
 
-    def follow(self, until: int) -> None:
-        """Go on with filtering again, as steps become final: those before number `until` of the past are.
+    def follow(self, end: int) -> None:
+        """Go on with filtering again, as steps become final: those before number `end` of the past are.
 
         Steps of the second filters depend on the number of final steps alone, and so does the one at which they take
         over. Those that are due are taken one by one, so that no frame waits for all of them.
@@ -62,16 +62,16 @@ class Relinearisation:
         past = self._stepper.past
         if past.begun_s is None:
             return
-        if self._second is not None and self._final >= until:
-            self._take(self._second, min(self._second.taken + 1, self._second.due))
-        while self._final < until:
+        if self._second is not None and self._final >= end:
+            self._take(self._second, min(self._second.steps_taken + 1, self._second.due))
+        while self._final < end:
             self.take_due()
             step = past.steps[self._final]
             self._final += 1
             if step.estimates is not None:
                 self._second = self._begin_again(step.estimates, self._final)
             if self._second is not None:
-                self._second.due = min(self._second.taken + STEPS_AT_ONCE, self._final)
+                self._second.due = min(self._second.steps_taken + STEPS_AT_ONCE, self._final)
                 if self._second.due == self._final:
                     self.take_due()
                     self._take_over(self._second)
@@ -104,23 +104,23 @@ class Relinearisation:
             f.begin(self._begun.time_s, self._begun.vectors[lanes], profiles, covariances, estimates[lanes])
         return SecondPass(self._spare, informed)
 
-    def _take(self, second: SecondPass, until: int) -> None:
-        """Take steps of the past with the second filters, up to before number `until`."""
+    def _take(self, second: SecondPass, end: int) -> None:
+        """Take steps of the past with the second filters, up to before number `end`."""
         assert self._begun is not None
         steps, march = self._stepper.past.steps, self._stepper.march.march
-        while second.taken < until:
-            k = second.taken
+        while second.steps_taken < end:
+            k = second.steps_taken
             begin_s, before = self._begun.time_s, self._begun.vectors
             if k > 0:
                 begin_s, before = steps[k - 1].frame.time_s, steps[k - 1].vectors
             step, is_new = steps[k], k >= second.informed
-            march(second.filters, begin_s, before, step.frame.time_s, step.vectors, step.words, linearise=is_new)
-            second.taken += 1
+            march(second.filters, begin_s, before, step.frame.time_s, step.vectors, step.rows, linearise=is_new)
+            second.steps_taken += 1
 
     def _take_over(self, second: SecondPass) -> None:
         """Go on with the second filters from the last step that they took; what came after it is taken again."""
         stepper = self._stepper
-        last = stepper.past.steps[second.taken - 1]
-        del stepper.past.steps[second.taken :]
+        last = stepper.past.steps[second.steps_taken - 1]
+        del stepper.past.steps[second.steps_taken :]
         stepper.log.cut(last.logged)
         self._spare, self._second = stepper.take_over(second.filters, last), None

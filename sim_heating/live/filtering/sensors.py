@@ -53,8 +53,8 @@ class SensorTable:
         self.node = np.array([n for p in points for n in p.mesh.sensors], dtype=np.int64)
         sigma = [max(s.noise_sigma_K or UNDECLARED_SIGMA_K, least_sigma_K(s)) for s in self.sensors]
         self.sigma_K, self.per_K = np.array(sigma), np.array([s.noise_per_K for s in self.sensors])
-        words = [s.bits is not None and s.range_K is not None for s in self.sensors]
-        pairs = list(zip(self.sensors, words, strict=True))
+        has_recorder = [s.bits is not None and s.range_K is not None for s in self.sensors]
+        pairs = list(zip(self.sensors, has_recorder, strict=True))
         self.recorders = Recorders(
             np.array([s.range_K[0] if w and s.range_K else np.nan for s, w in pairs]),
             np.array([s.lsb_K if w else np.nan for s, w in pairs]),
@@ -79,22 +79,22 @@ class SensorTable:
     @staticmethod
     def _names_of(point: LivePoint, names: Sequence[str]) -> tuple[str, ...]:
         """Parameters of a point: those of its march, then those of its own sensors and of the clock."""
-        own = {f"{SENSOR_PREFIX}{s.name}.{what}" for s in point.sensors for what in SENSOR} | {CLOCK_SKEW.name}
+        of_sensors = {f"{SENSOR_PREFIX}{s.name}.{kind}" for s in point.sensors for kind in SENSOR} | {CLOCK_SKEW.name}
         march = tuple(n for n in names if is_of_march(n))
-        return march + tuple(n for n in names if n in own)
+        return march + tuple(n for n in names if n in of_sensors)
 
     def lagging(self, first: int) -> Lagging:
         """Sensors that lag among the points of one filter, which begins with point number `first`."""
-        mine = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
-        return Lagging(mine, self.point[mine] - first, self.node[mine], self.tau_s[mine])
+        numbers = np.flatnonzero((self.point >= first) & (self.point < first + LANES) & (self.tau_s > 0.0))
+        return Lagging(numbers, self.point[numbers] - first, self.node[numbers], self.tau_s[numbers])
 
-    def readings(self, words: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[LeftOut]) -> PointReadings:
+    def readings(self, rows: FloatArray, filters: Sequence[OnlineFilter], out: Sequence[LeftOut]) -> PointReadings:
         """Readings of the points of all filters as these take them, with what is estimated of the sensors' own errors.
 
-        words   : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
+        rows    : (reading, 4) time [s], number of the sensor, value [K], 1 where it may be a spike
         filters : of LANES points each;  out : times at which each sensor is left out
         """
-        number, t, value = words[:, 1].astype(np.int64), words[:, 0], words[:, 2]
+        number, t, value = rows[:, 1].astype(np.int64), rows[:, 0], rows[:, 2]
         skipped = ~self.used[number]
         if any(o.spans for o in out):
             skipped |= np.array([out[n].covers(w) for n, w in zip(number, t, strict=True)], dtype=bool)
@@ -128,28 +128,28 @@ class SensorTable:
         terms[drifts] *= since
         direct[q, : len(terms)] = terms
 
-    def first_readings(self, words: Sequence[Word]) -> dict[int, float]:
+    def first_readings(self, readings: Sequence[Word]) -> dict[int, float]:
         """First reading of each used sensor as a temperature [K], by its number. Later ones may be much hotter."""
-        found: dict[int, float] = {}
-        for _, n, value in words:
-            if self.used[n] and n not in found:
-                found[n] = value
-        for n, value in found.items():
+        first: dict[int, float] = {}
+        for _, n, value in readings:
+            if self.used[n] and n not in first:
+                first[n] = value
+        for n, value in first.items():
             if n in self.curved:
                 slope, constant = calibration_line(self.sensors[n], np.array([value]))
-                found[n] = float((value - constant[0]) / slope[0])
-        return found
+                first[n] = float((value - constant[0]) / slope[0])
+        return first
 
     def predicted(self, i: int, point: LivePoint, state: PointEstimate, f: OnlineFilter) -> dict[str, SensorEstimate]:
         """What each sensor of a point ought to show, with its standard deviation; f : filter of the point."""
-        found = {}
+        estimates = {}
         if not self._any_terms and not self.curved and not np.any(self.tau_s):
             nodes = list(point.mesh.sensors)
             T_K, of_point = state.temperature_K[nodes], self.of_point[i]
             noise = np.hypot(self.sigma_K[of_point], self.per_K[of_point] * T_K)
             sigma = np.hypot(state.sigma_K[nodes], noise).tolist()
             pairs = zip(point.sensors, T_K.tolist(), sigma, strict=True)
-            return {sensor.name: SensorEstimate(T, own) for sensor, T, own in pairs}
+            return {sensor.name: SensorEstimate(T, sigma_K) for sensor, T, sigma_K in pairs}
         values = dict(zip(state.names, state.values.tolist(), strict=True))
         for k, (n, sensor) in enumerate(zip(self.of_point[i], point.sensors, strict=True)):
             node = point.mesh.sensors[k]
@@ -170,5 +170,5 @@ class SensorTable:
                 variance = float(row @ state.covariance @ row)
                 variance += wrong.gain**2 * float(state.state_covariance[node, node])
             noise_K2 = float(self.sigma_K[n] ** 2 + (self.per_K[n] * mean) ** 2)
-            found[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + noise_K2))
-        return found
+            estimates[sensor.name] = SensorEstimate(mean, math.sqrt(slope**2 * variance + noise_K2))
+        return estimates

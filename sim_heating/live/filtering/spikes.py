@@ -50,15 +50,15 @@ class SpikeGate:
 
         after_s, until_s : begin and end of the step [s]
         """
-        words = timeline.words_between(after_s, until_s)
-        rows = np.zeros((len(words), 4))
-        if words:
-            rows[:, :3] = words
+        readings = timeline.words_between(after_s, until_s)
+        rows = np.zeros((len(readings), 4))
+        if readings:
+            rows[:, :3] = readings
         jumping = {n for t, n in timeline.jumps if after_s - NEAR_S < t <= until_s}
         if jumping:
             near = timeline.words_between(after_s - NEAR_S, until_s + NEAR_S)
             spikes = suspected([w for w in near if w[1] in jumping], after_s, self.gate_K)
-            for k, (t, n, _) in enumerate(words):
+            for k, (t, n, _) in enumerate(readings):
                 rows[k, 3] = (t, n) in spikes
                 if not spikes.get((t, n), True):
                     self._undecided.setdefault(n, set()).add(t)
@@ -106,12 +106,12 @@ class SpikeGate:
         return innovations, is_out
 
 
-def suspected(words: Sequence[Word], from_s: float, gate_K: Sequence[float]) -> Mapping[tuple[float, int], bool]:
+def suspected(readings: Sequence[Word], from_s: float, gate_K: Sequence[float]) -> Mapping[tuple[float, int], bool]:
     """Readings later than a time [s] that look like spikes, alone or two in a row, by time and sensor.
 
-    words   : readings in order of time, from NEAR_S before that time on
-    gate_K  : by sensor, how far a reading may be from the one before it [K]
-    returns : whether the reading is there that decides
+    readings : readings in order of time, from NEAR_S before that time on
+    gate_K   : by sensor, how far a reading may be from the one before it [K]
+    returns  : whether the reading is there that decides
 
     >>> suspected([(0.0, 0, 500.0), (1.0, 0, 580.0), (2.0, 0, 501.0), (3.0, 0, 502.0)], 0.0, [10.0])
     {(1.0, 0): True}
@@ -124,7 +124,7 @@ def suspected(words: Sequence[Word], from_s: float, gate_K: Sequence[float]) -> 
     """
     spikes: dict[tuple[float, int], bool] = {}
     by_sensor: dict[int, list[Word]] = {}
-    for word in words:
+    for word in readings:
         by_sensor.setdefault(word[1], []).append(word)
     for n, series in by_sensor.items():
         good, k = 0, 1  # the last reading that is no spike, and the next one
@@ -139,24 +139,26 @@ def suspected(words: Sequence[Word], from_s: float, gate_K: Sequence[float]) -> 
     return spikes
 
 
-def _spikes(before: Word, words: Sequence[Word], gate_K: float) -> tuple[int, bool]:
+def _spikes(steady: Word, readings: Sequence[Word], gate_K: float) -> tuple[int, bool]:
     """How many of some readings, behind one that is no spike, look like spikes, and whether that is decided."""
     for count in (1, 2):
         is_decided = (
-            _come_back(before, words[:count], words[count : count + 1], gate_K) if count <= len(words) else None
+            _come_back(steady, readings[:count], readings[count : count + 1], gate_K)
+            if count <= len(readings)
+            else None
         )
         if is_decided is not None:
             return count, is_decided
     return 0, False
 
 
-def _come_back(before: Word, spikes: Sequence[Word], after: Sequence[Word], gate_K: float) -> bool | None:
+def _come_back(steady: Word, spikes: Sequence[Word], following: Sequence[Word], gate_K: float) -> bool | None:
     """Whether the reading after some is there and shows them to be spikes; None where they are none."""
-    before_s, _, before_K = before
+    before_s, _, before_K = steady
     away_K = [read_K - before_K for _, _, read_K in spikes]
     if spikes[-1][0] - before_s > NEAR_S or min(map(abs, away_K)) <= gate_K:
         return None
-    if not after or after[0][0] - spikes[0][0] > NEAR_S:
+    if not following or following[0][0] - spikes[0][0] > NEAR_S:
         return False
-    after_K = after[0][2] - before_K
+    after_K = following[0][2] - before_K
     return True if all((spike_K - after_K) * spike_K >= COMES_BACK * spike_K**2 for spike_K in away_K) else None

@@ -50,7 +50,7 @@ class PastStep(NamedTuple):
     """A step that was taken, as it is to be taken again.
 
     frame     : at its end;  decided_s, logged : as of Moment;  vectors : (point, condition) at its end
-    words     : (reading, 4) its readings: time [s], number of the sensor, value [K], 1 where it may be a spike
+    rows      : (reading, 4) its readings: time [s], number of the sensor, value [K], 1 where it may be a spike
     estimates : of the parameters after it, where they serve to begin again
     """
 
@@ -58,7 +58,7 @@ class PastStep(NamedTuple):
     decided_s: float
     logged: int
     vectors: FloatArray
-    words: FloatArray
+    rows: FloatArray
     estimates: tuple[FloatArray, ...] | None
 
 
@@ -270,12 +270,12 @@ class Stepper:
         """
         assert self.now is not None
         last, past = self.now, self.past
-        vectors, words = self.conditions(frame), self.march.words(last.time_s, frame.time_s)
-        self.log.append(self.march.march(self.filters, last.time_s, last.vectors, frame.time_s, vectors, words))
+        vectors, rows = self.conditions(frame), self.march.readings_between(last.time_s, frame.time_s)
+        self.log.append(self.march.march(self.filters, last.time_s, last.vectors, frame.time_s, vectors, rows))
         if past.begun_s is not None:
             is_due = past.count_due(last.time_s) < past.count_due(frame.time_s)
             estimates = tuple(e.values for f in self.filters for e in f.estimates()) if is_due else None
-            past.steps.append(PastStep(frame, decided_s, self.log.count, vectors, words, estimates))
+            past.steps.append(PastStep(frame, decided_s, self.log.count, vectors, rows, estimates))
         every_s = self.options.snapshot_s
         values = self.values(frame)
         if not self.moments or math.floor(frame.time_s / every_s) > math.floor(self.moments[-1].time_s / every_s):
@@ -303,8 +303,8 @@ class Stepper:
             if not self.now.snapshots:
                 self.now = self.snapshot(self.now.time_s, self.now.decided_s, self.now.values, self.now.vectors)
             now, vectors = self.now, self.conditions(frames[-1])
-            words = self.march.words(now.time_s, frames[-1].time_s)
-            self.march.march(self.filters, now.time_s, now.vectors, frames[-1].time_s, vectors, words, False)
+            rows = self.march.readings_between(now.time_s, frames[-1].time_s)
+            self.march.march(self.filters, now.time_s, now.vectors, frames[-1].time_s, vectors, rows, False)
             self._is_provisional = True
         return [e for f in self.filters for e in f.estimates()]
 

@@ -100,11 +100,11 @@ class Repeated:
     """Times that came again with other values.
 
     first_s, last_s : the first and the last of them [s]
-    samples : number of samples with other values;  frames : and of frames among them
-    words   : number of such readings by sensor
+    samples   : number of samples with other values;  frames : and of frames among them
+    by_sensor : number of such readings by sensor
     doubled_s : times of the frames that came again since, with whatever values [s]
-    newest_s : time of the newest frame when the last of them came [s]
-    every_s : usual time between frames before they came [s];  times_s : all of them [s]
+    newest_s  : time of the newest frame when the last of them came [s]
+    every_s   : usual time between frames before they came [s];  times_s : all of them [s]
     """
 
     first_s: float
@@ -114,7 +114,7 @@ class Repeated:
     times_s: set[float] = field(default_factory=set)
     samples: int = 0
     frames: int = 0
-    words: dict[int, int] = field(default_factory=dict)
+    by_sensor: dict[int, int] = field(default_factory=dict)
     doubled_s: set[float] = field(default_factory=set)
 
     @property
@@ -141,7 +141,7 @@ class Timeline:
     gate_K     : by sensor, by how much one reading may differ from the last that came, more than which is noted in
                  `differs_s`, the times [s]; twice as much from the one before it in time is noted in `jumps`, as time
                  [s] and number of the sensor; None for no such notes
-    frames_s, frames : times [s] and frames of the window in order;  words : readings in order
+    frames_s, frames : times [s] and frames of the window in order;  readings : in order
 
     `counts` and `jump`, the last jump of the clock, tell what happened. conflict_s : time of the first sample that came
     again with another value [s], as after a clock that went back by less than the window; None for none.
@@ -153,7 +153,7 @@ class Timeline:
     gate_K: Sequence[float] | None = None
     frames_s: list[float] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
-    words: list[Word] = field(default_factory=list)
+    readings: list[Word] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     jump: Jump | None = None
     newest_s: float = -math.inf
@@ -189,15 +189,15 @@ class Timeline:
         """Put readings at the end, as long as each is the next in order, which is by far the most frequent case.
 
         after_s : time [s] behind which they have to be
-        returns : number of readings that were taken, as `put` would have; the next one is for `put`
+        returns : number of readings that were in order and are in the timeline; the next one is for `put`
         """
-        words, last, sensors = self.words, self._last_word, self.sensors
+        ordered, last, sensors = self.readings, self._last_word, self.sensors
         first_s = max(after_s, self.newest_s - self.lateness_s)
         until_s = self.newest_s + self.jump_s if self.frames else LONGEST_S
-        behind_s, behind = words[-1][:2] if words else (-math.inf, -1)
+        behind_s, behind = ordered[-1][:2] if ordered else (-math.inf, -1)
         gate_K, last_K = self.gate_K, self._last_K
         late_s, in_time_s = self.newest_s - 0.5 * self.lateness_s, self._in_time_s
-        for taken, reading in enumerate(readings):
+        for count, reading in enumerate(readings):
             t, value_K = reading.time_s, reading.value_K
             number = sensors.get((reading.point, reading.sensor), -1)
             before_s, before_K = last.get(number, NOTHING_BEFORE)
@@ -206,8 +206,8 @@ class Timeline:
                 first_s < t <= until_s and t > before_s and number >= 0 and -math.inf < value_K < math.inf
                 and (t > behind_s or (t == behind_s and number > behind))
             ):  # fmt: skip
-                return taken
-            words.append((t, number, value_K))
+                return count
+            ordered.append((t, number, value_K))
             if gate_K is not None:
                 gate = gate_K[number]
                 if abs(value_K - last_K.get(number, value_K)) > gate:
@@ -274,33 +274,33 @@ class Timeline:
         """Enter a sample at a time that is taken; number : of its sensor, None for a frame."""
         if self.is_two_sources:
             return
-        found = self.repeated
-        if found is None:
+        repeated = self.repeated
+        if repeated is None:
             behind_s, newest_s = self._behind
             first_s = min(time_s, behind_s) if newest_s >= self.newest_s - self.lateness_s else time_s
-            found = self.repeated = Repeated(first_s, time_s, self.newest_s, self.every_s)
-        found.first_s, found.last_s = min(found.first_s, time_s), max(found.last_s, time_s)
-        found.newest_s = self.newest_s
-        found.times_s.add(time_s)
-        found.samples += 1
+            repeated = self.repeated = Repeated(first_s, time_s, self.newest_s, self.every_s)
+        repeated.first_s, repeated.last_s = min(repeated.first_s, time_s), max(repeated.last_s, time_s)
+        repeated.newest_s = self.newest_s
+        repeated.times_s.add(time_s)
+        repeated.samples += 1
         if number is None:
-            found.frames += 1
-            found.doubled_s.add(time_s)
+            repeated.frames += 1
+            repeated.doubled_s.add(time_s)
         else:
-            found.words[number] = found.words.get(number, 0) + 1
+            repeated.by_sensor[number] = repeated.by_sensor.get(number, 0) + 1
 
-    def _is_between(self, frame: Frame, at: int) -> bool:
+    def _is_between(self, frame: Frame, index: int) -> bool:
         """Whether a late frame falls between two that follow one another, and is not of their flight."""
-        if not 0 < at < len(self.frames):
+        if not 0 < index < len(self.frames):
             return False
-        before, after = self.frames[at - 1], self.frames[at]
+        before, after = self.frames[index - 1], self.frames[index]
         apart_s = after.time_s - before.time_s
         every_s = self.every_s if self.repeated is None else self.repeated.every_s
         if apart_s > MOST_APART * every_s:
             return False
-        part = (frame.time_s - before.time_s) / apart_s
+        fraction = (frame.time_s - before.time_s) / apart_s
         return any(
-            abs(value - (1.0 - part) * before.values[name] - part * after.values[name])
+            abs(value - (1.0 - fraction) * before.values[name] - fraction * after.values[name])
             > abs(after.values[name] - before.values[name]) + 1e-9 * abs(value)
             for name, value in frame.values.items()
             if name in before.values and name in after.values
@@ -330,29 +330,32 @@ class Timeline:
 
         Those that go on for longer than a jump back can last are of two sources.
         """
-        found = self.repeated
-        if found is None:
+        repeated = self.repeated
+        if repeated is None:
             return None
-        if found.last_s - found.first_s > self.lateness_s + self.jump_s:
+        if repeated.last_s - repeated.first_s > self.lateness_s + self.jump_s:
             self.repeated, self.is_two_sources = None, True
             return None
-        if self.newest_s < found.newest_s + self.lateness_s:
+        if self.newest_s < repeated.newest_s + self.lateness_s:
             return None
         self.repeated = None
-        return found
+        return repeated
 
-    def is_of_frames(self, found: Repeated) -> bool:
+    def is_of_frames(self, repeated: Repeated) -> bool:
         """Whether the frames went back too: one that came again differs, or most of them came again."""
-        flown = bisect_right(self.frames_s, found.last_s) - bisect_left(self.frames_s, found.first_s)
-        return found.frames > 0 or 2 * len(found.doubled_s) >= flown > 0
+        flown = bisect_right(self.frames_s, repeated.last_s) - bisect_left(self.frames_s, repeated.first_s)
+        return repeated.frames > 0 or 2 * len(repeated.doubled_s) >= flown > 0
 
-    def go_back(self, found: Repeated) -> Jump:
+    def go_back(self, repeated: Repeated) -> Jump:
         """Leave out all samples up to the last time that came again, of which it is not known whose clock they have."""
-        at, word = bisect_right(self.frames_s, found.last_s), bisect_right(self.words, (found.last_s, LONGEST_NUMBER))
+        at, word = (
+            bisect_right(self.frames_s, repeated.last_s),
+            bisect_right(self.readings, (repeated.last_s, LONGEST_NUMBER)),
+        )
         self.counts.off_clock += at + word
         self.counts.jumps += 1
-        del self.frames_s[:at], self.frames[:at], self.words[:word]
-        self.jump = Jump(found.first_s + found.length_s, found.first_s)
+        del self.frames_s[:at], self.frames[:at], self.readings[:word]
+        self.jump = Jump(repeated.first_s + repeated.length_s, repeated.first_s)
         return self.jump
 
     def _suspect(self, frame: Frame) -> Placed:
@@ -398,17 +401,17 @@ class Timeline:
                   the old clock is dropped
         """
         self.repeated = None
-        found, aside = self._suspects, self._aside
+        suspects, aside = self._suspects, self._aside
         self._suspects, self._aside = [], []
-        first = found[0].time_s
+        first = suspects[0].time_s
         if not bridged:
-            self.counts.off_clock += sum(1 for w in self.words if w[0] > self.newest_s)
-            self.frames_s, self.frames, self.words = [], [], []
+            self.counts.off_clock += sum(1 for w in self.readings if w[0] > self.newest_s)
+            self.frames_s, self.frames, self.readings = [], [], []
             self._last_word, self.jumps = {}, []
             self._in_time_s = {}
-        self.newest_s = found[-1].time_s
-        self.frames_s += [f.time_s for f in found]
-        self.frames += found
+        self.newest_s = suspects[-1].time_s
+        self.frames_s += [f.time_s for f in suspects]
+        self.frames += suspects
         for word in aside:
             if first - self.jump_s <= word[0] <= self.newest_s + self.jump_s:
                 self._insert(word)
@@ -453,19 +456,19 @@ class Timeline:
     def _insert(self, word: Word) -> Placed:
         t, number, value_K = word
         self._note_lateness(number, t)
-        words, (last_s, last_K) = self.words, self._last_word.get(number, NOTHING_BEFORE)
-        if not words or word[:2] > words[-1][:2]:
-            words.append(word)
+        readings, (last_s, last_K) = self.readings, self._last_word.get(number, NOTHING_BEFORE)
+        if not readings or word[:2] > readings[-1][:2]:
+            readings.append(word)
         else:
-            at = bisect_left(words, (t, number, -math.inf))
-            if at < len(words) and words[at][:2] == (t, number):
-                return self._again(t, words[at] == word, number)
-            before, after = _neighbours(words, number, at)
+            at = bisect_left(readings, (t, number, -math.inf))
+            if at < len(readings) and readings[at][:2] == (t, number):
+                return self._again(t, readings[at] == word, number)
+            before, after = _neighbours(readings, number, at)
             if _has_time_of_another(word, before, after):
                 self._repeat(t, number)
             self._note_jump(before, word)
             self._note_jump(word, after)
-            words.insert(at, word)
+            readings.insert(at, word)
         if self.gate_K is not None:
             if abs(value_K - self._last_K.get(number, value_K)) > self.gate_K[number]:
                 self.differs_s += min(last_s, t), t
@@ -476,12 +479,12 @@ class Timeline:
         # readings of a step may come behind its frame without being late: only one that a step has passed is
         return Placed.LATE if t <= self.newest_s and t < last_s else Placed.TAKEN
 
-    def _note_jump(self, before: Word | None, after: Word | None) -> None:
+    def _note_jump(self, earlier: Word | None, later: Word | None) -> None:
         """Note where two readings of a sensor, one after the other in time, are far apart."""
-        if self.gate_K is None or before is None or after is None:
+        if self.gate_K is None or earlier is None or later is None:
             return
-        if abs(after[2] - before[2]) > 2.0 * self.gate_K[after[1]]:
-            self.jumps.append((after[0], after[1]))
+        if abs(later[2] - earlier[2]) > 2.0 * self.gate_K[later[1]]:
+            self.jumps.append((later[0], later[1]))
 
     def frames_after(self, time_s: float) -> list[Frame]:
         """Frames later than a time [s], in order."""
@@ -489,33 +492,33 @@ class Timeline:
 
     def words_between(self, after_s: float, until_s: float) -> list[Word]:
         """Readings later than one time and up to another [s], in order."""
-        first = bisect_left(self.words, (math.nextafter(after_s, math.inf), -1, -math.inf))
-        return self.words[first : bisect_left(self.words, (math.nextafter(until_s, math.inf), -1, -math.inf))]
+        first = bisect_left(self.readings, (math.nextafter(after_s, math.inf), -1, -math.inf))
+        return self.readings[first : bisect_left(self.readings, (math.nextafter(until_s, math.inf), -1, -math.inf))]
 
     def forget(self, before_s: float, words_s: float = 0.0) -> None:
         """Drop samples before a time [s], readings so much before it [s]."""
         at = bisect_left(self.frames_s, before_s)
         if at > 0:
             del self.frames_s[:at], self.frames[:at]
-        at = bisect_left(self.words, (before_s - words_s, -1, -math.inf))
+        at = bisect_left(self.readings, (before_s - words_s, -1, -math.inf))
         if at > 0:
-            del self.words[:at]
+            del self.readings[:at]
         if self.differs_s:
             self.differs_s = [t for t in self.differs_s if t >= before_s - words_s]
         if self.jumps:
             self.jumps = [jump for jump in self.jumps if jump[0] >= before_s - words_s]
 
 
-def _neighbours(words: Sequence[Word], number: int, index: int) -> tuple[Word | None, Word | None]:
+def _neighbours(readings: Sequence[Word], number: int, index: int) -> tuple[Word | None, Word | None]:
     """The readings of a sensor before and after an index among the readings of all; None where there is none."""
-    before = next((words[k] for k in range(index - 1, -1, -1) if words[k][1] == number), None)
-    return before, next((words[k] for k in range(index, len(words)) if words[k][1] == number), None)
+    before = next((readings[k] for k in range(index - 1, -1, -1) if readings[k][1] == number), None)
+    return before, next((readings[k] for k in range(index, len(readings)) if readings[k][1] == number), None)
 
 
-def _has_time_of_another(word: Word, before: Word | None, after: Word | None) -> bool:
+def _has_time_of_another(word: Word, earlier: Word | None, later: Word | None) -> bool:
     """Whether a late reading has the time of another of its sensor but for what a clock rounds, and differs."""
-    if before is None or after is None:
+    if earlier is None or later is None:
         return False
     t, _, value_K = word
-    nearest = min(before, after, key=lambda w: abs(w[0] - t))
-    return abs(nearest[0] - t) < SAME_TIME * (after[0] - before[0]) and nearest[2] != value_K
+    nearest = min(earlier, later, key=lambda w: abs(w[0] - t))
+    return abs(nearest[0] - t) < SAME_TIME * (later[0] - earlier[0]) and nearest[2] != value_K

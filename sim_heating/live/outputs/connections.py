@@ -29,10 +29,10 @@ def limited_protocol(most: int, headers_s: float) -> type[H11Protocol]:
         def _wait_for_headers(self) -> None:
             self.loop.call_later(headers_s, self._close_without, self.cycle)
 
-        def _close_without(self, before: object) -> None:
+        def _close_without(self, earlier_cycle: object) -> None:
             """Close a connection on which no request has come since: its cycle is the one before, or none."""
             is_http = self.transport.get_protocol() is self  # and no WebSocket by now
-            waits = self.cycle is before and (self.cycle is None or self.cycle.response_complete)
+            waits = self.cycle is earlier_cycle and (self.cycle is None or self.cycle.response_complete)
             if is_http and waits and not self.transport.is_closing():
                 self.transport.abort()
 

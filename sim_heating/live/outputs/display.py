@@ -68,11 +68,11 @@ class Display:
         """
         points = {}
         for name in names:
-            own = vehicle.control_point(name)
-            limits = {"surface_K": own.limits.surface_K, "bondline_K": own.limits.bondline_K}
+            declared = vehicle.control_point(name)
+            limits = {"surface_K": declared.limits.surface_K, "bondline_K": declared.limits.bondline_K}
             points[name] = ShownPoint(
-                own.title, own.position_m, {k: v for k, v in limits.items() if v is not None},
-                shown_sensors(own.construction.stack, own.sensors), own.ratio,
+                declared.title, declared.position_m, {k: v for k, v in limits.items() if v is not None},
+                shown_sensors(declared.construction.stack, declared.sensors), declared.ratio,
             )  # fmt: skip
         return cls(title or vehicle.title, points)
 
@@ -81,24 +81,26 @@ class Display:
         """Control points of flight records, which state no places and no limits."""
         records = list(records)
         points = {
-            own.declared.control_point: ShownPoint(
-                own.declared.title, sensors=shown_sensors(own.declared.stack, own.sensors), table=own.ratio_table
+            record.declared.control_point: ShownPoint(
+                record.declared.title,
+                sensors=shown_sensors(record.declared.stack, record.sensors),
+                table=record.ratio_table,
             )
-            for own in records
+            for record in records
         }
-        return cls(title or ", ".join(own.name for own in records), points)
+        return cls(title or ", ".join(record.name for record in records), points)
 
     def as_json(self) -> dict[str, Any]:
         """What the page asks for once; tables are asked for by `table_curve`, as they change with the flight."""
         points = {
             name: {
-                "title": own.title, "position_m": own.position_m, "limits": own.limits, "sensors": own.sensors,
-                "table": own.table is not None,
+                "title": shown.title, "position_m": shown.position_m, "limits": shown.limits, "sensors": shown.sensors,
+                "table": shown.table is not None,
             }
-            for name, own in self.points.items()
+            for name, shown in self.points.items()
         }  # fmt: skip
-        found: dict[str, Any] = plain({"title": self.title, "points": points})
-        return found
+        contents: dict[str, Any] = plain({"title": self.title, "points": points})
+        return contents
 
 
 def shown_sensors(stack: Stack, sensors: Iterable[Sensor]) -> dict[str, ShownSensor]:

@@ -39,7 +39,7 @@ class Thinned:
 
     def add(self, row: Sequence[float]) -> None:
         """Add a row; the oldest of the latest is kept or dropped."""
-        place = self._count % len(self._recent)
+        slot = self._count % len(self._recent)
         gone = self._count - len(self._recent)
         if gone >= 0 and gone % self._stride == 0:
             if self._kept == len(self._older):  # every second one stays
@@ -47,9 +47,9 @@ class Thinned:
                 self._older[: len(half)] = half
                 self._kept, self._stride = len(half), 2 * self._stride
             if gone % self._stride == 0:
-                self._older[self._kept] = self._recent[place]
+                self._older[self._kept] = self._recent[slot]
                 self._kept += 1
-        self._recent[place] = row
+        self._recent[slot] = row
         self._count += 1
 
     def all(self) -> FloatArray:
@@ -87,12 +87,12 @@ class History:
 
 
 def _row(state: State, point: PointState) -> dict[str, float]:
-    found: dict[str, float | None] = {"time_s": state.time_s}
-    found |= {name: state.conditions.get(name) for name in CONDITIONS}
-    found |= {name: getattr(point, name) for name in SCALARS}
-    for sensor, own in point.sensors.items():
-        found |= {f"sensors.{sensor}.{name}": getattr(own, name) for name in SENSOR}
-    return {name: np.nan if value is None else float(value) for name, value in found.items()}
+    values: dict[str, float | None] = {"time_s": state.time_s}
+    values |= {name: state.conditions.get(name) for name in CONDITIONS}
+    values |= {name: getattr(point, name) for name in SCALARS}
+    for sensor, estimate in point.sensors.items():
+        values |= {f"sensors.{sensor}.{name}": getattr(estimate, name) for name in SENSOR}
+    return {name: np.nan if value is None else float(value) for name, value in values.items()}
 
 
 def columns_json(columns: Mapping[str, FloatArray]) -> dict[str, Any]:

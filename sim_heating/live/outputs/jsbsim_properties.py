@@ -62,11 +62,11 @@ class JSBSimProperties:
 
     @classmethod
     def of_link(cls, link: Link, remark: Callable[[str], None]) -> JSBSimProperties:
-        """That of the `[output.jsbsim]` of a link; ValueError for a link without."""
-        given = link.declared.output.jsbsim
-        if given is None:
+        """The output that `[output.jsbsim]` of a link declares; ValueError for a link without."""
+        settings = link.declared.output.jsbsim
+        if settings is None:
             raise ValueError(f"{link.path}: has no [output.jsbsim]")
-        return cls(given.host, given.port, given.prefix, link.property_folders, remark)
+        return cls(settings.host, settings.port, settings.prefix, link.property_folders, remark)
 
     def properties(self, state: State) -> list[tuple[str, float]]:
         """Names and values of what is known of a state.
@@ -77,10 +77,10 @@ class JSBSimProperties:
         >>> output.properties(State(0, 2.5, 0.1, points={"NOSE": PointState(900.0, 5.0, 300.0, 1.0)}))[:2]
         [('heating/time_s', 2.5), ('heating/NOSE/surface_K', 900.0)]
         """
-        found: list[tuple[str, float | None]] = [(self._time, state.time_s)]
+        values: list[tuple[str, float | None]] = [(self._time, state.time_s)]
         for name, point in state.points.items():
-            found += [(f"{self._folders[name]}/{field}", getattr(point, field)) for field in FIELDS]
-        return [(name, value) for name, value in found if value is not None and math.isfinite(value)]
+            values += [(f"{self._folders[name]}/{field}", getattr(point, field)) for field in FIELDS]
+        return [(name, value) for name, value in values if value is not None and math.isfinite(value)]
 
     async def start(self) -> None:
         """Begin; the connection is made when there is an estimate to write."""
@@ -103,10 +103,10 @@ class JSBSimProperties:
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
 
-    def _tell_once(self, what: str) -> None:
+    def _tell_once(self, message: str) -> None:
         """A remark, until JSBSim answers again."""
         if not self._is_told:
-            self._remark(f"JSBSim at {self._host}, port {self._port}, {what}")
+            self._remark(f"JSBSim at {self._host}, port {self._port}, {message}")
             self._is_told = True
 
     async def _run(self) -> None:
@@ -134,14 +134,14 @@ class JSBSimProperties:
         await self._answer(reader)  # its greeting
         self._is_connected = True
         lacking: dict[str, str] = {}
-        told = 0
+        reported = 0
         while True:
             published = await self._latest.take()
             values = [(name, value) for name, value in self.properties(published.state) if name not in lacking]
             lacking |= await self._set(reader, writer, values)
-            if len(lacking) > told:
+            if len(lacking) > reported:
                 self._tell_lacking(lacking)
-                told = len(lacking)
+                reported = len(lacking)
             if self._is_ending and published is self._last:
                 writer.write(b"quit\n")
                 await reader.read()
@@ -154,17 +154,17 @@ class JSBSimProperties:
         refused: dict[str, str] = {}
         rest = [(name, f"set {name} {value:.9g}\n".encode()) for name, value in values]
         while rest:
-            part = _one_packet(rest)
-            writer.write(b"".join(line for _, line in part))
+            packet = _one_packet(rest)
+            writer.write(b"".join(line for _, line in packet))
             await writer.drain()
-            taken = 0
-            for name, _ in part:
+            count = 0
+            for name, _ in packet:
                 answer = await self._answer(reader)
-                taken += 1
+                count += 1
                 if answer not in DONE:  # what comes after it in this part is not read
                     refused[name] = answer
                     break
-            rest = rest[taken:]
+            rest = rest[count:]
         return refused
 
     async def _answer(self, reader: StreamReader) -> str:
@@ -182,15 +182,15 @@ class JSBSimProperties:
 
     def _tell_lacking(self, lacking: Mapping[str, str]) -> None:
         (name, answer), *others = lacking.items()
-        more = f" and {len(others)} more" if others else ""
+        unlisted = f" and {len(others)} more" if others else ""
         self._remark(
-            f"JSBSim at {self._host}, port {self._port}, does not set {name}{more} ({answer}); declare what you need "
-            'there, as <property value="0"> in the <run> of its script'
+            f"JSBSim at {self._host}, port {self._port}, does not set {name}{unlisted} ({answer}); declare what you "
+            'need there, as <property value="0"> in the <run> of its script'
         )
 
 
 def _one_packet(lines: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
-    """As many lines from the first on as one packet of an Ethernet holds, at least one."""
+    """The first lines that one packet of an Ethernet holds, at least one."""
     size, count = 0, 0
     for _, line in lines:
         size += len(line)

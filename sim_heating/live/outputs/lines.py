@@ -63,10 +63,10 @@ class UdpLines:
         """Open the socket; raises InputError for a host that is not known."""
         loop = asyncio.get_running_loop()
         try:
-            found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
+            addresses = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
         except OSError as error:
             raise InputError(f"lines: host of {self.address}: {error.strerror}; give its name or address") from None
-        family, kind, protocol, _, self._to = found[0]
+        family, kind, protocol, _, self._to = addresses[0]
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):  # an address such as 192.168.1.255 is that of all displays of a network
@@ -132,18 +132,18 @@ def datagrams(published: Published, largest: int = LARGEST_DATAGRAM) -> list[byt
     """
     time_s = published.state.time_s
     head = f'{{"timestamp":{json.dumps(time_s)},"time_s":{json.dumps(time_s)}'
-    found: list[bytes] = []
-    part = head
+    finished: list[bytes] = []
+    datagram = head
     for path, value in _leaves(published.scalars):
         if path == "time_s":
             continue
         text = value[: largest // 24] if isinstance(value, str) else value  # a character takes up to six bytes
         piece = f",{json.dumps(path)}:{json.dumps(text)}"
-        if len(part) + len(piece) >= largest:
-            found.append((part + "}").encode())
-            part = head
-        part += piece
-    return [*found, (part + "}").encode()]
+        if len(datagram) + len(piece) >= largest:
+            finished.append((datagram + "}").encode())
+            datagram = head
+        datagram += piece
+    return [*finished, (datagram + "}").encode()]
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, float | str]]:

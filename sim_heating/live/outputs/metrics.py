@@ -85,42 +85,46 @@ class Metrics:
         yield from _gauges(LINK, {(): state.link})
         phases = {(phase,): phase == state.link.state for phase in PHASES}
         yield _gauge("link_state", "1 for the state that the link is in", phases, "state")
-        for name, what in COUNTS.items():
-            counter = CounterMetricFamily(PREFIX + name, what)
+        for name, text in COUNTS.items():
+            counter = CounterMetricFamily(PREFIX + name, text)
             counter.add_metric((), float(getattr(state.link, name.removeprefix("link_"))))
             yield counter
         yield from _gauges(POINT, {(name,): point for name, point in state.points.items()}, "point")
-        sensors = {(p, s): own for p, point in state.points.items() for s, own in point.sensors.items()}
+        sensors = {(p, s): sensor for p, point in state.points.items() for s, sensor in point.sensors.items()}
         yield from _gauges(SENSOR, sensors, "point", "sensor")
         parameters = {
-            (p, name, own.unit): own for p, point in state.points.items() for name, own in point.parameters.items()
+            (p, name, parameter.unit): parameter
+            for p, point in state.points.items()
+            for name, parameter in point.parameters.items()
         }
         about = {
             "parameter": ("value", "estimated parameter"),
             "parameter_sigma": ("sigma", "standard deviation of it"),
         }
         yield from _gauges(about, parameters, "point", "parameter", "unit")
-        futures = {(p, name): own for p, point in state.points.items() for name, own in point.ahead.items()}
+        futures = {(p, name): future for p, point in state.points.items() for name, future in point.ahead.items()}
         yield from _gauges(FUTURE, futures, "point", "future")
-        removed = {(own.point, own.sensor): own.since_s for own in state.removed}
+        removed = {(removal.point, removal.sensor): removal.since_s for removal in state.removed}
         yield _gauge("sensor_removed_since_seconds", "flight time since when it is out", removed, "point", "sensor")
         missing = state.missing
         yield _gauge("missing_effect_alarm", "whether the test for a missing effect has fired", {(): missing.alarm})
         yield _gauge("missing_effect_statistic", "statistic of the test for a missing effect", {(): missing.statistic})
         yield _gauge("missing_effect_threshold", "where the test for a missing effect fires", {(): missing.threshold})
-        candidates = {(own.what,): own.probability for own in missing.candidates}
+        candidates = {(candidate.what,): candidate.probability for candidate in missing.candidates}
         yield _gauge("missing_effect_probability", "what could be missing", candidates, "effect")
 
 
-def _gauges(about: Mapping[str, tuple[str, str]], owners: Mapping[Any, object], *labels: str) -> Iterator[Metric]:
-    for name, (field, what) in about.items():
-        yield _gauge(name, what, {key: getattr(own, field) for key, own in owners.items()}, *labels)
+def _gauges(
+    descriptions: Mapping[str, tuple[str, str]], owners: Mapping[Any, object], *labels: str
+) -> Iterator[Metric]:
+    for name, (field, text) in descriptions.items():
+        yield _gauge(name, text, {key: getattr(owner, field) for key, owner in owners.items()}, *labels)
 
 
-def _gauge(name: str, what: str, values: Mapping[Any, float | None], *labels: str) -> Metric:
+def _gauge(name: str, text: str, values: Mapping[Any, float | None], *labels: str) -> Metric:
     from prometheus_client.core import GaugeMetricFamily
 
-    gauge = GaugeMetricFamily(PREFIX + name, what, labels=labels)
+    gauge = GaugeMetricFamily(PREFIX + name, text, labels=labels)
     for key, value in values.items():
         if value is not None:
             gauge.add_metric(key, float(value))

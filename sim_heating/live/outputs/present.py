@@ -149,7 +149,7 @@ class PresentState:
                         for p, (value, sigma) in estimate.parameters.items()
                     },
                     limits=limits,
-                    margin_K=min((limit - now[what] for what, limit in limits.items()), default=None),
+                    margin_K=min((limit - now[surface] for surface, limit in limits.items()), default=None),
                     ahead=self.ahead.of(name).futures,
                     knock_off=self.ahead.of(name).knock_off,
                     knock_off_by_s=self.ahead.of(name).knock_off_by_s,

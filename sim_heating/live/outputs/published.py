@@ -48,16 +48,18 @@ class Published:
         points = self.state.points
         shown = point if point is not None and point in points else next(iter(points), "")
         if shown not in self._of_page:
-            brief = {name: own if name == shown else _brief(own) for name, own in points.items()}
+            brief = {name: state if name == shown else _brief(state) for name, state in points.items()}
             self._of_page[shown] = state_json(replace(self.state, points=brief))
         return self._of_page[shown]
 
     @cached_property
     def scalars(self) -> dict[str, Any]:
         """The state as nested objects without the time histories of the look-ahead."""
-        points = {name: replace(own, ahead=_without_histories(own.ahead)) for name, own in self.state.points.items()}
-        found: dict[str, Any] = plain(replace(self.state, points=points))
-        return found
+        points = {
+            name: replace(point, ahead=_without_histories(point.ahead)) for name, point in self.state.points.items()
+        }
+        contents: dict[str, Any] = plain(replace(self.state, points=points))
+        return contents
 
     @cached_property
     def scalar_line(self) -> str:
@@ -73,9 +75,9 @@ def _without_histories(ahead: Mapping[str, AheadState]) -> dict[str, AheadState]
     none: tuple[float, ...] = ()
     return {
         name: replace(
-            own, time_s=none, surface_K=none, surface_sigma_K=none, bondline_K=none, bondline_sigma_K=none
+            future, time_s=none, surface_K=none, surface_sigma_K=none, bondline_K=none, bondline_sigma_K=none
         )
-        for name, own in ahead.items()
+        for name, future in ahead.items()
     }  # fmt: skip
 
 

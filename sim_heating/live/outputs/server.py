@@ -259,11 +259,11 @@ class PageServer:
                 return f"this page is at {self.url}\n", 421
         else:
             cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
-            given = [
+            tokens = [
                 _query(scope, "token"), "" if cookie is None else cookie.value,
                 headers.get("authorization", "").removeprefix("Bearer "),
             ]  # fmt: skip
-            if not any(hmac.compare_digest(g.encode(), self.token.encode()) for g in given):
+            if not any(hmac.compare_digest(g.encode(), self.token.encode()) for g in tokens):
                 return "this page needs its token: open the address that the program printed\n", 401
         if scope["type"] == "websocket" and site is not None and site != host:
             return "not from another site\n", 403

@@ -136,14 +136,14 @@ def _encoded(entry: Entry) -> bytes:
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
-def _entry_at(stream: BinaryIO, place: int, size: int) -> tuple[Entry, int] | None:
-    """The sound entry at a place of a file of a size, and where it ends; None where there is none."""
-    stream.seek(place)
+def _entry_at(stream: BinaryIO, offset: int, size: int) -> tuple[Entry, int] | None:
+    """The sound entry at an offset of a file of a size [bytes], and where it ends; None where there is none."""
+    stream.seek(offset)
     head = stream.read(HEAD.size)
     if len(head) < HEAD.size:
         return None
     length, crc = HEAD.unpack(head)
-    end = place + HEAD.size + length
+    end = offset + HEAD.size + length
     if not BODY.size <= length <= LONGEST_READ or end > size:
         return None
     content = stream.read(length)
@@ -173,27 +173,27 @@ def _next_sound(stream: BinaryIO, begin: int, size: int) -> int:
 
 def _messages_between(stream: BinaryIO, begin: int, end: int) -> int | None:
     """Number of entries whose lengths lead from one place to another one; None where they do not."""
-    count, place = 0, begin
-    while place < end:
-        stream.seek(place)
+    count, offset = 0, begin
+    while offset < end:
+        stream.seek(offset)
         head = stream.read(HEAD.size)
         if len(head) < HEAD.size or (length := HEAD.unpack(head)[0]) < BODY.size:
             return None
-        place, count = place + HEAD.size + length, count + 1
-    return count if place == end else None
+        offset, count = offset + HEAD.size + length, count + 1
+    return count if offset == end else None
 
 
-def _pieces(stream: BinaryIO, place: int) -> Iterator[Entry | Skipped]:
-    """Sound entries, and the stretches between them, from a place to the end that the file has now."""
+def _pieces(stream: BinaryIO, offset: int) -> Iterator[Entry | Skipped]:
+    """Sound entries, and the stretches between them, from an offset to the end that the file has now."""
     size, messages = os.fstat(stream.fileno()).st_size, 0
-    while place < size:
-        found = _entry_at(stream, place, size)
-        if found is None:
-            end = _next_sound(stream, place, size)
-            yield Skipped(place, end, messages, _messages_between(stream, place, end), end == size)
-            place = end
+    while offset < size:
+        sound = _entry_at(stream, offset, size)
+        if sound is None:
+            end = _next_sound(stream, offset, size)
+            yield Skipped(offset, end, messages, _messages_between(stream, offset, end), end == size)
+            offset = end
             continue
-        entry, place = found
+        entry, offset = sound
         messages += entry.source != MARK
         yield entry
 
@@ -205,15 +205,15 @@ def _header(path: Path, stream: BinaryIO) -> tuple[Mapping[str, Any] | None, int
     """
     stream.seek(0)
     line = stream.readline(WINDOW)
-    found = _checked_header(line)
-    if found is not None and line.endswith(b"\n"):
-        return found, len(line)
+    header = _checked_header(line)
+    if header is not None and line.endswith(b"\n"):
+        return header, len(line)
     is_journal = False
     for piece in _pieces(stream, 0):
         if isinstance(piece, Entry):
             is_journal = True
-            if piece.source == MARK and (found := _checked_header(piece.body.removeprefix(HEADER))) is not None:
-                return found, 0
+            if piece.source == MARK and (header := _checked_header(piece.body.removeprefix(HEADER))) is not None:
+                return header, 0
     if not is_journal:
         raise InputError(f"{display_path(path)}: is not a journal of a link ({FORMAT})")
     return None, 0
@@ -222,12 +222,12 @@ def _header(path: Path, stream: BinaryIO) -> tuple[Mapping[str, Any] | None, int
 def _checked_header(line: bytes) -> Mapping[str, Any] | None:
     """A header as it was written; None where it is none, or was changed since."""
     try:
-        found = json.loads(line)
+        header = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(found, dict) or found.get("format") != FORMAT or not {"link", "path", "started"} <= set(found):
+    if not isinstance(header, dict) or header.get("format") != FORMAT or not {"link", "path", "started"} <= set(header):
         return None
-    return found if DIGEST not in found or digest_matches(found) else None  # earlier versions wrote none
+    return header if DIGEST not in header or digest_matches(header) else None  # earlier versions wrote none
 
 
 def read_journal(path: str | os.PathLike[str]) -> Iterator[Entry]:
@@ -236,9 +236,9 @@ def read_journal(path: str | os.PathLike[str]) -> Iterator[Entry]:
     path   : of the file, or of the directory that holds it
     raises : InputError where it cannot be read or is no journal
     """
-    place = journal_file(path)
-    with _opened(place) as stream:
-        for piece in _pieces(stream, _header(place, stream)[1]):
+    file = journal_file(path)
+    with _opened(file) as stream:
+        for piece in _pieces(stream, _header(file, stream)[1]):
             if isinstance(piece, Entry) and piece.source != MARK:
                 yield piece
 
@@ -248,14 +248,14 @@ def read_head(path: str | os.PathLike[str]) -> JournalHead:
 
     raises : InputError where it is no journal, or neither its header nor a copy of it can be read
     """
-    place = journal_file(path)
+    file = journal_file(path)
     entries, is_closed, skipped = 0, False, list[Skipped]()
-    with _opened(place) as stream:
-        found, begin = _header(place, stream)
+    with _opened(file) as stream:
+        header, begin = _header(file, stream)
         size = os.fstat(stream.fileno()).st_size
-        if found is None:
+        if header is None:
             raise InputError(
-                f"{display_path(place)}: its header is damaged, and no copy of it can be read; its messages can: make "
+                f"{display_path(file)}: its header is damaged, and no copy of it can be read; its messages can: make "
                 "a record of them with --to-record, and name the LINK that wrote it"
             )
         for piece in _pieces(stream, begin):
@@ -265,9 +265,9 @@ def read_head(path: str | os.PathLike[str]) -> JournalHead:
                 continue
             is_closed = piece.source == MARK and piece.body == END
             entries += piece.source != MARK
-    means, sent_again = found.get("means"), found.get("sent_again") or _replay_of(found["link"])
-    path, started = Path(found["path"]), found["started"]
-    return JournalHead(found["link"], path, started, means, sent_again, size, entries, tuple(skipped), is_closed)
+    means, sent_again = header.get("means"), header.get("sent_again") or _replay_of(header["link"])
+    path, started = Path(header["path"]), header["started"]
+    return JournalHead(header["link"], path, started, means, sent_again, size, entries, tuple(skipped), is_closed)
 
 
 def _replay_of(link: Mapping[str, Any]) -> str:
@@ -285,25 +285,27 @@ def record_again(record: str | os.PathLike[str]) -> str:
 
 def damage_of(path: str | os.PathLike[str]) -> list[str]:
     """Lines on what cannot be read of a journal, its header among that; empty where all can."""
-    place = journal_file(path)
-    with _opened(place) as stream:
-        skipped = [piece for piece in _pieces(stream, _header(place, stream)[1]) if isinstance(piece, Skipped)]
-    return told_damage(place, skipped)
+    file = journal_file(path)
+    with _opened(file) as stream:
+        skipped = [piece for piece in _pieces(stream, _header(file, stream)[1]) if isinstance(piece, Skipped)]
+    return told_damage(file, skipped)
 
 
 def told_damage(path: Path, skipped: Sequence[Skipped]) -> list[str]:
     """A line for each stretch that was skipped, and for those beyond the first ones together."""
-    name, more = display_path(path), skipped[MOST_TOLD:]
+    name, unlisted = display_path(path), skipped[MOST_TOLD:]
     lines = [f"{name}: {piece.text}" for piece in skipped[:MOST_TOLD]]
-    if more:
-        lines.append(f"{name}: {len(more)} more stretches of {sum(p.end - p.begin for p in more)} bytes are skipped")
+    if unlisted:
+        lines.append(
+            f"{name}: {len(unlisted)} more stretches of {sum(p.end - p.begin for p in unlisted)} bytes are skipped"
+        )
     return lines
 
 
 def journal_file(path: str | os.PathLike[str]) -> Path:
     """The file of a journal by its path, or by that of the directory that holds it."""
-    place = Path(path)
-    return place / NAME if place.is_dir() else place
+    file = Path(path)
+    return file / NAME if file.is_dir() else file
 
 
 def _opened(path: Path) -> BinaryIO:
@@ -319,8 +321,10 @@ def require_usable(
 ) -> None:  # fmt: skip
     """Check before any work that a link can write the journal at a path; changes nothing.
 
-    link, means, sent_again, has_results : as of `Journal`
-    raises : InputError where the file holds a flight that has ended, or one of another link
+    link        : contents of the link file, as plain data;  means : what its messages mean (`same_link.meaning`)
+    sent_again  : what the link sends again, as "record /path"; empty for nothing
+    has_results : false where the flight that has ended has no results yet
+    raises      : InputError where the file holds a flight that has ended, or one of another link
     """
     if not path.is_file() or path.stat().st_size == 0:
         return
@@ -334,10 +338,10 @@ def require_usable(
             "for this one"
         )
     if sent_again != head.sent_again:
-        of = head.sent_again or "a flight"
+        flight = head.sent_again or "a flight"
         raise InputError(
-            f"{name}: holds {of} that was not ended; go on with the command that began it, or name another directory "
-            "by --out"
+            f"{name}: holds {flight} that was not ended; go on with the command that began it, or name another "
+            "directory by --out"
         )
     if apart := differences((head.link, head.means), (link, means)):
         shown = "; ".join(apart[:4]) + (f"; and {len(apart) - 4} more" if len(apart) > 4 else "")
@@ -432,7 +436,7 @@ class Journal:
 
     path    : of the file; it is made where it does not exist, and gone on with where it was cut off
     link    : contents of the link file, as plain data
-    place   : file that names in it are relative to
+    link_path : file of the link, which names in it are relative to
     fsync_s : time after which entries are forced to the disk [s]; 0 for each
     means   : what the messages of the link mean (`same_link.meaning`), which a link that goes on has to agree with
     sent_again : what the link sends again, as "record /path"; a journal of the same that has ended is replaced
@@ -449,7 +453,7 @@ class Journal:
         self,
         path: Path,
         link: Mapping[str, Any],
-        place: Path,
+        link_path: Path,
         *,
         fsync_s: float = 1.0,
         means: Mapping[str, Any] | None = None,
@@ -480,7 +484,12 @@ class Journal:
             self.is_resumed = self._goes_on(path, means)
             if not self.is_resumed:
                 started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-                head = {"format": FORMAT, "started": started, "path": str(place.absolute()), "sent_again": sent_again}
+                head = {
+                    "format": FORMAT,
+                    "started": started,
+                    "path": str(link_path.absolute()),
+                    "sent_again": sent_again,
+                }
                 _write_whole(path, _line(with_digest({**head, "link": link, "means": means})))
             self._disk = _OpenJournal(path)
         except OSError as error:
@@ -613,8 +622,8 @@ def open_again(path: Path) -> None:
     end = len(_encoded(Entry(0, MARK, END)))
     with _opened(path) as stream:
         size = os.fstat(stream.fileno()).st_size
-        found = _entry_at(stream, max(size - end, 0), size)
-    if found is not None and (found[0].source, found[0].body) == (MARK, END):
+        last = _entry_at(stream, max(size - end, 0), size)
+    if last is not None and (last[0].source, last[0].body) == (MARK, END):
         os.truncate(path, size - end)
 
 
@@ -646,10 +655,10 @@ def _set_aside(path: Path) -> Path:
         shutil.copyfile(path, aside)
     try:
         with _opened(path) as stream:
-            found, begin = _header(path, stream)
-            assert found is not None  # `read_head` has read it
+            header, begin = _header(path, stream)
+            assert header is not None  # `read_head` has read it
             sound = (_encoded(piece) for piece in _pieces(stream, begin) if isinstance(piece, Entry))
-            _write_whole(path, _line(found), sound)
+            _write_whole(path, _line(header), sound)
     except OSError:  # what is there stays as it is
         with contextlib.suppress(OSError):
             aside.unlink()

@@ -40,14 +40,14 @@ def meaning(link: Link) -> dict[str, Any]:
 def _named_files(link: Link) -> Iterator[tuple[str, str]]:
     """Digest of each file that says what the messages are: an XTCE document, a record that is sent again."""
     for number, source in enumerate(link.declared.source, start=1):
-        place = f"[[source]] {number}"
+        table = f"[[source]] {number}"
         if isinstance(source, Packets):
-            yield f"{place}: `xtce`", file_digest(link.file(source.xtce, f"{place}: `xtce`"))
+            yield f"{table}: `xtce`", file_digest(link.file(source.xtce, f"{table}: `xtce`"))
         if isinstance(source, Replay):
             folders = [r.directory for r in link.records.values()]
             if source.record is not None:
-                folders = [link.file(source.record, f"{place}: `record`")]
-            yield f"{place}: `record`", bytes_digest(b"".join(_contents(Path(folder)) for folder in folders))
+                folders = [link.file(source.record, f"{table}: `record`")]
+            yield f"{table}: `record`", bytes_digest(b"".join(_contents(Path(folder)) for folder in folders))
 
 
 def _contents(folder: Path) -> bytes:
@@ -60,11 +60,11 @@ Read = tuple[Mapping[str, Any], Mapping[str, Any] | None]
 """Contents of a link file as plain data, and its `meaning`; None of one that does not state it."""
 
 
-def differences(before: Read, now: Read) -> list[str]:
+def differences(earlier: Read, now: Read) -> list[str]:
     """What differs between what two links read, a line each; empty where they read the same."""
-    lines = list(_apart(_compared(before[0]), _compared(now[0]), ""))
-    if before[1] is not None and now[1] is not None:
-        lines += _apart(before[1], now[1], "")
+    lines = list(_apart(_compared(earlier[0]), _compared(now[0]), ""))
+    if earlier[1] is not None and now[1] is not None:
+        lines += _apart(earlier[1], now[1], "")
     return lines
 
 
@@ -74,38 +74,38 @@ def _compared(contents: Mapping[str, Any]) -> dict[str, Any]:
         contents = LinkFile.model_validate(contents).model_dump(mode="json")
     except (ValidationError, InputError, ValueError):  # of a version that had other keys: as it is written
         contents = dict(contents)
-    found = {key: contents.get(key) for key in (*DECODED, *FOLLOWED)}
-    found["source"] = [
+    compared = {key: contents.get(key) for key in (*DECODED, *FOLLOWED)}
+    compared["source"] = [
         {k: v for k, v in source.items() if k not in NOT_OF_MESSAGES} for source in contents.get("source") or []
     ]
-    named = {k: {"field": v} if isinstance(v, str) else v for k, v in (found["conditions"] or {}).items()}
-    found["conditions"] = {k: {n: x for n, x in v.items() if x is not None} for k, v in named.items()}
-    return found
+    named = {k: {"field": v} if isinstance(v, str) else v for k, v in (compared["conditions"] or {}).items()}
+    compared["conditions"] = {k: {n: x for n, x in v.items() if x is not None} for k, v in named.items()}
+    return compared
 
 
-def _apart(own: Any, other: Any, place: str) -> Iterator[str]:
+def _apart(value: Any, other: Any, key_path: str) -> Iterator[str]:
     """Lines on where two plain values differ, by their keys."""
-    if isinstance(own, Mapping) and isinstance(other, Mapping):
-        for key in dict.fromkeys([*own, *other]):
-            yield from _apart(own.get(key), other.get(key), f"{place}.{key}" if place else str(key))
-    elif _is_list(own) and _is_list(other) and _has_tables(own, other):
-        if len(own) != len(other):
-            yield f"[[{place}]]: there were {len(own)}, now {len(other)}"
-        for k, (a, b) in enumerate(zip(own, other, strict=False), start=1):
-            yield from _apart(a, b, f"{place} {k}")
-    elif own != other:
-        if place.startswith("files."):
-            yield f"{place.removeprefix('files.')} names a file that was changed"
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        for key in dict.fromkeys([*value, *other]):
+            yield from _apart(value.get(key), other.get(key), f"{key_path}.{key}" if key_path else str(key))
+    elif _is_list(value) and _is_list(other) and _has_tables(value, other):
+        if len(value) != len(other):
+            yield f"[[{key_path}]]: there were {len(value)}, now {len(other)}"
+        for k, (a, b) in enumerate(zip(value, other, strict=False), start=1):
+            yield from _apart(a, b, f"{key_path} {k}")
+    elif value != other:
+        if key_path.startswith("files."):
+            yield f"{key_path.removeprefix('files.')} names a file that was changed"
         else:
-            yield f"`{place}` was {_shown(own)}, now {_shown(other)}"
+            yield f"`{key_path}` was {_shown(value)}, now {_shown(other)}"
 
 
 def _is_list(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _has_tables(own: Sequence[Any], other: Sequence[Any]) -> bool:
-    return all(isinstance(v, Mapping) for v in (*own, *other))
+def _has_tables(values: Sequence[Any], other: Sequence[Any]) -> bool:
+    return all(isinstance(v, Mapping) for v in (*values, *other))
 
 
 def _shown(value: Any) -> str:

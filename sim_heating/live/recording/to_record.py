@@ -92,10 +92,10 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
     What came too late for the estimate is in its place here.
     """
     settings = link.declared.estimate
-    places = [(p.name, s.name) for p in link.points for s in p.sensors]
-    numbers = {place: n for n, place in enumerate(places)}
+    sensors = [(p.name, s.name) for p in link.points for s in p.sensors]
+    numbers = {sensor: n for n, sensor in enumerate(sensors)}
     timeline = Timeline(numbers, settings.lateness_s, settings.jump_s)
-    found, waiting = [Stretch()], list[Sample]()
+    parts, waiting = [Stretch()], list[Sample]()
     for sample in samples:
         placed = timeline.put(sample)
         if placed is Placed.JUMPED:
@@ -103,29 +103,29 @@ def stretches(samples: Iterable[Sample], link: Link) -> list[Stretch]:
             assert jump is not None
             timeline.follow(is_gap := 0.0 < jump.by_s <= BRIDGED_S)
             if not is_gap:
-                found.append(Stretch())
+                parts.append(Stretch())
             low, high = jump.to_s - settings.jump_s, sample.time_s + settings.jump_s
-            found[-1].add_all(s for s in (*waiting, sample) if low <= s.time_s <= high)
+            parts[-1].add_all(s for s in (*waiting, sample) if low <= s.time_s <= high)
             waiting = []
         elif placed in (Placed.TOO_LATE, Placed.WAITING):
             waiting.append(sample)  # late, or the first on another clock: the next frame decides
         elif placed is not Placed.DOUBLED:
-            found[-1].add(sample)
+            parts[-1].add(sample)
             if isinstance(sample, Frame):
-                found[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
+                parts[-1].add_all(s for s in waiting if s.time_s <= sample.time_s)
                 waiting = []
         timeline.forget(timeline.newest_s - settings.lateness_s)
-    found[-1].add_all(s for s in waiting if s.time_s <= timeline.newest_s)  # late ones that no frame came behind
-    return found
+    parts[-1].add_all(s for s in waiting if s.time_s <= timeline.newest_s)  # late ones that no frame came behind
+    return parts
 
 
 def longest_stretch(samples: Iterable[Sample], link: Link) -> tuple[Stretch, list[str]]:
     """The stretch with the most frames, and one line for each other one."""
-    found = stretches(samples, link)
-    longest = max(found, key=lambda s: len(s.frames))
+    parts = stretches(samples, link)
+    longest = max(parts, key=lambda s: len(s.frames))
     return longest, [
         f"the clock jumped: {len(s.frames)} frames from {min(s.frames):g} to {max(s.frames):g} s are left out"
-        for s in found
+        for s in parts
         if s is not longest and s.frames
     ]
 
@@ -143,15 +143,15 @@ def records_of(link: Link, stretch: Stretch) -> dict[str, Record]:
     for name in stretch.frames[times[0]]:
         columns[name] = np.array([stretch.frames[t].get(name, np.nan) for t in times])
     declared_start = link.declared.estimate.start == "declared"
-    found = {
+    records = {
         point.name: record if declared_start else with_heated_start(record)
         for point in link.points
         if (measured := _measured(point, stretch, times[0], times[-1])) is not None
         for record in [_with_confidence(_record(link, point, columns, measured), stretch)]
     }
-    if not found:
+    if not records:
         raise InputError(f"{where}: no reading of a thermocouple came within the time of the conditions; no record")
-    return found
+    return records
 
 
 def _with_confidence(record: Record, stretch: Stretch) -> Record:
@@ -165,8 +165,8 @@ def _with_confidence(record: Record, stretch: Stretch) -> Record:
 
 def _measured(point: LinkPoint, stretch: Stretch, first_s: float, last_s: float) -> dict[str, FloatArray] | None:
     """Columns of the measurements of a point: its sensors that were read; None where none was."""
-    own = {s.name: stretch.readings.get((point.name, s.name), {}) for s in point.sensors}
-    read = {s.column: own[s.name] for s in point.sensors if np.any(np.isfinite(list(own[s.name].values())))}
+    by_sensor = {s.name: stretch.readings.get((point.name, s.name), {}) for s in point.sensors}
+    read = {s.column: by_sensor[s.name] for s in point.sensors if np.any(np.isfinite(list(by_sensor[s.name].values())))}
     times = sorted({t for values in read.values() for t in values})
     if not any(first_s <= t <= last_s for t in times):
         return None
@@ -181,12 +181,14 @@ def _record(
     if link.vehicle is None:
         return _record_like(link.records[point.name], flown, measured)
     vehicle = link.vehicle
-    own = vehicle.control_point(point.name)
-    given = {name: np.zeros(len(flown["time_s"])) for name in SURFACES} | dict(flown)
-    derived = free_stream(given["altitude_m"], given["velocity_m_s"], given["rho_kg_m3"], vehicle.reference_length_m)
-    conditions = conditions_behind_walls(vehicle, [own], Conditions(derived | given))[0]
-    declared = record_declaration(vehicle, own, sensors, link.title, link.path.stem, measured=True)
-    table, turbulent = ratio_table_of(own), turbulent_table_of(own)
+    point_declared = vehicle.control_point(point.name)
+    columns = {name: np.zeros(len(flown["time_s"])) for name in SURFACES} | dict(flown)
+    derived = free_stream(
+        columns["altitude_m"], columns["velocity_m_s"], columns["rho_kg_m3"], vehicle.reference_length_m
+    )
+    conditions = conditions_behind_walls(vehicle, [point_declared], Conditions(derived | columns))[0]
+    declared = record_declaration(vehicle, point_declared, sensors, link.title, link.path.stem, measured=True)
+    table, turbulent = ratio_table_of(point_declared), turbulent_table_of(point_declared)
     return make_record(declared, flown_columns(conditions), measured, table, point.name, turbulent)
 
 
@@ -220,13 +222,13 @@ def _record_like(record: Record, flown: Mapping[str, FloatArray], measured: Mapp
     sensors = [s for s in record.sensors if s.column in measured]
     declared = record.with_sensors(sensors).declared
     first_s, last_s = float(measured["time_s"][0]), float(measured["time_s"][-1])
-    own = declared.segments
+    segments_declared = declared.segments
     reached = {
         name: [s for s in segments if s[0] <= last_s and s[1] >= first_s] if segments is not None else None
-        for name, segments in (("fit", own.fit), ("holdout", own.holdout))
+        for name, segments in (("fit", segments_declared.fit), ("holdout", segments_declared.holdout))
     }
-    given = {name: segments for name, segments in reached.items() if segments}
-    declared = declared.model_copy(update={"segments": Segments(**given)})
+    overlapping = {name: segments for name, segments in reached.items() if segments}
+    declared = declared.model_copy(update={"segments": Segments(**overlapping)})
     conditions = Conditions({name: v for name, v in flown.items() if name in DESCRIPTIONS or name in record.conditions})
     return make_record(
         declared, conditions, measured, record.ratio_table, record.declared.control_point, record.turbulent
@@ -279,7 +281,7 @@ def _check_sources(journal: str | os.PathLike[str], link: Link) -> None:
         declared = read_head(journal).link.get("source") or []
     except InputError:
         return
-    kinds = [["json-lines" if k == "replay" else k for k in own] for own in (
+    kinds = [["json-lines" if k == "replay" else k for k in sources] for sources in (
         [source.get("kind") for source in declared], [source.kind for source in link.declared.source],
     )]  # fmt: skip
     if kinds[0] != kinds[1]:
@@ -295,5 +297,5 @@ def write_records(
     """Write records into a directory: a single one into itself, several into folders of their names."""
     with output_directory(out, command, inputs=[Path(p) for p in inputs]) as folder:
         for name, record in records.items():
-            place = folder if len(records) == 1 else folder / name
-            write_record(record, place, comment="Made by sim-heating live of what came over a link.")
+            target = folder if len(records) == 1 else folder / name
+            write_record(record, target, comment="Made by sim-heating live of what came over a link.")

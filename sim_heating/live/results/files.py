@@ -23,16 +23,16 @@ RESULT, PAGE = "live.json", "report.html"
 
 def inputs_of(link: Link) -> list[Path]:
     """Files and directories that a link reads."""
-    found = [link.path, *(Path(record.directory) for record in link.records.values())]
+    inputs = [link.path, *(Path(record.directory) for record in link.records.values())]
     if link.vehicle is not None:
-        found.append(Path(link.vehicle.directory))
+        inputs.append(Path(link.vehicle.directory))
     if link.scenario is not None:
-        found += [Path(file) for file in link.scenario.files]
+        inputs += [Path(file) for file in link.scenario.files]
     for source in link.declared.source:
         for key in ("file", "xtce", "record"):
             if (name := getattr(source, key, None)) is not None:
-                found.append(link.file(name, f"[[source]]: `{key}`"))
-    return found
+                inputs.append(link.file(name, f"[[source]]: `{key}`"))
+    return inputs
 
 
 def expected_files(link: Link) -> list[str]:

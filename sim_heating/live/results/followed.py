@@ -26,9 +26,9 @@ class Followed:
         self._estimates: dict[str, Thinned] = {}
         self._last_s = -math.inf
 
-    def add_readings(self, found: Iterable[Innovation]) -> None:
+    def add_readings(self, innovations: Iterable[Innovation]) -> None:
         """Add readings, each as it was expected before it was taken."""
-        for read in found:
+        for read in innovations:
             rows = self._readings.setdefault((read.point, read.sensor), Thinned(len(READING)))
             rows.add([read.time_s, read.read_K, read.predicted_K, math.sqrt(read.predicted_variance_K2)])
 
@@ -36,22 +36,23 @@ class Followed:
         """Whether an estimate of a flight time [s] is to be kept; also after a clock that went back."""
         return time_s is not None and not self._last_s <= time_s < self._last_s + EVERY_S
 
-    def add_estimates(self, time_s: float, alpha_deg: float, found: Mapping[str, LiveEstimate]) -> None:
+    def add_estimates(self, time_s: float, alpha_deg: float, estimates: Mapping[str, LiveEstimate]) -> None:
         """Add the estimates of all control points at a flight time [s] and angle of attack [deg], NaN for none."""
         self._last_s = time_s
-        for name, own in found.items():
+        for name, estimate in estimates.items():
             rows = self._estimates.setdefault(name, Thinned(len(ESTIMATE)))
             rows.add([
-                time_s, alpha_deg, own.surface_K, own.surface_sigma_K, own.bondline_K, own.bondline_sigma_K,
-                own.state.ratio, own.state.ratio_sigma, own.state.ratio_declared,
+                time_s, alpha_deg, estimate.surface_K, estimate.surface_sigma_K, estimate.bondline_K,
+                estimate.bondline_sigma_K,
+                estimate.state.ratio, estimate.state.ratio_sigma, estimate.state.ratio_declared,
             ])  # fmt: skip
 
     def readings(self, point: str) -> dict[str, dict[str, FloatArray]]:
         """(reading,) columns READING of each sensor of a control point that was read, by its name."""
         return {
             sensor: dict(zip(READING, rows.all().T, strict=True))
-            for (own, sensor), rows in self._readings.items()
-            if own == point
+            for (name, sensor), rows in self._readings.items()
+            if name == point
         }
 
     def estimates(self, point: str) -> dict[str, FloatArray]:

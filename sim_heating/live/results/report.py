@@ -28,15 +28,15 @@ def live_page(engine: LinkEngine, state: State, credibility: Mapping[str, Any] |
     engine      : that followed it, with what it kept;  state : the last one
     credibility : what supports the estimates, as live.json has it; None where it could not be told
     """
-    warnings = [one.text for one in state.removed]
+    warnings = [removal.text for removal in state.removed]
     remarks = [line for line in engine.remarks.lines() if line not in warnings]
     sections = [_estimates(state)] if state.points else []
     for name, point in state.points.items():
         sections.append(_point(engine, name, point))
     sections.append(_came(engine, state))
     if remarks:
-        more = len(remarks) - MOST_REMARKS
-        text = [f"{more} more are in live.json."] if more > 0 else []
+        unlisted = len(remarks) - MOST_REMARKS
+        text = [f"{unlisted} more are in live.json."] if unlisted > 0 else []
         sections.append(Section("Remarks", text, points=remarks[:MOST_REMARKS]))
     if credibility is not None:
         sections.append(credibility_section(credibility))
@@ -49,10 +49,10 @@ def live_page(engine: LinkEngine, state: State, credibility: Mapping[str, Any] |
 def _outcome(state: State) -> tuple[str, str]:
     """Whether something is missing."""
     text = state.missing.text
-    told = f"{text[0].upper()}{text[1:]}."
+    sentence = f"{text[0].upper()}{text[1:]}."
     if not state.missing.alarm:
-        return "No alarm", told
-    return "Readings and model disagree", told
+        return "No alarm", sentence
+    return "Readings and model disagree", sentence
 
 
 def _estimates(state: State) -> Section:
@@ -62,9 +62,9 @@ def _estimates(state: State) -> Section:
     ]
     kelvin = [Column(head, format=".1f", unit="K") for head in ("surface", "sigma", "bondline", "sigma", "margin")]
     fitted = [
-        (name, what, found.value, found.sigma, found.unit)
+        (name, label, parameter.value, parameter.sigma, parameter.unit)
         for name, p in state.points.items()
-        for what, found in p.parameters.items()
+        for label, parameter in p.parameters.items()
     ]
     columns = [
         Column("control point"), Column("parameter", is_text=True), Column("estimate", format=".4g"),
@@ -79,35 +79,39 @@ def _estimates(state: State) -> Section:
 
 def _point(engine: LinkEngine, name: str, point: PointState) -> Section:
     """Time histories of a control point, and its heating ratio against the angle of attack."""
-    found = {k: _increasing(v) for k, v in engine.followed.readings(name).items()}
-    along = _increasing(engine.followed.estimates(name))
+    readings = {k: _increasing(v) for k, v in engine.followed.readings(name).items()}
+    history = _increasing(engine.followed.estimates(name))
     charts = []
-    if along or found:
+    if history or readings:
         spans = [
             Span(f.wrong_s, engine.estimator.time_s or f.found_s, f"{f.sensor}: {f.why}")
             for f in engine.checks.failures
             if f.point == name
         ]
-        panels = _wall_panels(along) + [p for k, v in found.items() for p in _sensor_panels(k, v)]
+        panels = _wall_panels(history) + [p for k, v in readings.items() for p in _sensor_panels(k, v)]
         caption = (
             f"{name}: estimates as they were during the flight, bands of 2 sigma. Readings, and what was expected "
             "of each before it was taken. Shaded: a sensor that failed."
         )
         charts.append(Chart(f"{name}, histories", panels, caption, spans=spans))
-    if along and np.any(np.isfinite(along["ratio"]) & np.isfinite(along["alpha_deg"])):
-        charts.append(_ratio_chart(name, along))
+    if history and np.any(np.isfinite(history["ratio"]) & np.isfinite(history["alpha_deg"])):
+        charts.append(_ratio_chart(name, history))
     text = [] if charts else ["Nothing was read or estimated here."]
-    out = [f"{sensor}: {own.why}" for sensor, own in point.sensors.items() if not own.used]
+    out = [f"{sensor}: {sensor_state.why}" for sensor, sensor_state in point.sensors.items() if not sensor_state.used]
     return Section(name, [*text, *out], charts=charts)
 
 
-def _wall_panels(along: Mapping[str, FloatArray]) -> list[Panel]:
-    if not along:
+def _wall_panels(history: Mapping[str, FloatArray]) -> list[Panel]:
+    if not history:
         return []
-    t = along["time_s"]
+    t = history["time_s"]
     return [
-        Panel(f"{what}, K", [Curve(what, t, along[f"{what}_K"], color, sigma=along[f"{what}_sigma_K"])], height)
-        for what, color, height in (("surface", SURFACE, 1.0), ("bondline", BONDLINE, 0.7))
+        Panel(
+            f"{surface}, K",
+            [Curve(surface, t, history[f"{surface}_K"], color, sigma=history[f"{surface}_sigma_K"])],
+            height,
+        )
+        for surface, color, height in (("surface", SURFACE, 1.0), ("bondline", BONDLINE, 0.7))
     ]
 
 
@@ -121,15 +125,15 @@ def _sensor_panels(name: str, read: Mapping[str, FloatArray]) -> list[Panel]:
     return [Panel(f"{name}, K", curves), Panel("sigmas", [off], 0.5, zero=True)]
 
 
-def _ratio_chart(name: str, along: Mapping[str, FloatArray]) -> Chart:
+def _ratio_chart(name: str, history: Mapping[str, FloatArray]) -> Chart:
     """The latest estimate at each angle of attack, and the declared ratio as it was flown."""
-    known = np.flatnonzero(np.isfinite(along["ratio"]) & np.isfinite(along["alpha_deg"]))
-    bins = {round(float(along["alpha_deg"][k]) / BIN_DEG): int(k) for k in known}
-    order = np.array(sorted(bins.values(), key=lambda k: float(along["alpha_deg"][k])))
-    alpha = along["alpha_deg"][order]
+    is_finite = np.flatnonzero(np.isfinite(history["ratio"]) & np.isfinite(history["alpha_deg"]))
+    bins = {round(float(history["alpha_deg"][k]) / BIN_DEG): int(k) for k in is_finite}
+    order = np.array(sorted(bins.values(), key=lambda k: float(history["alpha_deg"][k])))
+    alpha = history["alpha_deg"][order]
     curves = [
-        Curve("declared, as flown", alpha, along["ratio_declared"][order], DECLARED, points=True),
-        Curve("estimate", alpha, along["ratio"][order], ESTIMATED, points=True, sigma=along["ratio_sigma"][order]),
+        Curve("declared, as flown", alpha, history["ratio_declared"][order], DECLARED, points=True),
+        Curve("estimate", alpha, history["ratio"][order], ESTIMATED, points=True, sigma=history["ratio_sigma"][order]),
     ]
     caption = f"{name}: the latest estimate at each angle of attack with 2 sigma, and the declared ratio."
     return Chart(f"{name}, heating ratio", [Panel("heating ratio", curves)], caption, time="angle of attack, deg")

@@ -39,23 +39,23 @@ def flat(value: Any, name: str = "") -> dict[str, float | str]:
 
     raises : InputError where there are too many fields
     """
-    found: dict[str, float | str] = {}
+    fields: dict[str, float | str] = {}
     waiting = [(name, value)]
     while waiting:
-        place, item = waiting.pop()
+        path, item = waiting.pop()
         if isinstance(item, Mapping):
-            waiting += [(f"{place}.{k}" if place else str(k), v) for k, v in item.items()]
+            waiting += [(f"{path}.{k}" if path else str(k), v) for k, v in item.items()]
         elif isinstance(item, (list, tuple)):
-            waiting += [(f"{place}[{i}]", v) for i, v in enumerate(item)]
+            waiting += [(f"{path}[{i}]", v) for i, v in enumerate(item)]
         elif item is None:
-            found[place] = float("nan")
+            fields[path] = float("nan")
         elif isinstance(item, str):
-            found[place] = item
+            fields[path] = item
         else:
-            found[place] = _as_float(item)
-        if len(found) + len(waiting) > MOST_FIELDS:
+            fields[path] = _as_float(item)
+        if len(fields) + len(waiting) > MOST_FIELDS:
             raise InputError(f"a message of more than {MOST_FIELDS} fields")
-    return found
+    return fields
 
 
 def _as_float(value: Any) -> float:

@@ -134,7 +134,7 @@ class _StoppedError(Exception):
 
 
 def flight_source(speed: float):  # type: ignore[no-untyped-def]
-    """What opens the only source of the demonstration, as `run_link` takes it."""
+    """A function that opens the only source of the demonstration, from a link, its number and a remark."""
 
     def opened(link: Link, number: int, remark: Remark) -> SourceStream:
         async def bodies() -> AsyncIterator[bytes]:

@@ -128,12 +128,12 @@ class _Gathered:
 class ConditionFields:
     """Which fields of a link are flight conditions, and which columns follow from them.
 
-    taken    : fields that are the time, or of a sensor
+    named    : fields that are the time, or of a sensor
     problems : one line for each unit of the link file that does not fit
     notes    : one line for each field that was found by its name, and for what is derived, not yet taken
     """
 
-    def __init__(self, link: Link, taken: Collection[str], constants: dict[str, float]) -> None:
+    def __init__(self, link: Link, named: Collection[str], constants: dict[str, float]) -> None:
         columns, self.problems = _columns(link, display_path(link.path))
         self.notes: list[str] = []
         self.is_settled = False
@@ -142,7 +142,7 @@ class ConditionFields:
         self._own = frozenset(self._read) - set(link.declared.conditions)
         self._needed = tuple(n for n in self._read if n not in ACCOMPANYING or n not in self._own)
         self._sources: tuple[str, ...] = ()
-        self._taken, self._constants = frozenset(taken), constants
+        self._taken, self._constants = frozenset(named), constants
         has_only_q = "q_Pa" in self._read and "rho_kg_m3" not in {*self._read, *constants}
         self._derived: tuple[str, ...] = ("rho_kg_m3",) if has_only_q else ()
         self._seen: set[str] = set()
@@ -170,47 +170,52 @@ class ConditionFields:
         if self._seen.issuperset(names):
             return
         for name in [n for n in names if n not in self._seen and n not in self._taken]:
-            known = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0)) if name in self._own else None
-            found = known or field_of_name(name)
-            if found is not None and found.unit is not None and (found.column in self._own or self._may_give(found)):
-                self._use(found)
+            declared = FlightField(name, name, column_unit(name), Conversion(1.0, 0.0)) if name in self._own else None
+            flight_field = declared or field_of_name(name)
+            if (
+                flight_field is not None
+                and flight_field.unit is not None
+                and (flight_field.column in self._own or self._may_give(flight_field))
+            ):
+                self._use(flight_field)
         self._seen |= set(names)
 
-    def _may_give(self, found: FlightField) -> bool:
-        is_open = not self.is_settled and found.column not in {*self._read, *self._constants}
-        return found.column in SOURCES and is_open
+    def _may_give(self, flight_field: FlightField) -> bool:
+        is_open = not self.is_settled and flight_field.column not in {*self._read, *self._constants}
+        return flight_field.column in SOURCES and is_open
 
-    def _use(self, found: FlightField) -> None:
-        column, before = found.column, self._read.get(found.column)
-        if found.name != column and before is not None and (before.field != column or column in self._seen):
+    def _use(self, flight_field: FlightField) -> None:
+        column, before = flight_field.column, self._read.get(flight_field.column)
+        if flight_field.name != column and before is not None and (before.field != column or column in self._seen):
             self.notes.append(
-                f"`{found.name}` may be {column} as well as `{before.field}`, which is used; name one in [conditions]"
+                f"`{flight_field.name}` may be {column} as well as `{before.field}`, which is used; name one in "
+                "[conditions]"
             )
             return
-        self._read[column] = _Column(column, found.name, found.convert, *_limits(column))
-        if found.name != column and column in self._needed:
-            self.notes.append(f"{column} from `{found.name}`, in {found.unit or '1'}")
+        self._read[column] = _Column(column, flight_field.name, flight_field.convert, *_limits(column))
+        if flight_field.name != column and column in self._needed:
+            self.notes.append(f"{column} from `{flight_field.name}`, in {flight_field.unit or '1'}")
         if column in self._derived:
             self._derived = tuple(n for n in self._derived if n != column)
-            self.notes.append(f"`{found.name}` is sent: {column} is no longer derived")
+            self.notes.append(f"`{flight_field.name}` is sent: {column} is no longer derived")
 
     def values(self, message: Mapping[str, float | str]) -> dict[str, float]:
         """Columns that a message has, in the unit that the name ends in.
 
         raises : InputError for a value that is no number, or cannot be
         """
-        given: dict[str, float] = {}
+        columns: dict[str, float] = {}
         for c in self._read.values():
             if c.field in message:
                 value = c.convert(_number(message[c.field], c.field))
                 if not c.low <= value <= c.high:
                     raise InputError(f"field `{c.field}`: {value:g} {c.rule}")
-                given[c.column] = value
-        return given
+                columns[c.column] = value
+        return columns
 
-    def has_all(self, given: Collection[str]) -> bool:
+    def has_all(self, columns: Collection[str]) -> bool:
         """Whether columns are all that a frame is made of, those that follow from others left out."""
-        return all(name in given for name in (*self._needed, *self._sources) if name not in self._derived)
+        return all(name in columns for name in (*self._needed, *self._sources) if name not in self._derived)
 
     def settle(self, latest: Mapping[str, float]) -> bool:
         """Take columns that have not come for absent; whether what is absent follows from what is there.
@@ -220,8 +225,8 @@ class ConditionFields:
         if self.is_settled:
             return True
         absent = [name for name in self._needed if name not in latest]
-        found = self._follow(latest, absent)
-        if not set(absent) <= set(found.columns):
+        derived = self._follow(latest, absent)
+        if not set(absent) <= set(derived.columns):
             return False
         self.is_settled, self._derived = True, tuple(dict.fromkeys((*self._derived, *absent)))
         also = [n for n in self._read if n not in self._needed]
@@ -229,52 +234,52 @@ class ConditionFields:
         self._read = {n: c for n, c in self._read.items() if n not in also or n in (*self._sources, *ACCOMPANYING)}
         if absent:
             stated = {"rho_kg_m3", "q_Pa", "qbar_Pa"} & set(latest)
-            self.has_model_density = bool(found.of_model) and not stated
-            more = "; confidence of the conditions C" if self.has_model_density else ""
-            self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(found.notes)}{more}")
+            self.has_model_density = bool(derived.of_model) and not stated
+            grade = "; confidence of the conditions C" if self.has_model_density else ""
+            self.notes.append(f"{', '.join(absent)} not sent: {'; '.join(derived.notes)}{grade}")
         return True
 
-    def whole(self, known: Mapping[str, float]) -> dict[str, float]:
+    def whole(self, latest: Mapping[str, float]) -> dict[str, float]:
         """All columns of a frame: those that came, constants, and those that follow.
 
         raises : InputError where a column does not follow, as a density at a speed of 0
         """
         also = ("q_Pa", *(n for n in ACCOMPANYING if n in self._own))
-        values = {n: v for n, v in known.items() if n in self._needed or n in also} | self._constants
+        values = {n: v for n, v in latest.items() if n in self._needed or n in also} | self._constants
         if not self._derived:
             return values
         V, q = values.get("velocity_m_s", 1.0), values.get("q_Pa", 1.0)
         if "rho_kg_m3" in self._derived and (V <= 0.0 or q <= 0.0) and "q_Pa" in values:
             raise InputError(f"q_Pa = {q:g} at {V:g} m/s gives no density")
-        found = self._follow(known, self._derived).columns
-        if lacking := [name for name in self._derived if name not in found]:
+        derived = self._follow(latest, self._derived).columns
+        if lacking := [name for name in self._derived if name not in derived]:
             raise InputError(f"{', '.join(lacking)} does not follow from what is sent")
-        return values | {name: float(found[name][0]) for name in self._derived}
+        return values | {name: float(derived[name][0]) for name in self._derived}
 
     def lacking(self, names: Collection[str]) -> dict[str, str]:
         """Field -> column of those that do not come among the fields that are sent, and do not follow from them."""
         self.see(names)
         there = {n: 1.0 for n, c in self._read.items() if c.field in names}
         absent = [n for n in self._needed if n not in there]
-        found = self._follow(there, absent)
-        return {field: n for field, n in self.fields.items() if n in absent and n not in found.columns}
+        derived = self._follow(there, absent)
+        return {field: n for field, n in self.fields.items() if n in absent and n not in derived.columns}
 
     def without_unit(self, column: str) -> str:
         """A field that is a column by its name, and states no unit; empty where none is."""
         for name in self._seen - self._taken:
-            found = field_of_name(name) if name != column else None
-            if found is not None and found.column == column and found.unit is None:
+            flight_field = field_of_name(name) if name != column else None
+            if flight_field is not None and flight_field.column == column and flight_field.unit is None:
                 return name
         return ""
 
-    def _follow(self, known: Mapping[str, float], wanted: Collection[str]) -> DerivedConditions:
+    def _follow(self, latest: Mapping[str, float], names: Collection[str]) -> DerivedConditions:
         """The columns of one time with those that follow from them, as of a row of a file."""
-        held = {n: v for n, v in self._of_record.items() if n in wanted}
-        row = {name: np.array([value]) for name, value in {**held, **known, **self._constants}.items()}
-        found = derived_conditions(row, length_m=self._length_m, requested={*wanted, "rho_kg_m3"})
-        columns, of_pressure = with_pressure(found.columns, wanted, self._pressure)
-        of_record = [f"{', '.join(held)} as in the whole record"] if held else []
-        return DerivedConditions(columns, (*of_record, *found.notes, *of_pressure), found.of_model)
+        constant = {n: v for n, v in self._of_record.items() if n in names}
+        row = {name: np.array([value]) for name, value in {**constant, **latest, **self._constants}.items()}
+        derived = derived_conditions(row, length_m=self._length_m, requested={*names, "rho_kg_m3"})
+        columns, of_pressure = with_pressure(derived.columns, names, self._pressure)
+        of_record = [f"{', '.join(constant)} as in the whole record"] if constant else []
+        return DerivedConditions(columns, (*of_record, *derived.notes, *of_pressure), derived.of_model)
 
 
 class FieldMapping:
@@ -287,9 +292,9 @@ class FieldMapping:
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        declared, place = link.declared, display_path(link.path)
+        declared, file = link.declared, display_path(link.path)
         self._time = declared.time.field
-        self._seconds = unit_conversion(declared.time.unit, "s", f"{place}, [time]: `unit`")
+        self._seconds = unit_conversion(declared.time.unit, "s", f"{file}, [time]: `unit`")
         self._zero = declared.time.zero
         self._skew_s = clock_skew_s(link)
         # what a record has and no field gives is as it was at the start, as the pressure at a wall at rest
@@ -300,10 +305,10 @@ class FieldMapping:
             for name, value in declared.conditions.items()
             if isinstance(value, ConditionField) and value.constant is not None
         }
-        self._words, of_words = _words(link, place)
+        self._words, of_words = _words(link, file)
         clocks = [w.time for w in self._words if w.time is not None]
-        taken = {self._time, *clocks, *(w.field for w in self._words)}
-        self._conditions = ConditionFields(link, taken, constants)
+        named = {self._time, *clocks, *(w.field for w in self._words)}
+        self._conditions = ConditionFields(link, named, constants)
         raise_problems([*self._conditions.problems, *of_words])
         self._latest: dict[str, float] = {}
         self._open: _Gathered | None = None
@@ -316,8 +321,8 @@ class FieldMapping:
     @property
     def fields(self) -> dict[str, str]:
         """Field that the link needs or names -> what it is; a sensor that it does not name may be absent."""
-        found = {self._time: "time"} | self._conditions.fields
-        return found | {w.field: f"sensor {w.sensor.name} of {w.point}" for w in self._words if w.is_declared}
+        fields = {self._time: "time"} | self._conditions.fields
+        return fields | {w.field: f"sensor {w.sensor.name} of {w.point}" for w in self._words if w.is_declared}
 
     @property
     def has_model_density(self) -> bool:
@@ -343,8 +348,8 @@ class FieldMapping:
         samples: list[Sample] = []
         problems: list[str] = []
         for make in (self._frames, self._readings):
-            made, wrong = make(values, time_s)
-            samples += made
+            new, wrong = make(values, time_s)
+            samples += new
             problems += wrong
         if problems and not samples:
             raise InputError(*problems)
@@ -359,13 +364,13 @@ class FieldMapping:
             return []
         lacking = self._conditions.lacking(self._sent)
         return [
-            f"field `{name}` ({what}) is not sent{self._hint(name, what)}"
-            for name, what in self.fields.items()
+            f"field `{name}` ({meaning}) is not sent{self._hint(name, meaning)}"
+            for name, meaning in self.fields.items()
             if name not in self._seen and (name in lacking or name not in self._conditions.fields)
         ]
 
-    def _hint(self, name: str, what: str) -> str:
-        if unit_less := self._conditions.without_unit(what):
+    def _hint(self, name: str, meaning: str) -> str:
+        if unit_less := self._conditions.without_unit(meaning):
             return f"; `{unit_less}` states no unit: name it with its unit in [conditions]"
         return suggestion(name, self._sent, otherwise="")
 
@@ -381,9 +386,9 @@ class FieldMapping:
         lacking = self._conditions.lacking(names)
         raise_problems(
             [
-                f"{display_path(self.link.path)}: field `{name}` ({what}) is not sent by {source}"
+                f"{display_path(self.link.path)}: field `{name}` ({meaning}) is not sent by {source}"
                 f"{suggestion(name, names)}"
-                for name, what in self.fields.items()
+                for name, meaning in self.fields.items()
                 if name not in names and (name in lacking or name not in self._conditions.fields)
             ]
         )
@@ -407,44 +412,44 @@ class FieldMapping:
         named = [f for n in values if (f := field_of_name(n)) is not None and f.column == TIME and f.unit]
         if len(named) != 1 or "time" in self.link.declared.model_fields_set:
             return self._time
-        (found,) = named
-        self._time, self._seconds = found.name, found.convert
-        self._conditions.notes.append(f"{TIME} from `{found.name}`, in {found.unit}")
+        (flight_field,) = named
+        self._time, self._seconds = flight_field.name, flight_field.convert
+        self._conditions.notes.append(f"{TIME} from `{flight_field.name}`, in {flight_field.unit}")
         return self._time
 
     def _frames(self, values: Mapping[str, float | str], time_s: float) -> tuple[list[Frame], list[str]]:
         try:
-            given = self._conditions.values(values)
+            columns = self._conditions.values(values)
         except InputError as error:
             return [], [f"{error}; no frame at {time_s:g} s"]
-        if not given and self._conditions.fields:
+        if not columns and self._conditions.fields:
             return [], []
         try:
-            return self._gather(time_s, given), []
+            return self._gather(time_s, columns), []
         except InputError as error:
             self._open = None
             return [], list(error.problems)
 
-    def _gather(self, time_s: float, given: dict[str, float]) -> list[Frame]:
+    def _gather(self, time_s: float, columns: dict[str, float]) -> list[Frame]:
         """Frames of columns that come in several messages."""
         frames: list[Frame] = []
         waiting = self._open
         if waiting is not None and waiting.time_s != time_s:
-            known = _Gathered(waiting.time_s, self._latest | waiting.values)
-            if self._conditions.has_all(known.values):
-                frames += [self._frame(g.time_s, g.values) for g in (*self._released(), known)]
+            gathered = _Gathered(waiting.time_s, self._latest | waiting.values)
+            if self._conditions.has_all(gathered.values):
+                frames += [self._frame(g.time_s, g.values) for g in (*self._released(), gathered)]
             elif not self._conditions.is_settled:
-                self._held.append(known)
+                self._held.append(gathered)
                 frames += [self._frame(g.time_s, g.values) for g in self._settled(time_s)]
             waiting = None
         if waiting is None:
             waiting = _Gathered(time_s)
-        waiting.values |= given
-        self._latest |= given
+        waiting.values |= columns
+        self._latest |= columns
         self._open = waiting
         if self._conditions.has_all(waiting.values):
-            known = _Gathered(time_s, self._latest | waiting.values)  # with what accompanies them
-            frames += [self._frame(g.time_s, g.values) for g in (*self._released(), known)]
+            gathered = _Gathered(time_s, self._latest | waiting.values)  # with what accompanies them
+            frames += [self._frame(g.time_s, g.values) for g in (*self._released(), gathered)]
             self._open = None
             self._conditions.settle(self._latest)  # nothing is absent
         return frames
@@ -460,16 +465,16 @@ class FieldMapping:
 
     def _released(self) -> list[_Gathered]:
         """What was held and is whole with what is derived; the rest is no frame."""
-        held, self._held = self._held, []
-        return [g for g in held if self._conditions.has_all(g.values)]
+        waiting, self._held = self._held, []
+        return [g for g in waiting if self._conditions.has_all(g.values)]
 
-    def _frame(self, time_s: float, known: Mapping[str, float]) -> Frame:
+    def _frame(self, time_s: float, latest: Mapping[str, float]) -> Frame:
         """A frame with constants and with the columns that follow from those that came.
 
         raises : InputError where one does not, such as a density at a speed of 0
         """
         try:
-            values = self._conditions.whole(known)
+            values = self._conditions.whole(latest)
         except InputError as error:
             raise InputError(f"{error}; no frame at {time_s:g} s") from None
         return Frame(time_s, values, self._conditions.is_of_model)
@@ -502,9 +507,9 @@ def clock_skew_s(link: Link) -> float:
 
     `clock.skew` in `fix`, or the mean of its prior where it is estimated: readings are put where they belong by it.
     """
-    own = link.declared.estimate
-    mean, _ = own.prior.get(CLOCK_SKEW.name, (CLOCK_SKEW.value, CLOCK_SKEW.sigma))
-    return own.fix.get(CLOCK_SKEW.name, mean if CLOCK_SKEW.name in (own.parameters or ()) else 0.0)
+    settings = link.declared.estimate
+    mean, _ = settings.prior.get(CLOCK_SKEW.name, (CLOCK_SKEW.value, CLOCK_SKEW.sigma))
+    return settings.fix.get(CLOCK_SKEW.name, mean if CLOCK_SKEW.name in (settings.parameters or ()) else 0.0)
 
 
 def _names(values: Mapping[str, object]) -> str:
@@ -535,7 +540,7 @@ def _limits(column: str) -> tuple[float, float, str]:
     return LIMITS.get(column, (-math.inf, math.inf, ""))
 
 
-def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
+def _columns(link: Link, file: str) -> tuple[list[_Column], list[str]]:
     """The columns that come in fields, and problems of their units."""
     columns: list[_Column] = []
     problems: list[str] = []
@@ -547,10 +552,12 @@ def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
             source, unit = declared.field, declared.unit
         else:
             source, unit = declared, None
-        own = column_unit(name)
+        unit_of_column = column_unit(name)
         unit = unit_of_name(source, name) if unit is None and source != name else unit
         try:
-            convert = unit_conversion(own if unit is None else unit, own, f"{place}, [conditions]: `{name}`")
+            convert = unit_conversion(
+                unit_of_column if unit is None else unit, unit_of_column, f"{file}, [conditions]: `{name}`"
+            )
         except InputError as error:
             problems += error.problems
             continue
@@ -558,42 +565,44 @@ def _columns(link: Link, place: str) -> tuple[list[_Column], list[str]]:
     return columns, problems
 
 
-def _words(link: Link, place: str) -> tuple[list[_Word], list[str]]:
+def _words(link: Link, file: str) -> tuple[list[_Word], list[str]]:
     """The sensors' fields, and problems of their names and units."""
-    words: dict[tuple[str, str], _Word] = {}
+    by_sensor: dict[tuple[str, str], _Word] = {}
     problems: list[str] = []
     for i, declared in enumerate(link.declared.sensor, start=1):
-        where = f"{place}, [[sensor]] {i}"
+        where = f"{file}, [[sensor]] {i}"
         try:
             word = _declared_word(link, declared, where)
         except InputError as error:
             problems += error.problems
             continue
-        if (word.point, word.sensor.name) in words:
+        if (word.point, word.sensor.name) in by_sensor:
             problems.append(f"{where}: `sensor`: {declared.sensor} is repeated; remove one")
-        words[word.point, word.sensor.name] = word
+        by_sensor[word.point, word.sensor.name] = word
     fields = default_fields([(p.name, s.name, s.column) for p in link.points for s in p.sensors])
     for point in link.points:
         for sensor in point.sensors:
             key = point.name, sensor.name
-            words.setdefault(key, _Word(point.name, sensor, fields[key], None, Conversion(1.0, 0.0), is_declared=False))
-    return list(words.values()), problems
+            by_sensor.setdefault(
+                key, _Word(point.name, sensor, fields[key], None, Conversion(1.0, 0.0), is_declared=False)
+            )
+    return list(by_sensor.values()), problems
 
 
 def _declared_word(link: Link, declared: SensorField, where: str) -> _Word:
-    found = [
+    matches = [
         (point, sensor)
         for point in link.points
         for sensor in point.sensors
         if sensor.name == declared.sensor and declared.control_point in (None, point.name)
     ]
-    if not found:
-        known = [s.name for p in link.points for s in p.sensors]
-        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{suggestion(declared.sensor, known)}")
-    if len(found) > 1:
-        owners = ", ".join(point.name for point, _ in found)
+    if not matches:
+        names = [s.name for p in link.points for s in p.sensors]
+        raise InputError(f"{where}: `sensor`: unknown sensor `{declared.sensor}`{suggestion(declared.sensor, names)}")
+    if len(matches) > 1:
+        owners = ", ".join(point.name for point, _ in matches)
         raise InputError(f"{where}: {owners} have a sensor {declared.sensor}; add `control_point`")
-    point, sensor = found[0]
+    point, sensor = matches[0]
     if declared.codes and (sensor.bits is None or sensor.range_K is None):
         raise InputError(
             f"{where}: `codes`: {declared.sensor} declares no recorder; add `bits` and `range_K` to its declaration, "

@@ -30,12 +30,12 @@ class MqttDecoder:
 
     def decode(self, body: bytes) -> Mapping[str, float | str] | None:
         """Fields of one payload; InputError where it is not JSON."""
-        topic, found, payload = body.partition(b"\0")
-        if not found:
+        topic, separator, payload = body.partition(b"\0")
+        if not separator:
             raise InputError("a message without a topic")
         if payload.lstrip()[:1] == b"{":
             return self._json.decode(payload)
-        name, text = (part.decode("utf-8", errors="replace").strip() for part in (topic, payload))
+        name, text = (item.decode("utf-8", errors="replace").strip() for item in (topic, payload))
         try:
             return flat({name: float(text)})
         except ValueError:

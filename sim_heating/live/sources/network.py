@@ -43,23 +43,23 @@ Cut = Callable[[bytearray, bool], list[bytes]]
 
 def cut_lines(buffer: bytearray, is_end: bool) -> list[bytes]:
     """Whole lines, without their ends and without blank ones."""
-    *whole, rest = bytes(buffer).split(b"\n")
+    *lines, rest = bytes(buffer).split(b"\n")
     if is_end or len(rest) > LONGEST_LINE:
-        whole, rest = [*whole, rest], b""
+        lines, rest = [*lines, rest], b""
     buffer[:] = rest
-    return [line for line in whole if line.strip()]
+    return [line for line in lines if line.strip()]
 
 
 def cut_packets(buffer: bytearray, is_end: bool) -> list[bytes]:
     """Whole CCSDS packets by the length in their headers."""
-    found: list[bytes] = []
+    packets: list[bytes] = []
     while (length := packet_length(buffer)) is not None and len(buffer) >= length:
-        found.append(bytes(buffer[:length]))
+        packets.append(bytes(buffer[:length]))
         del buffer[:length]
     if is_end and buffer:
-        found.append(bytes(buffer))
+        packets.append(bytes(buffer))
         buffer.clear()
-    return found
+    return packets
 
 
 class Inbox:
@@ -126,9 +126,9 @@ async def _udp(
         def datagram_received(self, data: bytes, addr: object) -> None:
             inbox.put(cut(bytearray(data), True))
 
-    own = _bound(settings, socket.SOCK_DGRAM)
-    own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-    transport, _protocol = await asyncio.get_running_loop().create_datagram_endpoint(Datagrams, sock=own)
+    bound = _bound(settings, socket.SOCK_DGRAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+    transport, _protocol = await asyncio.get_running_loop().create_datagram_endpoint(Datagrams, sock=bound)
     try:
         yield
     finally:
@@ -141,20 +141,20 @@ def _bound(settings: Network, kind: socket.SocketKind) -> socket.socket:
     where = f"{name} port {settings.port} of {settings.host}"
     try:
         family, *_, address = socket.getaddrinfo(settings.host, settings.port, type=kind)[0]
-        own = socket.socket(family, kind)
+        bound = socket.socket(family, kind)
     except OSError as error:
         raise InputError(f"{where}: {os_error_reason(error)}; name an address of this machine in `host`") from None
     try:
         if kind == socket.SOCK_STREAM and os.name == "posix":
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that waits to be closed is free
-        own.setblocking(False)
-        own.bind(address)
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that waits to be closed is free
+        bound.setblocking(False)
+        bound.bind(address)
     except OSError as error:
-        own.close()
+        bound.close()
         in_use = error.errno in (errno.EADDRINUSE, getattr(errno, "WSAEADDRINUSE", errno.EADDRINUSE))
         rule = "is in use; end the other program, or change `port`" if in_use else f"{os_error_reason(error)}"
         raise InputError(f"{where} {rule}") from None
-    return own
+    return bound
 
 
 @contextlib.asynccontextmanager
@@ -210,12 +210,12 @@ async def _tcp_client(
     where = f"{settings.host}:{settings.port}"
 
     async def connect() -> None:
-        told = ""
+        reported = ""
         while True:
             try:
                 reader, writer = await asyncio.open_connection(settings.host, settings.port)
                 remark(f"connected to {where}")
-                told = ""
+                reported = ""
                 try:
                     await _read(reader, cut, inbox)
                     remark(f"{where} has closed the connection; trying again")
@@ -223,9 +223,9 @@ async def _tcp_client(
                     writer.close()
             except OSError as error:
                 line = f"{where}: {os_error_reason(error)}; trying again"
-                if line != told:
+                if line != reported:
                     remark(line)
-                told = line
+                reported = line
             await asyncio.sleep(RETRY_S)
 
     task = asyncio.create_task(connect())

@@ -37,9 +37,9 @@ class PacketDecoder:
     def __init__(self, document: Path, container: str = "CCSDSPacket", apid: Sequence[int] | None = None) -> None:
         self._definition = _definition(document)
         self._container, self._apid = container, None if apid is None else frozenset(apid)
-        known = list(getattr(self._definition, "containers", {}))
-        if container not in known:
-            names = ", ".join(known[:6]) or "none"
+        containers = list(getattr(self._definition, "containers", {}))
+        if container not in containers:
+            names = ", ".join(containers[:6]) or "none"
             raise InputError(f"{display_path(document)}: there is no container `{container}`; it has {names}")
         entries = list(_entries(self._definition, container))
         raise_problems([f"{display_path(document)}, {line}" for line in _size_problems(entries, container)])
@@ -105,20 +105,20 @@ def _local(tag: object) -> str:
     return str(tag).rpartition("}")[2]
 
 
-def _entries(definition: Any, name: str, above: tuple[str, ...] = ()) -> Iterator[tuple[bool, Any]]:
+def _entries(definition: Any, name: str, enclosing: tuple[str, ...] = ()) -> Iterator[tuple[bool, Any]]:
     """Parameters of a container, of those in it, and of those that inherit from it, and whether each is in all packets.
 
-    above : containers that this one is in
+    enclosing : containers that this one is in
     """
     container = definition.containers[name]
     for entry in container.entry_list:
         if not hasattr(entry, "entry_list"):
-            yield not above, entry
-        elif entry.name not in above:
-            yield from ((is_common and not above, e) for is_common, e in _entries(definition, entry.name, ()))
+            yield not enclosing, entry
+        elif entry.name not in enclosing:
+            yield from ((is_common and not enclosing, e) for is_common, e in _entries(definition, entry.name, ()))
     for heir in container.inheritors:
-        if heir not in above:
-            yield from ((False, e) for _, e in _entries(definition, heir, (*above, name)))
+        if heir not in enclosing:
+            yield from ((False, e) for _, e in _entries(definition, heir, (*enclosing, name)))
 
 
 def _bits(entry: Any) -> int | None:
@@ -135,11 +135,11 @@ def _size_problems(entries: Sequence[tuple[bool, Any]], container: str) -> list[
             return [f"parameter `{entry.name}`: a number of {bits} bits cannot be; correct `sizeInBits`"]
     sizes = [_bits(entry) or 0 for is_common, entry in entries if is_common]  # 0 where it is not known
     ends = list(accumulate(takewhile(bool, sizes)))
-    whole = len(ends) == len(sizes)
-    if (whole or (ends and ends[-1] > 8 * HEADER)) and 8 * HEADER not in ends:
+    has_all_sizes = len(ends) == len(sizes)
+    if (has_all_sizes or (ends and ends[-1] > 8 * HEADER)) and 8 * HEADER not in ends:
         rule = f"its parameters do not end at the {8 * HEADER} bits of a primary header; correct their sizes"
         return [f"container `{container}`: {rule}"]
-    if whole and all(is_common for is_common, _ in entries) and ends[-1] % 8:
+    if has_all_sizes and all(is_common for is_common, _ in entries) and ends[-1] % 8:
         return [f"container `{container}`: has {ends[-1]} bits, and packets are of whole bytes; correct their sizes"]
     return []
 

@@ -100,9 +100,9 @@ class SourceStream:
 
     async def __aiter__(self) -> AsyncIterator[Message]:
         async for body in self.bodies:
-            found = message_of(self.decoder, body, time.monotonic())
+            message = message_of(self.decoder, body, time.monotonic())
             # what holds no values is kept in the journal all the same: labels are needed to read what follows them
-            yield Message(time.monotonic(), body, {}) if found is None else found
+            yield Message(time.monotonic(), body, {}) if message is None else message
 
 
 def open_source(link: Link, number: int, remark: Remark) -> SourceStream:

@@ -170,8 +170,8 @@ class SensorChecks:
         return f"flickers: {sum(off)} of its last {FLICKER_OF} readings are more than {FLICKER_SIGMAS:g} sigma off"
 
     def _drifts(self, key: tuple[str, str], recent: _Recent) -> str:
-        own = recent.mean_over(DRIFT_OF)
-        if own is None or abs(own) < DRIFT_SIGMAS:
+        drift = recent.mean_over(DRIFT_OF)
+        if drift is None or abs(drift) < DRIFT_SIGMAS:
             return ""
         others = [
             self._recent[k].mean_over(DRIFT_OF)

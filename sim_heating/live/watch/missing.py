@@ -93,9 +93,9 @@ class Weighing:
         if self._pool is None:
             # spawned: a fork of a process with threads may hold their locks
             self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_step_back)
-        place = None if root is None else os.fspath(root)
+        root_path = None if root is None else os.fspath(root)
         with signals_deferred():  # a Ctrl-C ends the link and leaves the process to it
-            self._running = self._pool.submit(weigh, os.fspath(journal), point, tuple(left_out), place)
+            self._running = self._pool.submit(weigh, os.fspath(journal), point, tuple(left_out), root_path)
         return True
 
     def poll(self) -> Weighed | None:
@@ -104,19 +104,19 @@ class Weighing:
             return None
         running, self._running = self._running, None
         try:
-            found = running.result()
+            weighed = running.result()
         except BrokenProcessPool:
             self._pool, self.deaths = None, self.deaths + 1
             if self.deaths < MOST_DEATHS:
                 return None
             text = f"their process died {self.deaths} times; `close-loop` weighs candidates on the record"
-            found = Weighed("", float("nan"), "", (), text)
+            weighed = Weighed("", float("nan"), "", (), text)
         except Exception as error:  # the link goes on, whatever a record does to the search
-            found = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
-        if self.last is not None and self.last.finding and not found.finding:
-            self.problem = found.text
+            weighed = Weighed("", float("nan"), "", (), f"candidates were not weighed: {one_line(repr(error))}")
+        if self.last is not None and self.last.finding and not weighed.finding:
+            self.problem = weighed.text
         else:
-            self.last, self.problem = found, ""
+            self.last, self.problem = weighed, ""
         return self.last
 
     def stop(self) -> None:
@@ -146,22 +146,22 @@ def weigh(journal: str, point: str, left_out: Sequence[str] = (), root: str | No
     until_s = float("nan")
     try:
         with tempfile.TemporaryDirectory(prefix="sim_heating_live_") as folder:
-            place = Path(folder) / "records"
-            records, _ = to_record(journal, place, link_of(journal, root=root))
+            out = Path(folder) / "records"
+            records, _ = to_record(journal, out, link_of(journal, root=root))
             if point not in records:
                 return Weighed(point, until_s, "", (), f"{point}: no reading of it yet")
-            record = load_record(place if len(records) == 1 else place / point)
+            record = load_record(out if len(records) == 1 else out / point)
             record = record.with_sensors([s for s in record.sensors if s.name not in left_out])
             until_s = float(record.time_s[-1])
             stated = close_loop(record).report.statement
     except (InputError, RunError) as error:
         return Weighed(point, until_s, "", (), f"{point}: not weighed: {one_line(str(error))}")
     named = [Candidate(" or ".join(names), stated.probability) for names in stated.alternatives]
-    found = [c.what for c in named]
+    causes = [c.what for c in named]
     sure = "" if stated.probability is None else f", probability {stated.probability:.2f}"
     text = {
         "none": "no effect on the list is missing",
         "unknown": "unknown: no effect on the list explains it",
-        "partly": f"unknown in part; it resembles {' and '.join(found)}{sure}",
-    }.get(stated.finding, f"{' and '.join(found)}{sure}")
+        "partly": f"unknown in part; it resembles {' and '.join(causes)}{sure}",
+    }.get(stated.finding, f"{' and '.join(causes)}{sure}")
     return Weighed(point, until_s, stated.finding, () if stated.finding == "none" else named, f"{point}: {text}")

@@ -68,11 +68,11 @@ class _Noise:
         S = _SHARE * variance + (1.0 - _SHARE)
         off = score - np.sqrt(_SHARE) * mean
         log_density = -0.5 * (np.log(S) + off**2 / S)
-        together = self.log_w + log_density
-        mixture = float(np.logaddexp.reduce(together))
+        joint = self.log_w + log_density
+        mixture = float(np.logaddexp.reduce(joint))
         gain = np.sqrt(_SHARE) * variance / S
         self.mean, self.variance = mean + gain * off, variance - gain * np.sqrt(_SHARE) * variance
-        self.log_w, self.last_s = together - mixture, time_s
+        self.log_w, self.last_s = joint - mixture, time_s
         return -0.5 * score**2 - mixture
 
 
@@ -122,12 +122,12 @@ class Alarm:
     def text(self) -> str:
         """What the readings show, in one line."""
         where = f"{self.sensor} at {self.point}" if self.sensor else f"the sensors at {self.point}"
-        what = {
+        behaviour = {
             "mean": "away from what the model expects",
             "order": "away from what the model expects, one after the other to the same side",
             "variance": "scattered more than their noise",
         }[self.kind]
-        return f"since {self.time_s:.1f} s readings of {where} are {what}"
+        return f"since {self.time_s:.1f} s readings of {where} are {behaviour}"
 
 
 @dataclass

@@ -147,11 +147,11 @@ class DispersedEntry:
     @cached_property
     def group_descriptions(self) -> list[tuple[str, str]]:
         """Name of each group, and its size with the unit."""
-        several = {i.name for i, label in zip(self.inputs, self.labels, strict=True) if label == f"{i.name}#1"}
+        has_profiles = {i.name for i, label in zip(self.inputs, self.labels, strict=True) if label == f"{i.name}#1"}
         described = []
-        for i, label, places in zip(self.inputs, self.labels, self.parameter_places, strict=True):
-            named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in several else "")
-            unit = self.lanes.models[places[0].point].definition(i.name).unit if places else "1"
+        for i, label, entries in zip(self.inputs, self.labels, self.parameter_places, strict=True):
+            named = i.title or (f"profile {int(label.rpartition('#')[2]) + 1}" if i.name in has_profiles else "")
+            unit = self.lanes.models[entries[0].point].definition(i.name).unit if entries else "1"
             described.append(i.model_copy(update={"title": named}).describe(unit))
         return [*described, ("ratio tables", "their own sigma")][: len(self.groups)]
 
@@ -245,9 +245,10 @@ class DispersedEntry:
         """Peaks along flights, LANES at a time.
 
         deviation : (flight, input), each in the unit of its input;  z : (flight, dimension) normal numbers
-        keep      : as LaneMarch.march takes it
+        keep      : receives for each point surface and bondline (time, 2 LANES) [K] and the conditions (LANES, time,
+                    condition); None for none
         """
-        changes = [(place, deviation[:, k]) for k, places in enumerate(self.parameter_places) for place in places]
+        changes = [(entry, deviation[:, k]) for k, entries in enumerate(self.parameter_places) for entry in entries]
         tables = [
             table_factors(m, z[:, c]) if m.shape[1] else None
             for m, c in zip(self.modes, self.mode_columns, strict=True)
@@ -289,8 +290,8 @@ class DispersedEntry:
             raise InputError(
                 f"`{i.name}` is not dispersed: the sigma of the ratio tables states their error; disperse `ratio.scale`"
             )
-        for place in self._places_of(i):
-            model = self.lanes.models[place.point]
+        for entry in self._places_of(i):
+            model = self.lanes.models[entry.point]
             definition, value = model.definition(i.name), model.value(i.name)
             if not definition.lower <= value + low <= value + high <= definition.upper:
                 raise InputError(

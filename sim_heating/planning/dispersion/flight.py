@@ -74,16 +74,16 @@ def entry_with_deviations(
 ) -> TrajectorySpec:
     """A planned entry with deviations by the label of their input, in its unit; AERO_FACTORS are left out.
 
-    profiles : `air_profiles` of the same base and inputs, where many flights share them
+    profiles : density factors and winds that the inputs disperse, where many flights share them
     """
-    given = {name: value for name, value in deviations.items() if name not in AERO_FACTORS}
+    flown = {name: value for name, value in deviations.items() if name not in AERO_FACTORS}
     assert base.initial is not None  # a built-in entry has one
-    initial = {key: getattr(base.initial, key) + value for key, value in _below(given, "entry.").items()}
-    vehicle = {key: getattr(base.vehicle, key) + value for key, value in _below(given, "vehicle.").items()}
-    vehicle["cm_shift"] = base.vehicle.cm_shift + given.get("aero.Cm", 0.0)
+    initial = {key: getattr(base.initial, key) + value for key, value in _below(flown, "entry.").items()}
+    vehicle = {key: getattr(base.vehicle, key) + value for key, value in _below(flown, "vehicle.").items()}
+    vehicle["cm_shift"] = base.vehicle.cm_shift + flown.get("aero.Cm", 0.0)
     guidance = {
         key: tuple((x, y + value) for x, y in base.guidance.alpha_deg or ())
-        for key, value in _below(given, "guidance.").items()
+        for key, value in _below(flown, "guidance.").items()
     }
     return base.model_copy(
         update={
@@ -91,7 +91,7 @@ def entry_with_deviations(
             "vehicle": base.vehicle.model_copy(update=vehicle),
             "guidance": base.guidance.model_copy(update=guidance),
             "dispersions": base.dispersions.model_copy(
-                update=_atmosphere(air_profiles(base, inputs) if profiles is None else profiles, given)
+                update=_atmosphere(air_profiles(base, inputs) if profiles is None else profiles, flown)
             ),
         }
     )
@@ -121,7 +121,7 @@ class AirProfiles(NamedTuple):
 
 def air_profiles(base: TrajectorySpec, inputs: Sequence[DispersedInput]) -> list[AirProfiles]:
     """Density factors and winds that the inputs disperse."""
-    found = []
+    profiles_of_air = []
     for name, key, neutral in (
         ("air.density", "density_factor", 1.0),
         ("air.wind_north_m_s", "wind_north_m_s", 0.0),
@@ -133,8 +133,8 @@ def air_profiles(base: TrajectorySpec, inputs: Sequence[DispersedInput]) -> list
         planned = np.array(getattr(base.dispersions, key) or ((0.0, neutral),))
         z = np.unique(np.concatenate([planned[:, 0], *(p[:, 0] for p in profiles)]))
         added = [np.interp(z, *profile.T) for profile in profiles]
-        found.append(AirProfiles(name, key, neutral == 1.0, z.tolist(), np.interp(z, *planned.T), added))
-    return found
+        profiles_of_air.append(AirProfiles(name, key, neutral == 1.0, z.tolist(), np.interp(z, *planned.T), added))
+    return profiles_of_air
 
 
 def _atmosphere(profiles: Sequence[AirProfiles], deviations: Mapping[str, float]) -> dict[str, Any]:
@@ -246,8 +246,8 @@ class EntrySampler:
         )
 
     def _guidance_block(self, spec: TrajectorySpec) -> FloatArray:
-        own = self.guidance.model_copy(update={"alpha_deg": spec.guidance.alpha_deg})
-        return gd.guidance_block(own, spec.initial.bank_deg if spec.initial is not None else 0.0)
+        guidance = self.guidance.model_copy(update={"alpha_deg": spec.guidance.alpha_deg})
+        return gd.guidance_block(guidance, spec.initial.bank_deg if spec.initial is not None else 0.0)
 
 
 def entry_sampler(spec: TrajectorySpec, vehicle_dir: Path, step_s: float, sample_s: float) -> EntrySampler:
@@ -280,8 +280,8 @@ def scale_aero(aero: FloatArray, cn: float, ca: float, out: FloatArray) -> None:
     cells = int(aero[AT_CELLS])
     for i in range(len(aero)):
         # Cells hold CN, CA, Cm in turn, behind the axes.
-        place = (i - cells) % 3
-        out[i] = aero[i] * (1.0 if i < cells or place == 2 else cn if place == 0 else ca)
+        coefficient = (i - cells) % 3
+        out[i] = aero[i] * (1.0 if i < cells or coefficient == 2 else cn if coefficient == 0 else ca)
 
 
 @njit

@@ -88,7 +88,8 @@ class LaneMarch:
     step_s  : of the march, and between the kept frames of flights [s]
     soak_s  : after the end of each flight [s]
 
-    Attributes: `models` of the points; `host`, `constants` and `soak`, as flight.condition_kernel takes them.
+    Attributes: `models` of the points; `host` and `constants`, by which conditions follow from frames; `soak`,
+    (3,) h_ref [kg/(m2 s)], p_surface [Pa] and surroundings [K] after the flight.
     """
 
     def __init__(
@@ -179,7 +180,7 @@ class LaneMarch:
         if keep is not None:
             keep += [(out, history.copy()) for out, history in zip(marched, histories, strict=True)]
 
-        own = slice(0, last - first)
+        in_use = slice(0, last - first)
         counts = self._sample_counts(time_s, frame_counts)
         # Lanes march as long as the longest flight of the eight: each counts to the end of its own soak.
         hottest = np.empty((len(marched), last - first, len(QUANTITIES)))
@@ -187,9 +188,9 @@ class LaneMarch:
             peak_kernel(out, counts, peaks)
         surface, bondline = (hottest[:, :, k].T.copy() for k in range(len(QUANTITIES)))
         by_point = self.ensemble.counters.failures, self.ensemble.counters.steps_of_negative_ratio
-        failed, negative = (steps.reshape(-1, LANES).T[own] > 0.0 for steps in by_point)
+        failed, negative = (steps.reshape(-1, LANES).T[in_use] > 0.0 for steps in by_point)
         # A peak of a flight that did not reach its stop would be too low; NaN counts as above every limit.
-        unknown = failed | (flown.outcome[lane[own]] != COMPLETED)[:, np.newaxis]
+        unknown = failed | (flown.outcome[lane[in_use]] != COMPLETED)[:, np.newaxis]
         surface[unknown], bondline[unknown] = np.nan, np.nan
         extent = np.empty((last - first, 2, len(RATIO_VARIABLES)))
         extent_kernel(histories[0], frame_counts, extent)
@@ -234,9 +235,9 @@ class LaneMarch:
 
     def _write_parameters(self, changes: Sequence[tuple[ParameterPlace, FloatArray]], lane: IntArray) -> None:
         stacks, heating = ([declared.copy() for declared in of_all] for of_all in self._declared)
-        for place, deviation in changes:
-            vectors = stacks if place.vector == "stack" else heating
-            vectors[place.point][:, place.index] += deviation[lane]
+        for entry, deviation in changes:
+            vectors = stacks if entry.vector == "stack" else heating
+            vectors[entry.point][:, entry.index] += deviation[lane]
         for p in range(len(self.points)):
             self.ensemble.writer.write_lanes(self.ensemble.state, self._lanes[p], stacks[p], heating[p])
 
@@ -244,8 +245,8 @@ class LaneMarch:
         table = self.ensemble.table
         for nodes, factor in zip(self._tables, factors, strict=True):
             for k, first in enumerate(nodes.first.tolist()):
-                own = nodes.declared * (1.0 if factor is None else factor[:, lane[k]])
-                table[first : first + len(own)] = own
+                scaled = nodes.declared * (1.0 if factor is None else factor[:, lane[k]])
+                table[first : first + len(scaled)] = scaled
 
 
 def model_without_sensors(vehicle: Vehicle, limited: LimitedPoint, effects: Sequence[EffectUse]) -> PointModel:

@@ -33,7 +33,7 @@ from sim_heating.planning.part import Engine, PartPicture, PartResult, StudyPart
 from sim_heating.planning.study import Study
 
 CSV = "dispersion.csv"
-PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{what}.png" for what in ("peaks", "first_order", "drivers"))
+PEAKS, FIRST_ORDER, DRIVERS = (f"dispersion_{picture}.png" for picture in ("peaks", "first_order", "drivers"))
 WITHIN_TWO_SIGMA = 0.977
 """Probability of a normal deviation below two standard deviations [-]."""
 NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -82,18 +82,19 @@ def with_dispersion(facts: Facts, data: Mapping[str, Any]) -> Facts:
     indices = nearest.get("sobol_indices") or {}
     drivers = {name: nearest["sigma_K"] * max(i["total"], 0.0) ** 0.5 for name, i in indices.items()}
     quantity = f"{nearest['quantity']} of {nearest['control_point']}"
-    found = combined(quantity, "K", nearest["mean_K"], drivers, "total Sobol' indices of the dispersed flights")
+    uncertainty = combined(quantity, "K", nearest["mean_K"], drivers, "total Sobol' indices of the dispersed flights")
     kept = data["within_limits"]
-    words = f"all limits kept in {kept['value']:.4f} of {data['flights']} flights, bound {kept['low']:.4f}"
-    holds = Answer(kept["low"] >= WITHIN_TWO_SIGMA, words)
-    return replace(facts, uncertainty=replace(found, sigma=nearest["sigma_K"]), holds=holds, varied=holds)
+    text = f"all limits kept in {kept['value']:.4f} of {data['flights']} flights, bound {kept['low']:.4f}"
+    holds = Answer(kept["low"] >= WITHIN_TWO_SIGMA, text)
+    return replace(facts, uncertainty=replace(uncertainty, sigma=nearest["sigma_K"]), holds=holds, varied=holds)
 
 
 def _notes(result: DispersionResult) -> list[str]:
-    spec, within, known = result.entry.spec, result.within_limits, result.within_limits_and_data
+    spec, kept, kept_with_data = result.entry.spec, result.within_limits, result.within_limits_and_data
     head = (
-        f"{spec.flights} flights: all limits are kept with a probability of {within.value:.4f} ({within.low:.4f} to "
-        f"{within.high:.4f}, {spec.confidence:.0%}); within the ratio tables and trimmed as well {known.value:.4f}"
+        f"{spec.flights} flights: all limits are kept with a probability of {kept.value:.4f} ({kept.low:.4f} to "
+        f"{kept.high:.4f}, {spec.confidence:.0%}); within the ratio tables and trimmed as well "
+        f"{kept_with_data.value:.4f}"
     )
     return [head, *notes_of(result)]
 
@@ -216,8 +217,8 @@ def _quantile_label(result: DispersionResult) -> str:
 
 
 def _distribution(ax: Axes, row: int, peak: PeakStatistics, values: np.ndarray, color: str) -> None:
-    known = values[np.isfinite(values)]
-    count, edges = np.histogram(known, bins=BINS)
+    finite = values[np.isfinite(values)]
+    count, edges = np.histogram(finite, bins=BINS)
     middle, height = 0.5 * (edges[1:] + edges[:-1]), WIDTH * count / count.max()
     ax.fill_between(middle, row - height, row + height, color=color, alpha=0.35, linewidth=0, step="mid")
     for q in peak.quantiles:

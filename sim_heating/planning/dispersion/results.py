@@ -178,8 +178,8 @@ class FirstOrder:
 
     def share(self, columns: list[int]) -> FloatArray:
         """(quantity, point) share of the variance due to some dimensions [-]."""
-        whole = np.maximum(np.sum(self.slope**2, axis=-1), 1e-30)
-        return np.asarray(np.sum(self.slope[..., columns] ** 2, axis=-1) / whole)
+        variance = np.maximum(np.sum(self.slope**2, axis=-1), 1e-30)
+        return np.asarray(np.sum(self.slope[..., columns] ** 2, axis=-1) / variance)
 
 
 def first_order(entry: DispersedEntry, columns: Columns) -> FirstOrder:
@@ -220,15 +220,15 @@ def exact_slopes(entry: DispersedEntry) -> list[tuple[int, int, int, float]]:
         for p, track, result in zip(chosen, tracks, results, strict=True):
             at = np.searchsorted(track.sample_s, _peak_times(*marched[p]))
             for quantity, sample in enumerate(at):
-                own = result.sensitivity[quantity, sample]
-                slopes += [(quantity, p, k, float(s)) for (k, _), s in zip(changes[p], own, strict=True)]
+                sensitivities = result.sensitivity[quantity, sample]
+                slopes += [(quantity, p, k, float(s)) for (k, _), s in zip(changes[p], sensitivities, strict=True)]
     return slopes
 
 
 def _changing(entry: DispersedEntry, point: int) -> list[tuple[int, str]]:
     """Number and name of each input that changes a parameter of a point."""
-    places = enumerate(entry.parameter_places)
-    return [(k, entry.inputs[k].name) for k, some in places if any(place.point == point for place in some)]
+    entries = enumerate(entry.parameter_places)
+    return [(k, entry.inputs[k].name) for k, some in entries if any(of_input.point == point for of_input in some)]
 
 
 def _track(
@@ -359,21 +359,21 @@ def _peak_statistics(
 ) -> PeakStatistics:
     spec, point, quantity = entry.spec, entry.points[p].point.name, QUANTITIES[k]
     x = columns[f"{quantity}.{point}"]
-    known = x[np.isfinite(x)]
-    if len(known) < 2:
+    finite = x[np.isfinite(x)]
+    if len(finite) < 2:
         raise RunError(
-            f"{len(known)} of {len(x)} flights were completed and two are needed; check the entry and its dispersed "
+            f"{len(finite)} of {len(x)} flights were completed and two are needed; check the entry and its dispersed "
             "inputs"
         )
     scrambles: IntArray = columns["scramble"].astype(np.int64)
     counted = quantiles(x, scrambles, spec.quantiles, spec.confidence)
-    sigma = float(np.std(known, ddof=1))
+    sigma = float(np.std(finite, ddof=1))
     limit = limit if limit is not None and np.isfinite(limit) else None
     driven = None
     if index:
         driven = indices(index[f"{quantity}.{point}"], len(entry.groups), spec.confidence, spec.seed)
     return PeakStatistics(
-        point, quantity, float(np.mean(known)), sigma, counted, limit, float(np.min(known)),
+        point, quantity, float(np.mean(finite)), sigma, counted, limit, float(np.min(finite)),
         None if limit is None else probability(~(x <= limit), spec.confidence),
         _compare_first_order(entry, order, k, p, counted, sigma), driven,
     )  # fmt: skip
@@ -387,8 +387,8 @@ def _compare_first_order(
     for quantile in counted:
         value = float(order.quantile(quantile.q)[k, p])
         difference = None if quantile.value is None else value - quantile.value
-        within = quantile.low is not None and quantile.high is not None and quantile.low <= value <= quantile.high
-        holds = difference is not None and (within or abs(difference) <= NEAR * sigma)
+        is_within = quantile.low is not None and quantile.high is not None and quantile.low <= value <= quantile.high
+        holds = difference is not None and (is_within or abs(difference) <= NEAR * sigma)
         lines.append({"q": quantile.q, "value_K": value, "difference_K": difference, "holds": holds})
     shares = {name: float(order.share(columns)[k, p]) for name, columns in entry.groups}
     return {
@@ -539,6 +539,6 @@ def _check_notes(result: DispersionResult) -> list[str]:
     return [f"{checks['flights']} flights repeated in six degrees of freedom: peaks agree within {agreement}"]
 
 
-def _all_or_names(names: Sequence[str], of: int, noun: str) -> str:
+def _all_or_names(names: Sequence[str], count: int, noun: str) -> str:
     """`all 12 peaks` where every one is named, else the names."""
-    return f"all {of} {noun}" if len(names) == of > 1 else ", ".join(names)
+    return f"all {count} {noun}" if len(names) == count > 1 else ", ".join(names)

@@ -70,17 +70,17 @@ class DispersedInput(Declared):
     @field_validator("name")
     @classmethod
     def _is_an_input(cls, name: str) -> str:
-        known = [*FLIGHT_INPUTS, *MODEL]
-        if name not in known and not name.startswith(EFFECT_PREFIX) and layer_parameter(name) is None:
-            raise ValueError(f"there is no input `{name}`{suggestion(name, known)}")
+        names = [*FLIGHT_INPUTS, *MODEL]
+        if name not in names and not name.startswith(EFFECT_PREFIX) and layer_parameter(name) is None:
+            raise ValueError(f"there is no input `{name}`{suggestion(name, names)}")
         return name
 
     @field_validator("over")
     @classmethod
-    def _is_a_profile(cls, over: list[list[float]] | None) -> list[list[float]] | None:
-        if over is not None and (any(len(pair) != 2 for pair in over) or sorted(over) != over):
+    def _is_a_profile(cls, profile: list[list[float]] | None) -> list[list[float]] | None:
+        if profile is not None and (any(len(pair) != 2 for pair in profile) or sorted(profile) != profile):
             raise ValueError("a profile is [[altitude_m, factor], ...] with rising altitudes")
-        return over
+        return profile
 
     @model_validator(mode="after")
     def _has_one_distribution(self) -> DispersedInput:

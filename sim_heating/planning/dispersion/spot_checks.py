@@ -38,8 +38,12 @@ class SpotChecks:
     @property
     def largest_K(self) -> FloatArray:
         """(quantity, point) largest magnitude over the flights that were completed [K]."""
-        known = self.difference_K[~np.any(np.isnan(self.difference_K), axis=(1, 2))]
-        return np.asarray(np.max(np.abs(known), axis=0)) if len(known) else np.full(self.difference_K.shape[1:], np.nan)
+        completed_K = self.difference_K[~np.any(np.isnan(self.difference_K), axis=(1, 2))]
+        return (
+            np.asarray(np.max(np.abs(completed_K), axis=0))
+            if len(completed_K)
+            else np.full(self.difference_K.shape[1:], np.nan)
+        )
 
 
 def fly_with_both_sources(entry: DispersedEntry, rows: FloatArray) -> dict[str, FloatArray]:

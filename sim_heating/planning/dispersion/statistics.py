@@ -168,8 +168,8 @@ def quantiles(x: FloatArray, scramble: IntArray, qs: Sequence[float], confidence
     for q in qs:
         value, low, high = quantile(x, q, confidence)
         each = [quantile(x[scramble == r], q, confidence)[0] for r in np.unique(scramble)]
-        known = [v for v in each if v is not None]
-        scatter = float(np.std(known, ddof=1) / np.sqrt(len(known))) if len(known) == len(each) > 1 else None
+        finite = [v for v in each if v is not None]
+        scatter = float(np.std(finite, ddof=1) / np.sqrt(len(finite))) if len(finite) == len(each) > 1 else None
         estimates.append(Quantile(q, value, low, high, scatter))
     return estimates
 

@@ -49,28 +49,28 @@ class AxisScan:
 
 
 def scan_axis(
-    places: Sequence[float], flights: Sequence[EvaluatedCase], sigmas: float = 0.0, manoeuvre: str | None = None
+    positions: Sequence[float], flights: Sequence[EvaluatedCase], sigmas: float = 0.0, manoeuvre: str | None = None
 ) -> AxisScan:
     """Interpolate the margins of flights along an axis.
 
-    places    : of the flights on the axis
+    positions : of the flights on the axis
     sigmas    : number of sigma subtracted from each margin
     manoeuvre : with the sigma that would remain after this one
     """
-    order = np.argsort(places)
-    x = np.asarray(places, dtype=float)[order]
+    order = np.argsort(positions)
+    x = np.asarray(positions, dtype=float)[order]
     ordered = [flights[i] for i in order]
     fine = np.unique(np.concatenate((np.linspace(x[0], x[-1], FINE), x)))
     flown = np.array([f.error is None for f in ordered])
     names = tuple(dict.fromkeys(n for f in ordered for n in f.margins))
     margins = np.full((max(len(names), 1), len(fine)), np.nan)
     if np.count_nonzero(flown) >= 2:
-        known = _between_flown(x, flown, fine)
+        is_between = _between_flown(x, flown, fine)
         for k, name in enumerate(names):
             y = np.array([f.margins[name].reduced(sigmas, manoeuvre) for f in ordered if f.error is None])
             # PCHIP does not overshoot: a spline would invent a violation between two flights within the limit. Margins
             # are scaled, so that kelvins and degrees can be compared.
-            margins[k, known] = PchipInterpolator(x[flown], y / _scale(ordered, name))(fine[known])
+            margins[k, is_between] = PchipInterpolator(x[flown], y / _scale(ordered, name))(fine[is_between])
     return AxisScan(fine, names or (NOT_FLOWN,), margins)
 
 
@@ -116,7 +116,7 @@ class AllowedInterval:
         return 0.0 if self.low is None or self.high is None else self.high.at - self.low.at
 
 
-def allowed_interval(scan: AxisScan, inside: float) -> AllowedInterval:
+def allowed_interval(scan: AxisScan, start: float) -> AllowedInterval:
     """The interval about a place in which no limit is violated; where that place is not allowed, the longest one."""
     least = scan.least
     runs = _runs(least >= ROUNDING)
@@ -125,7 +125,7 @@ def allowed_interval(scan: AxisScan, inside: float) -> AllowedInterval:
         return AllowedInterval(None, None, Edge(float(scan.x[best]), scan.limit_at(best)))
     # Of several allowed intervals the one around the base entry counts: the others cannot be reached from it without a
     # violation.
-    about = [r for r in runs if scan.x[r[0]] <= inside <= scan.x[r[1]]]
+    about = [r for r in runs if scan.x[r[0]] <= start <= scan.x[r[1]]]
     first, last = about[0] if about else max(runs, key=lambda r: float(scan.x[r[1]] - scan.x[r[0]]))
     return AllowedInterval(_edge(scan, first, first - 1), _edge(scan, last, last + 1))
 
@@ -136,16 +136,16 @@ def _runs(allowed: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _edge(scan: AxisScan, last: int, beyond: int) -> Edge:
+def _edge(scan: AxisScan, last: int, neighbour: int) -> Edge:
     """The edge between a place that is allowed and its neighbour that is not, linear between them."""
-    if not 0 <= beyond < len(scan.x):
+    if not 0 <= neighbour < len(scan.x):
         return Edge(float(scan.x[last]), END_OF_STUDY)
     # Next to a flight that could not be flown nothing is interpolated, and the edge stays at the last one flown.
-    if not np.isfinite(scan.least[beyond]):
+    if not np.isfinite(scan.least[neighbour]):
         return Edge(float(scan.x[last]), NOT_FLOWN)
-    a, b = scan.least[last], scan.least[beyond]
-    share = float(a / (a - b))
-    return Edge(float(scan.x[last] + share * (scan.x[beyond] - scan.x[last])), scan.limit_at(beyond))
+    a, b = scan.least[last], scan.least[neighbour]
+    fraction = float(a / (a - b))
+    return Edge(float(scan.x[last] + fraction * (scan.x[neighbour] - scan.x[last])), scan.limit_at(neighbour))
 
 
 # The greatest value --------------------------------------------------------------------------------------------------
@@ -160,18 +160,18 @@ class GreatestValue:
     limit: str
 
 
-def greatest_value(scan: AxisScan, places: Sequence[float], values: Sequence[float]) -> GreatestValue | None:
+def greatest_value(scan: AxisScan, positions: Sequence[float], values: Sequence[float]) -> GreatestValue | None:
     """The greatest value over the allowed part of an axis; None where nothing is allowed.
 
-    values : at the places; not finite where no flight was possible
+    values : at the positions; not finite where no flight was possible
     """
-    order = np.argsort(places)
-    x, y = np.asarray(places, dtype=float)[order], np.asarray(values, dtype=float)[order]
+    order = np.argsort(positions)
+    x, y = np.asarray(positions, dtype=float)[order], np.asarray(values, dtype=float)[order]
     allowed = scan.least >= ROUNDING
-    known = np.isfinite(y)
-    if not np.any(allowed) or np.count_nonzero(known) < 2:
+    is_finite = np.isfinite(y)
+    if not np.any(allowed) or np.count_nonzero(is_finite) < 2:
         return None
-    fine = PchipInterpolator(x[known], y[known], extrapolate=False)(scan.x)
+    fine = PchipInterpolator(x[is_finite], y[is_finite], extrapolate=False)(scan.x)
     fine[~allowed | ~np.isfinite(fine)] = -np.inf
     i = int(np.argmax(fine))
     for beyond in (i - 1, i + 1):

@@ -205,8 +205,8 @@ class BaseEntry:
             # A target would reverse the bank by itself.
             guidance |= {"reversals_m_s": tuple(reversals), "target": None}
         state = {k: v for k in ("cg_fraction", "cm_shift", "mass_kg") if (v := getattr(case, k)) is not None}
-        given = self.spec.dispersions.density_factor or ((0.0, 1.0),)
-        density = tuple((h, case.density_factor * f) for h, f in given)
+        factors = self.spec.dispersions.density_factor or ((0.0, 1.0),)
+        density = tuple((h, case.density_factor * f) for h, f in factors)
         spec = self.spec.model_copy(update={
             "guidance": self.spec.guidance.model_copy(update=guidance),
             "vehicle": self.spec.vehicle.model_copy(update=state),
@@ -219,8 +219,8 @@ class BaseEntry:
         assert spec.guidance.alpha_deg is not None  # given with every case
         aero, low = flown_aero(spec, self.vehicle.directory), self.bodyflap_above_mach - 1.0
         trimming = aero.bodyflap_schedule(spec.guidance.alpha_deg, self.guidance.alpha_against)
-        held = (*((m, flap) for m, flap in trimming if m < low), (self.bodyflap_above_mach, bodyflap_deg))
-        state = spec.vehicle.model_copy(update={"bodyflap_deg": held, "bodyflap_against": "mach"})
+        schedule = (*((m, flap) for m, flap in trimming if m < low), (self.bodyflap_above_mach, bodyflap_deg))
+        state = spec.vehicle.model_copy(update={"bodyflap_deg": schedule, "bodyflap_against": "mach"})
         return spec.model_copy(update={"vehicle": state})
 
     def _fly_spec(self, case: Case, spec: TrajectorySpec) -> FlownCase:
@@ -255,12 +255,12 @@ def held_alpha(case: Case, guidance: Guidance) -> str:
     low, high = guidance.alpha_limits_deg
     if case.alpha_offset_deg == 0.0 or case.alpha_station is not None:
         return ""
-    asked = [alpha + case.alpha_offset_deg for _, alpha in guidance.alpha_deg]
-    if all(low <= alpha <= high for alpha in asked):
+    commanded = [alpha + case.alpha_offset_deg for _, alpha in guidance.alpha_deg]
+    if all(low <= alpha <= high for alpha in commanded):
         return ""
     return (
-        f"alpha_offset_deg {case.alpha_offset_deg:g}: asks for {min(asked):g} to {max(asked):g} deg, and is flown "
-        f"within {low:g} to {high:g} deg, `alpha_limits_deg` of guidance"
+        f"alpha_offset_deg {case.alpha_offset_deg:g}: asks for {min(commanded):g} to {max(commanded):g} deg, and is "
+        f"flown within {low:g} to {high:g} deg, `alpha_limits_deg` of guidance"
     )
 
 
@@ -275,8 +275,8 @@ def alpha_schedule(case: Case, guidance: Guidance, station_width: float) -> tupl
             [-station_width - ramp, -station_width, station_width, station_width + ramp]
         )
         nodes = np.unique(np.concatenate((x, ends)))
-        share = np.interp(nodes, ends, [0.0, 1.0, 1.0, 0.0])
-        x, alpha = nodes, (1.0 - share) * np.interp(nodes, x, alpha) + share * case.station_alpha_deg
+        weight = np.interp(nodes, ends, [0.0, 1.0, 1.0, 0.0])
+        x, alpha = nodes, (1.0 - weight) * np.interp(nodes, x, alpha) + weight * case.station_alpha_deg
     return tuple(zip(x.tolist(), np.clip(alpha, low, high).tolist(), strict=True))
 
 

@@ -133,8 +133,8 @@ class StudyFlights:
 
         raises : RunError where one failed in an unexpected way; finished ones stay in the ledger
         """
-        wanted = list(cases)
-        new = {_id(case): case for case in wanted if case not in self._known}
+        requested = list(cases)
+        new = {_id(case): case for case in requested if case not in self._known}
         if new:
             jobs = [Job(name, asdict(case)) for name, case in new.items()]
             outcome = run_batches(
@@ -146,7 +146,7 @@ class StudyFlights:
             self._known |= {
                 case: read_evaluated(outcome.done[name].read_text(encoding="utf-8")) for name, case in new.items()
             }
-        return [self._known[case] for case in wanted]
+        return [self._known[case] for case in requested]
 
     @property
     def flown(self) -> list[EvaluatedCase]:
@@ -174,17 +174,17 @@ def _id(case: Case) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FlownMap:
-    """A map with its flights and their places on the axes, the last axis fastest."""
+    """A map with its flights and their positions on the axes, the last axis fastest."""
 
     declared: EnvelopeMap
-    places: tuple[dict[str, float], ...]
+    positions: tuple[dict[str, float], ...]
     flights: tuple[EvaluatedCase, ...]
 
 
 def fly_map(declared: EnvelopeMap, flights: StudyFlights) -> FlownMap:
     """Fly all places of a map."""
-    places = [dict(zip(declared.axes, values, strict=True)) for values in product(*declared.axes.values())]
-    return FlownMap(declared, tuple(places), tuple(flights.fly(declared.case(p) for p in places)))
+    positions = [dict(zip(declared.axes, values, strict=True)) for values in product(*declared.axes.values())]
+    return FlownMap(declared, tuple(positions), tuple(flights.fly(declared.case(p) for p in positions)))
 
 
 # Boundaries ----------------------------------------------------------------------------------------------------------
@@ -200,18 +200,19 @@ def sigma_offsets(sigmas: float) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class BoundarySegment:
-    """A boundary at one place along its axis.
+    """A boundary at one position along its axis.
 
-    inside   : place about which the allowed interval is sought
-    places   : of the flights on the axis across
-    allowed  : nominal, conservative and optimistic interval
-    greatest : likewise, where the boundary asks for a greatest value; None where nothing is allowed
+    position  : value on the axis `along`
+    inside    : value on the axis `across` about which the allowed interval is sought
+    positions : of the flights on the axis `across`
+    allowed   : nominal, conservative and optimistic interval
+    greatest  : likewise, where the boundary asks for a greatest value; None where nothing is allowed
     """
 
     member: float | None
-    along: float
+    position: float
     inside: float
-    places: tuple[float, ...]
+    positions: tuple[float, ...]
     flights: tuple[EvaluatedCase, ...]
     allowed: dict[str, AllowedInterval]
     greatest: dict[str, GreatestValue | None]
@@ -245,53 +246,53 @@ class FlownBoundary:
 
     def segments_of(self, member: float | None) -> list[BoundarySegment]:
         """The segments of one member of the family, along the axis."""
-        return sorted((s for s in self.segments if s.member == member), key=lambda s: s.along)
+        return sorted((s for s in self.segments if s.member == member), key=lambda s: s.position)
 
     def area(self, which: str) -> float:
         """Allowed width integrated along the axis and summed over the family; with one place, the width there."""
         total = 0.0
         for member in self.declared.members():
-            own = self.segments_of(member)
-            x, y = np.array([s.along for s in own]), np.array([s.width(which) for s in own])
-            total += float(y[0]) if len(own) == 1 else float(np.trapezoid(y, x))
+            segments = self.segments_of(member)
+            x, y = np.array([s.position for s in segments]), np.array([s.width(which) for s in segments])
+            total += float(y[0]) if len(segments) == 1 else float(np.trapezoid(y, x))
         return total
 
 
 def fly_boundary(declared: EnvelopeBoundary, envelope: Envelope, flights: StudyFlights) -> FlownBoundary:
     """Find a boundary: fly, find the edges, add flights there, find the edges again."""
     rows = list(product(declared.members(), declared.at))
-    places = {row: list(declared.values) for row in rows}
+    positions = {row: list(declared.values) for row in rows}
     # All rows together in each round, so that the workers have flights of every row at once.
     for _ in range(envelope.refinements + 1):
-        flights.fly(declared.case(m, a, x) for (m, a), xs in places.items() for x in xs)
-        segments = {row: _fly_segment(declared, *row, xs, flights, envelope.sigmas) for row, xs in places.items()}
-        places = {row: _add_places(declared, xs, segments[row]) for row, xs in places.items()}
+        flights.fly(declared.case(m, a, x) for (m, a), xs in positions.items() for x in xs)
+        segments = {row: _fly_segment(declared, *row, xs, flights, envelope.sigmas) for row, xs in positions.items()}
+        positions = {row: _add_places(declared, xs, segments[row]) for row, xs in positions.items()}
     return FlownBoundary(declared, tuple(segments.values()))
 
 
 def _fly_segment(
-    declared: EnvelopeBoundary, member: float | None, along: float, xs: Sequence[float], flights: StudyFlights,
+    declared: EnvelopeBoundary, member: float | None, position: float, xs: Sequence[float], flights: StudyFlights,
     sigmas: float,
 ) -> BoundarySegment:  # fmt: skip
-    flown = flights.fly(declared.case(member, along, x) for x in xs)
+    flown = flights.fly(declared.case(member, position, x) for x in xs)
     inside = declared.inside
     if inside is None:
-        inside = flights.base.value_on(declared.across, declared.case(member, along, xs[0]))
+        inside = flights.base.value_on(declared.across, declared.case(member, position, xs[0]))
     if inside is None:
         inside = 0.5 * (declared.values[0] + declared.values[-1])
-    return boundary_segment(declared, member, along, inside, flown, sigmas)
+    return boundary_segment(declared, member, position, inside, flown, sigmas)
 
 
 def boundary_segment(
-    declared: EnvelopeBoundary, member: float | None, along: float, inside: float, flown: Sequence[EvaluatedCase],
+    declared: EnvelopeBoundary, member: float | None, position: float, start: float, flown: Sequence[EvaluatedCase],
     sigmas: float, manoeuvre: str | None = None,
 ) -> BoundarySegment:  # fmt: skip
     """The segment of a boundary from its flights; with the sigma that remains after a manoeuvre where one is named."""
     xs = [getattr(f.case, declared.across) for f in flown]
     scans = {which: scan_axis(xs, flown, z, manoeuvre) for which, z in sigma_offsets(sigmas).items()}
-    allowed = {which: allowed_interval(s, inside) for which, s in scans.items()}
+    allowed = {which: allowed_interval(s, start) for which, s in scans.items()}
     greatest = {which: _greatest_cross_range(s, xs, flown) for which, s in scans.items()} if declared.greatest else {}
-    return BoundarySegment(member, along, inside, tuple(xs), tuple(flown), allowed, greatest)
+    return BoundarySegment(member, position, start, tuple(xs), tuple(flown), allowed, greatest)
 
 
 def _greatest_cross_range(scan: AxisScan, xs: Sequence[float], flown: Sequence[EvaluatedCase]) -> GreatestValue | None:
@@ -303,8 +304,8 @@ def _add_places(declared: EnvelopeBoundary, xs: Sequence[float], segment: Bounda
     """Places of the flights with those of the edges added."""
     a, g = segment.allowed[NOMINAL], segment.greatest.get(NOMINAL)
     edges = [e.at for e in (a.low, a.high, a.least_violated) if e is not None] if g is None else [g.at]
-    spacing, places = LEAST_SPACING * (declared.values[-1] - declared.values[0]), list(xs)
+    spacing, positions = LEAST_SPACING * (declared.values[-1] - declared.values[0]), list(xs)
     for x in (float(f"{edge:.{PLACE_DIGITS}g}") for edge in edges):
-        if declared.values[0] < x < declared.values[-1] and min(abs(x - p) for p in places) > spacing:
-            places.append(x)
-    return sorted(places)
+        if declared.values[0] < x < declared.values[-1] and min(abs(x - p) for p in positions) > spacing:
+            positions.append(x)
+    return sorted(positions)

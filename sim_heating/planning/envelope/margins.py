@@ -135,12 +135,14 @@ class MarginEvaluator:
 
     def _evaluate_flight(self, flown: FlownCase) -> EvaluatedCase:
         vehicle = self.base.vehicle
-        own = [conditions_at_point(vehicle, p.point, flown.at_side(p.point.position_m[1])) for p in self.points]
-        flights = [with_soak(c, self.soak_s) for c in own]
+        conditions_of = [
+            conditions_at_point(vehicle, p.point, flown.at_side(p.point.position_m[1])) for p in self.points
+        ]
+        flights = [with_soak(c, self.soak_s) for c in conditions_of]
         margins = self._trim_margins(flown)
         outside: list[str] = []
         marched = peak_sensitivities(self.models, self.meshes, self.roots, flights)
-        for limited, model, conditions, peak in zip(self.points, self.models, own, marched, strict=True):
+        for limited, model, conditions, peak in zip(self.points, self.models, conditions_of, marched, strict=True):
             name = limited.point.name
             if np.isfinite(limited.surface_K):
                 margins[f"{name} {SURFACE}"] = self._temperature_margin(

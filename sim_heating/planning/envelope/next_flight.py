@@ -146,13 +146,15 @@ def limiting_margins(s: BoundarySegment) -> list[Margin]:
     edges: list[tuple[float, str]] = []
     for which in (NOMINAL, CONSERVATIVE):
         g, a = s.greatest.get(which), s.allowed[which]
-        own = (a.low, a.high, a.least_violated) if g is None else (g,)
-        edges += [(e.at, e.limit) for e in own if e is not None and e.limit not in [limit for _, limit in edges]]
+        edges_found = (a.low, a.high, a.least_violated) if g is None else (g,)
+        edges += [
+            (e.at, e.limit) for e in edges_found if e is not None and e.limit not in [limit for _, limit in edges]
+        ]
     margins = []
     for at, limit in edges:
-        known = [i for i, f in enumerate(s.flights) if limit in f.margins]
-        if known:
-            nearest = min(known, key=lambda i: abs(s.places[i] - at))
+        having_limit = [i for i, f in enumerate(s.flights) if limit in f.margins]
+        if having_limit:
+            nearest = min(having_limit, key=lambda i: abs(s.positions[i] - at))
             margins.append(s.flights[nearest].margins[limit])
     return [m for m in margins if m.sigma > 0.0]
 
@@ -161,7 +163,8 @@ def boundary_after(boundary: FlownBoundary, manoeuvre: str, sigmas: float) -> Fl
     """The boundary as it would be after a manoeuvre that confirms the tables."""
     declared = boundary.declared
     later = (
-        boundary_segment(declared, s.member, s.along, s.inside, s.flights, sigmas, manoeuvre) for s in boundary.segments
+        boundary_segment(declared, s.member, s.position, s.inside, s.flights, sigmas, manoeuvre)
+        for s in boundary.segments
     )
     return FlownBoundary(declared, tuple(later))
 

@@ -124,14 +124,14 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
     colours = dict(zip([n for n in names if n != END_OF_STUDY], cycle(COLOURS), strict=False)) | {END_OF_STUDY: "0.5"}
     for column, (label, boundary) in enumerate(boundaries.items()):
         for row, member in enumerate(first.members()):
-            a, own = grid[row, column], boundary.segments_of(member)
-            _draw_boundary(a, own, colours)
+            a, segments = grid[row, column], boundary.segments_of(member)
+            _draw_boundary(a, segments, colours)
             heads = [] if columns == 1 else [textwrap.fill(label, HEAD_WIDTH)]
             heads += [] if first.family is None else [f"{LABELS[first.family]} {member:g}"]
             a.set_title("\n".join(heads), fontsize=8.5)
             a.set_xlabel(LABELS[first.along])
             a.set_ylabel(LABELS[first.greatest or first.across])
-            _name_speeds(a, own)
+            _name_speeds(a, segments)
     if first.along == "alpha_station":
         grid[0, 0].invert_xaxis()
     a = grid[0, 0]
@@ -150,17 +150,17 @@ def draw_boundaries(path: Path, title: str, boundaries: Mapping[str, FlownBounda
 def _name_speeds(a: Axes, segments: Sequence[BoundarySegment]) -> None:
     """Write velocities below the Mach numbers of stations; a schedule over velocity has them as its axis."""
     speeds = [s.speed_m_s for s in segments]
-    if segments[-1].along > FASTEST_MACH:
+    if segments[-1].position > FASTEST_MACH:
         a.set_xlabel("velocity, m/s")
     elif all(v is not None for v in speeds):
-        ticks = [f"{s.along:g}\n{v / 1e3:.1f}" for s, v in zip(segments, speeds, strict=True) if v is not None]
-        a.set_xticks([s.along for s in segments], ticks)
+        ticks = [f"{s.position:g}\n{v / 1e3:.1f}" for s, v in zip(segments, speeds, strict=True) if v is not None]
+        a.set_xticks([s.position for s in segments], ticks)
         a.set_xlabel("Mach number, velocity in km/s")
 
 
 def _draw_boundary(a: Axes, segments: Sequence[BoundarySegment], colours: Mapping[str, str]) -> None:
     """Draw the bands, then each edge as a line with points in the colour of the limit there."""
-    x = np.array([s.along for s in segments])
+    x = np.array([s.position for s in segments])
     for which, strength in ((OPTIMISTIC, 0.12), (CONSERVATIVE, 0.30)):
         low, high = _ends(segments, which)
         a.fill_between(x, low, high, color="tab:green", alpha=strength, linewidth=0)
@@ -172,18 +172,18 @@ def _draw_boundary(a: Axes, segments: Sequence[BoundarySegment], colours: Mappin
             continue
         a.plot(x, y, "-", color="0.3", linewidth=1.0)
         for s, value in zip(segments, y, strict=True):
-            a.plot(s.along, value, "o", color=colours.get(edge_limits(s)[side], "k"), markersize=6)
+            a.plot(s.position, value, "o", color=colours.get(edge_limits(s)[side], "k"), markersize=6)
     for s in segments:
         if s.ends(NOMINAL)[0] is None:
             closest = s.allowed[NOMINAL].least_violated
             at = 0.0 if s.greatest or closest is None else closest.at
-            a.plot(s.along, at, "x", color=colours.get(edge_limits(s)[0], "k"), markersize=8)
+            a.plot(s.position, at, "x", color=colours.get(edge_limits(s)[0], "k"), markersize=8)
 
 
-def _isolated(known: BoolArray) -> BoolArray:
-    """(place,) whether a known place has no known neighbour, so that no band is filled there."""
-    padded = np.concatenate(([False], known, [False]))
-    return np.asarray(known & ~padded[:-2] & ~padded[2:])
+def _isolated(is_allowed: BoolArray) -> BoolArray:
+    """(position,) whether an allowed position has no allowed neighbour, so that no band is filled there."""
+    padded = np.concatenate(([False], is_allowed, [False]))
+    return np.asarray(is_allowed & ~padded[:-2] & ~padded[2:])
 
 
 def _ends(segments: Sequence[BoundarySegment], which: str) -> tuple[FloatArray, FloatArray]:

@@ -153,46 +153,46 @@ class RevisionBoundaries:
 
 
 def _compare_with_before(
-    after: RevisionBoundaries, envelope: Envelope, engine: Engine, progress: Progress, output: _PartOutput
+    current: RevisionBoundaries, envelope: Envelope, engine: Engine, progress: Progress, output: _PartOutput
 ) -> dict[str, Any]:
     """Fly the boundaries with the vehicle `before` and compare them with those of the study's own vehicle."""
-    study, named = after.study, envelope.before or ""
-    place = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
-    other = load_study(study.path, place, root=study.root)
+    study, named = current.study, envelope.before or ""
+    directory = vehicle_place(study.path, named, "[envelope]: `before`", study.root)
+    other = load_study(study.path, directory, root=study.root)
     if other.hash == study.hash:
         output.notes.append(f"before: {named} is the vehicle of the study itself; fly another one with --vehicle")
         return {}
     flights = StudyFlights(other, engine, progress)
-    before = RevisionBoundaries(other, [fly_boundary(b.declared, envelope, flights) for b in after.boundaries])
-    for earlier, later in zip(before.boundaries, after.boundaries, strict=True):
+    before = RevisionBoundaries(other, [fly_boundary(b.declared, envelope, flights) for b in current.boundaries])
+    for earlier, later in zip(before.boundaries, current.boundaries, strict=True):
         name = later.declared.name
         files.write_boundary(output.path(f"before_{name}.csv"), other, earlier, envelope.sigmas)
         both = {f"before: {files.picture_stamp(other)}": earlier, f"after: {files.picture_stamp(study)}": later}
         title = f"{later.declared.title or name}, before and after"
         draw = partial(plots.draw_boundaries, boundaries=both, sigmas=envelope.sigmas)
         output.draw(f"before_after_{name}", title, draw)
-    table, data = compare_areas(before, after)
+    table, data = compare_areas(before, current)
     output.tables.append(table)
     return data
 
 
-def compare_areas(before: RevisionBoundaries, after: RevisionBoundaries) -> tuple[Table, dict[str, Any]]:
+def compare_areas(old: RevisionBoundaries, new: RevisionBoundaries) -> tuple[Table, dict[str, Any]]:
     """Allowed areas before and after, as a table and for study.json."""
-    rows = [row for pair in zip(before.boundaries, after.boundaries, strict=True) for row in _area_rows(*pair)]
-    earlier, later = files.revision_label(before.study), files.revision_label(after.study)
-    data = {b.declared.name: files.boundary_data(b) for b in before.boundaries}
+    rows = [row for pair in zip(old.boundaries, new.boundaries, strict=True) for row in _area_rows(*pair)]
+    earlier, later = files.revision_label(old.study), files.revision_label(new.study)
+    data = {b.declared.name: files.boundary_data(b) for b in old.boundaries}
     table = Table(f"Area allowed before ({earlier}) and after ({later})", HEADS, rows)
-    return table, {"study": before.study.hash, **data}
+    return table, {"study": old.study.hash, **data}
 
 
-def _area_rows(before: FlownBoundary, after: FlownBoundary) -> list[tuple[str, ...]]:
+def _area_rows(old: FlownBoundary, new: FlownBoundary) -> list[tuple[str, ...]]:
     """Rows of a boundary: nominal and conservative."""
     rows = []
     for which in (NOMINAL, CONSERVATIVE):
-        a, b = before.area(which), after.area(which)
+        a, b = old.area(which), new.area(which)
         change = f"{b - a:+.3g}" if a == 0.0 else f"{b - a:+.3g} ({100.0 * (b / a - 1.0):+.0f} %)"
-        limits = [_limits(x, which) for x in (before, after)]
-        rows.append((after.declared.name, which, f"{a:.4g}", f"{b:.4g}", change, *limits))
+        limits = [_limits(x, which) for x in (old, new)]
+        rows.append((new.declared.name, which, f"{a:.4g}", f"{b:.4g}", change, *limits))
     return rows
 
 
@@ -249,7 +249,9 @@ def _forecast_evidence(forecasts: Sequence[ManoeuvreForecast]) -> ForecastEviden
 def _ranking_table(ranked: Sequence[RankedManoeuvre]) -> Table:
     names = list(ranked[0].conservative_area)
     heads: list[Column | str] = ["manoeuvre", Column("read at", is_text=True), "sigma reduced by"]
-    heads += [f"{n}: {what}, now -> after" for n in names for what in ("sigma at the edges, K", "conservative area")]
+    heads += [
+        f"{n}: {quantity}, now -> after" for n in names for quantity in ("sigma at the edges, K", "conservative area")
+    ]
     rows = []
     for r in ranked:
         name, points = r.forecast.candidate.name, ", ".join(r.forecast.evidence) or None

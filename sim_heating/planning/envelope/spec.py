@@ -39,10 +39,10 @@ from sim_heating.trajectory.spec import Manoeuvre
 Values = list[float]
 
 
-def _check_axes(given: Sequence[tuple[str, str, Values]]) -> None:
-    """Check (key, axis, values) of a table: each axis is known and given once, and its values are in their range."""
+def _check_axes(stated: Sequence[tuple[str, str, Values]]) -> None:
+    """Check (key, axis, values) of a table: each axis exists and is stated once, and its values are in their range."""
     by_axis: dict[str, str] = {}
-    for key, name, values in given:
+    for key, name, values in stated:
         if name not in AXES:
             raise ValueError(f"there is no axis `{name}`{suggestion(name, AXES)}")
         if name in by_axis:
@@ -87,9 +87,9 @@ class EnvelopeMap(Declared):
         )
         return self
 
-    def case(self, places: dict[str, float]) -> Case:
+    def case(self, position: dict[str, float]) -> Case:
         """The case at a place, given by the axes' values."""
-        return Case(**{**self.fixed, **places}, one_sided=self.one_sided)
+        return Case(**{**self.fixed, **position}, one_sided=self.one_sided)
 
 
 class EnvelopeBoundary(Declared):
@@ -121,9 +121,9 @@ class EnvelopeBoundary(Declared):
 
     @model_validator(mode="after")
     def _check_axes(self) -> EnvelopeBoundary:
-        given = [("along", self.along, self.at), ("across", self.across, self.values)]
-        given += [] if self.family is None else [("family", self.family, self.of)]
-        _check_axes([*given, *(("fixed", n, [v]) for n, v in self.fixed.items())])
+        stated = [("along", self.along, self.at), ("across", self.across, self.values)]
+        stated += [] if self.family is None else [("family", self.family, self.of)]
+        _check_axes([*stated, *(("fixed", n, [v]) for n, v in self.fixed.items())])
         if (self.family is None) != (not self.of):
             raise ValueError("`family` names an axis and `of` its values: give both or neither")
         _require_rising("values", self.values, 2)
@@ -134,10 +134,10 @@ class EnvelopeBoundary(Declared):
         """Values of the family; [None] without one."""
         return list(self.of) or [None]
 
-    def case(self, member: float | None, along: float, across: float) -> Case:
+    def case(self, member: float | None, position: float, value: float) -> Case:
         """The case of one member at a place on both axes."""
-        own = {} if self.family is None or member is None else {self.family: member}
-        return Case(**{**self.fixed, **own, self.along: along, self.across: across}, one_sided=self.one_sided)
+        of_family = {} if self.family is None or member is None else {self.family: member}
+        return Case(**{**self.fixed, **of_family, self.along: position, self.across: value}, one_sided=self.one_sided)
 
 
 class Envelope(Declared):

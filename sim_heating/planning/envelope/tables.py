@@ -65,10 +65,10 @@ def csv_header(study: Study, title: str) -> dict[str, str]:
 def write_map(path: Path, study: Study, flown: FlownMap) -> None:
     """Write a map as CSV, one row for each place and control point; a place that could not be flown has empty cells."""
     rows: list[dict[str, Any]] = []
-    for place, flight in zip(flown.places, flown.flights, strict=True):
+    for position, flight in zip(flown.positions, flown.flights, strict=True):
         for limited in study.points:
             name = limited.point.name
-            row: dict[str, Any] = {**place, "control_point": name, "cross_range_km": flight.cross_range_km}
+            row: dict[str, Any] = {**position, "control_point": name, "cross_range_km": flight.cross_range_km}
             for kind in (SURFACE, BONDLINE):
                 m = flight.margins.get(f"{name} {kind}")
                 row |= {
@@ -87,7 +87,8 @@ def map_data(flown: FlownMap) -> dict[str, Any]:
     return {
         "axes": flown.declared.axes,
         "flights": [
-            {"at": place, **flight_data(flight)} for place, flight in zip(flown.places, flown.flights, strict=True)
+            {"at": position, **flight_data(flight)}
+            for position, flight in zip(flown.positions, flown.flights, strict=True)
         ],
     }
 
@@ -111,8 +112,8 @@ def flight_data(flight: EvaluatedCase) -> dict[str, Any]:
 def map_table(flown: FlownMap) -> Table:
     """The margin that matters most at each place of a map (`EvaluatedCase.least`)."""
     rows = []
-    for place, flight in zip(flown.places, flown.flights, strict=True):
-        at = tuple(f"{v:g}" for v in place.values())
+    for position, flight in zip(flown.positions, flown.flights, strict=True):
+        at = tuple(f"{v:g}" for v in position.values())
         least = flight.least
         if flight.error is not None or least is None:
             rows.append((*at, "", flight.error or "no limit", ""))
@@ -145,7 +146,7 @@ def boundary_rows(boundary: FlownBoundary) -> list[dict[str, Any]]:
     for s in boundary.segments:
         low_limit, high_limit = edge_limits(s)
         row: dict[str, Any] = {} if declared.family is None else {declared.family: s.member}
-        row |= {declared.along: s.along, "low_limit": low_limit, "high_limit": high_limit}
+        row |= {declared.along: s.position, "low_limit": low_limit, "high_limit": high_limit}
         if s.speed_m_s is not None:
             row["velocity_m_s"] = s.speed_m_s
         for which in KINDS:
@@ -185,9 +186,9 @@ def boundary_table(boundary: FlownBoundary) -> Table:
     for s in boundary.segments:
         low, high = edge_limits(s)
         limits = high if s.greatest or low == high else f"{low} | {high}"
-        own = () if d.family is None else (f"{s.member:g}",)
+        member = () if d.family is None else (f"{s.member:g}",)
         nominal, conservative, optimistic = (_interval(s, which) for which in KINDS)
-        rows.append((*own, f"{s.along:g}", nominal, limits, conservative, optimistic))
+        rows.append((*member, f"{s.position:g}", nominal, limits, conservative, optimistic))
     return Table(f"Boundary: {d.title or d.name}, {d.greatest or d.across}", heads, rows)
 
 
@@ -210,7 +211,7 @@ def flight_notes(flights: Sequence[EvaluatedCase]) -> tuple[str, ...]:
         for n, m in f.other_violations:
             if m.kind == TABLE:
                 by_end.setdefault(n, []).append(f)
-    outside = [_excursion_note(name, own) for name, own in sorted(by_end.items())]
+    outside = [_excursion_note(name, excursions) for name, excursions in sorted(by_end.items())]
     return tuple(dict.fromkeys([*failed, *trim, *outside]))
 
 

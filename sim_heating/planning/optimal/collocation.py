@@ -194,16 +194,16 @@ class Transcription:
         """(x, u at both ends, length [s]) -> x at the end, by Runge-Kutta steps."""
         controls, d = self.control_shape[0], 1.0 / SUBSTEPS
         x, u = ca.MX.sym("x", self.shape[0]), ca.MX.sym("u", 2 * controls)
-        h, share = ca.MX.sym("h"), ca.MX.sym("share")
+        h, fraction = ca.MX.sym("h"), ca.MX.sym("share")
 
         def rate(y: Any, s: Any) -> Any:
             return self.problem.model(y, u[:controls] + s * (u[controls:] - u[:controls]))[0]
 
-        k1 = rate(x, share)
-        k2 = rate(x + 0.5 * d * h * k1, share + 0.5 * d)
-        k3 = rate(x + 0.5 * d * h * k2, share + 0.5 * d)
-        k4 = rate(x + d * h * k3, share + d)
-        step = ca.Function("step", [x, share, u, h], [x + d * h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)])
+        k1 = rate(x, fraction)
+        k2 = rate(x + 0.5 * d * h * k1, fraction + 0.5 * d)
+        k3 = rate(x + 0.5 * d * h * k2, fraction + 0.5 * d)
+        k4 = rate(x + d * h * k3, fraction + d)
+        step = ca.Function("step", [x, fraction, u, h], [x + d * h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)])
         y = x
         for i in range(SUBSTEPS):
             y = step(y, i * d, u, h)

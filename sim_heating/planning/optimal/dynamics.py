@@ -69,7 +69,7 @@ def cross_range_function(start: FloatArray, side: float) -> Any:
     lon, lat, heading = start[LONGITUDE], start[LATITUDE], start[HEADING]
     up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])
-    left = np.cross(up, np.cos(heading) * np.cross(up, east) + np.sin(heading) * east)
+    normal = np.cross(up, np.cos(heading) * np.cross(up, east) + np.sin(heading) * east)
     x = ca.SX.sym("x", len(start))
     there = [
         ca.cos(x[LATITUDE]) * ca.cos(x[LONGITUDE]),
@@ -77,5 +77,5 @@ def cross_range_function(start: FloatArray, side: float) -> Any:
         ca.sin(x[LATITUDE]),
     ]
     return ca.Function(
-        "cross_range", [x], [side * ca.asin(sum(float(c) * t for c, t in zip(left, there, strict=True)))]
+        "cross_range", [x], [side * ca.asin(sum(float(c) * t for c, t in zip(normal, there, strict=True)))]
     )

@@ -99,8 +99,8 @@ def _path_angle_deg(flown: Conditions, sample: int) -> float:
 def _alpha_limits(flown: Conditions, lowest: float, highest: float) -> list[float]:
     """Angles of attack of a flight, at least LEAST_ALPHA_RANGE_DEG of them, within those of the tables [deg]."""
     low, high = math.floor(float(np.min(flown["alpha_deg"]))), math.ceil(float(np.max(flown["alpha_deg"])))
-    more = max(0.0, 0.5 * (LEAST_ALPHA_RANGE_DEG - (high - low)))
-    return [max(low - more, lowest), min(high + more, highest)]
+    margin = max(0.0, 0.5 * (LEAST_ALPHA_RANGE_DEG - (high - low)))
+    return [max(low - margin, lowest), min(high + margin, highest)]
 
 
 def _limits(
@@ -115,10 +115,10 @@ def _limits(
         points, march_points([point_of_vehicle(vehicle, p) for p in points], flights), strict=True
     ):
         limit: dict[str, Any] = {"control_point": point.name}
-        own = {"surface_K": point.limits.surface_K, "bondline_K": point.limits.bondline_K}
+        declared = {"surface_K": point.limits.surface_K, "bondline_K": point.limits.bondline_K}
         peaks = {"surface_K": float(np.max(history.surface_K)), "bondline_K": float(np.max(history.bondline_K))}
         for key, peak in peaks.items():
-            kept = own[key]
+            kept = declared[key]
             if kept is not None and peak + LEAST_ROOM_K > kept:
                 limit[key] = STEP_K * math.ceil((peak + LEAST_ROOM_K) / STEP_K)
                 above.setdefault(point.name, {})[key] = (

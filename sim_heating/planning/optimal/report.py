@@ -108,22 +108,22 @@ def draw_optimal(path: Path, title: str, entries: Mapping[str, OptimalEntry]) ->
         flown, t = entry.conditions, entry.conditions.time_s
         label = f"{name}: {entry.cross_range_deg:.2f} deg"
         axes[0, 0].plot(flown["longitude_deg"], flown["latitude_deg"], style, color="tab:blue", label=label)
-        for place, column, scale in (
+        for panel, column, scale in (
             (axes[0, 1], "altitude_m", 1e-3),
             (axes[1, 0], "alpha_deg", 1.0),
             (axes[1, 1], "bank_deg", 1.0),
         ):
-            place.plot(t, flown[column] * scale, style, color="tab:blue")
+            panel.plot(t, flown[column] * scale, style, color="tab:blue")
     axes[0, 0].legend(fontsize=8)
     if hot:
         _draw_temperatures(axes[2], entries, 1.02 * end)
     labels = ("latitude, deg", "altitude, km", "angle of attack, deg", "bank, deg", "surface, K", "bondline, K")
-    for place, label in zip(axes.ravel(), labels, strict=False):
-        place.set_ylabel(label)
-        place.set_xlabel("time, s")
+    for panel, label in zip(axes.ravel(), labels, strict=False):
+        panel.set_ylabel(label)
+        panel.set_xlabel("time, s")
     axes[0, 0].set_xlabel("longitude, deg")
-    for place in (axes[0, 1], axes[1, 0], axes[1, 1]):
-        place.set_xlim(0.0, 1.02 * end)
+    for panel in (axes[0, 1], axes[1, 0], axes[1, 1]):
+        panel.set_xlim(0.0, 1.02 * end)
     vehicle = next(iter(entries.values())).study.vehicle
     save_figure(figure, path, f"{title}\n{vehicle.name}, revision {vehicle.revision}", axes)
 

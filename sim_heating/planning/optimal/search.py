@@ -375,21 +375,21 @@ def _steer(
     Active limits are met from below within the tolerance; the target is its middle.
     """
     # Aimed at the middle of the tolerance, below the limit: a peak that scatters a little still keeps it.
-    within = 0.5 * tolerance_K
+    half_tolerance = 0.5 * tolerance_K
     hottest, loads = search.hottest(motion), search.loads(motion)
     s.rounds.append((loads, np.array([p.bondline_K for p in peaks])))
     changed = False
     for i, peak in enumerate(peaks):
-        distance = peak.surface_limit_K - within - peak.surface_K
+        distance = peak.surface_limit_K - half_tolerance - peak.surface_K
         active = hottest[i] > s.wall_K[i] - 1.0
-        if distance < -within or (active and distance > within):
+        if distance < -half_tolerance or (active and distance > half_tolerance):
             s.wall_K[i] = min(s.wall_K[i], hottest[i]) + distance
             changed = True
         if peak.bondline_limit_K is None:
             continue
-        distance = peak.bondline_limit_K - within - peak.bondline_K
+        distance = peak.bondline_limit_K - half_tolerance - peak.bondline_K
         active = loads[i] > s.load_K_s[i] * (1.0 - 1e-4)
-        if distance < -within or (active and distance > within):
+        if distance < -half_tolerance or (active and distance > half_tolerance):
             s.load_K_s[i] = loads[i] + distance * _load_per_K(s, i, peak.bondline_K)
             changed = True
     return changed

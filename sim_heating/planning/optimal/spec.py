@@ -106,13 +106,13 @@ def without_limits(study: OptimalStudy) -> OptimalStudy:
 def load_optimal_study(path: str | os.PathLike[str], *, root: str | os.PathLike[str] | None = None) -> OptimalStudy:
     """Read and check a study and its vehicle.
 
-    root   : folder that it may name a vehicle in, as `load_scenario` takes it
+    root   : folder that it may name a vehicle in; by default the nearest above it that holds `scenarios`
     raises : InputError with one line a problem
     """
-    place = Path(path)
-    declared = read_toml(place, OptimalStudyFile)
-    vehicle = load_vehicle(vehicle_place(place, declared.vehicle, root=root), root=root)
-    return optimal_study(declared, vehicle, display_path(place))
+    study_path = Path(path)
+    declared = read_toml(study_path, OptimalStudyFile)
+    vehicle = load_vehicle(vehicle_place(study_path, declared.vehicle, root=root), root=root)
+    return optimal_study(declared, vehicle, display_path(study_path))
 
 
 def optimal_study(declared: OptimalStudyFile, vehicle: Vehicle, where: str = "study") -> OptimalStudy:

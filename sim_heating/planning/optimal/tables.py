@@ -174,5 +174,5 @@ def _nodes(low: float, high: float, step: float) -> FloatArray:
 
 def _spline(name: str, axes: list[FloatArray], values: FloatArray) -> Any:
     """Cubic spline through values ([output,] *axes)."""
-    several = values if values.ndim > len(axes) else values[np.newaxis]
-    return ca.interpolant(name, "bspline", [a.tolist() for a in axes], several.ravel(order="F"))
+    outputs = values if values.ndim > len(axes) else values[np.newaxis]
+    return ca.interpolant(name, "bspline", [a.tolist() for a in axes], outputs.ravel(order="F"))
