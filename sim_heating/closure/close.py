@@ -21,12 +21,7 @@ from sim_heating.base.parallel.threads import one_thread
 from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, MODEL, SENSOR_PREFIX, Parameter
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.correlation import ratio_at, residual_evidence
-from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
-from sim_heating.closure.curves import curve_of
-from sim_heating.closure.prior.findings import table_error, table_findings
-from sim_heating.closure.prior.model_error import SmoothFlightError
-from sim_heating.closure.prior.table import table_prior
-from sim_heating.closure.record_checks import (
+from sim_heating.closure.clues.record_checks import (
     TRAJECTORY,
     DataFault,
     clock_fault,
@@ -34,9 +29,13 @@ from sim_heating.closure.record_checks import (
     start_fault,
     with_noise,
 )
+from sim_heating.closure.clues.residual_heating import ResidualHeating, residual_heating
+from sim_heating.closure.curves import curve_of
+from sim_heating.closure.prior.findings import table_error, table_findings
+from sim_heating.closure.prior.model_error import SmoothFlightError
+from sim_heating.closure.prior.table import table_prior
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
-from sim_heating.closure.search.calibration import Stated, false_alarm_statement, probability
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
@@ -55,6 +54,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
 )
 from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.verdict.calibration import Stated, false_alarm_statement, probability
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers

@@ -26,6 +26,7 @@ from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.report.page import Page, Picture, Section, sections_of, write_page
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.clues.correlation import ResidualEvidence, flight_variables
+from sim_heating.closure.clues.record_checks import DataFault
 from sim_heating.closure.clues.residual_heating import NAME as HEATING_NAME
 from sim_heating.closure.clues.residual_heating import ResidualHeating, write_residual_heating
 from sim_heating.closure.credibility import credibility_of_finding
@@ -38,7 +39,6 @@ from sim_heating.closure.plots import (
     ranking_figure,
     variables_figure,
 )
-from sim_heating.closure.record_checks import DataFault
 from sim_heating.closure.statement import (
     FOUND,
     LEAST_ODDS,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim_heating.base.parameters import AT
-from sim_heating.closure.search.adequacy import ADEQUATE, Adequacy
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import ToldError
+from sim_heating.closure.verdict.adequacy import ADEQUATE, Adequacy
 
 FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
 """The findings of a closure report."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.adequacy import ADEQUATE, p_value
-from sim_heating.closure.search.calibration import (
+from sim_heating.closure.verdict.adequacy import ADEQUATE, p_value
+from sim_heating.closure.verdict.calibration import (
     FEATURES,
     STATED,
     Stated,

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.ranking import count_forms
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import LIBRARY_SHARE
@@ -23,6 +22,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
     start_values,
 )
+from sim_heating.closure.verdict.adequacy import ADEQUATE, assess
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.heating.effects import use
 from sim_heating.heating.effects.curve import ELEVON, KNOTS, VALUES

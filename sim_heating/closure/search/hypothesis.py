@@ -16,13 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
-from sim_heating.closure.search.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
 from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
 from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
+from sim_heating.closure.verdict.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
 
 MIN_BIC_GAIN = 10.0
 """How much lower the score of an effect has to be than that of none, or of the model without it."""

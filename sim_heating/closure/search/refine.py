@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim_heating.base.errors import InputError
-from sim_heating.closure.search.adequacy import ADEQUATE, assess
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.ranking import delta_bic, needed_log_likelihood
 from sim_heating.closure.search.trials.candidates import Candidate
@@ -26,6 +25,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
+from sim_heating.closure.verdict.adequacy import ADEQUATE, assess
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.adequacy import Adequacy, assess
 from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.verdict.adequacy import Adequacy, assess
 from sim_heating.estimation.inference.error_likelihood import innovations_of_several
 from sim_heating.estimation.inference.likelihood import reading_intervals
 from sim_heating.estimation.inference.model_error import ModelError

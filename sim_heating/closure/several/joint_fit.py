@@ -18,7 +18,6 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import flight_error
-from sim_heating.closure.search.adequacy import Adequacy
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
 from sim_heating.closure.search.hypothesis import Hypothesis, adequacy_of
@@ -40,6 +39,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     table_log_prior,
 )
 from sim_heating.closure.several.common_parameters import owner, widest_level
+from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.estimation.inference.model_error import FLIGHT_PREFIX
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem

@@ -11,6 +11,7 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import CLOCK_SKEW, Parameter
 from sim_heating.closure.clues.flight_consistency import Discrepancy, contradictions_of_motion, misfit_of_motion
+from sim_heating.closure.clues.record_checks import declared_readings
 from sim_heating.closure.prior.changed_flight import (
     heated_part,
     shift_conditions,
@@ -20,7 +21,6 @@ from sim_heating.closure.prior.changed_flight import (
     with_sharper_alpha,
     with_velocity,
 )
-from sim_heating.closure.record_checks import declared_readings
 from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, Span, moved_ends
 from sim_heating.inputs.record import Record
 

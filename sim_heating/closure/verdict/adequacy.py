@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
-from sim_heating.closure.search.calibration import true_statistics
+from sim_heating.closure.verdict.calibration import true_statistics
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.record_fit import PredictedSamples
 
