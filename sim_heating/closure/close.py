@@ -55,6 +55,7 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.verdict.calibration import Stated, false_alarm_statement, probability
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
 from sim_heating.estimation.inference.outliers import outlier_lines, without_outliers
@@ -80,20 +81,10 @@ COMMAND = "close-loop"
 """Name under which its results are listed."""
 FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
-MIN_SAMPLES = 10
-"""Times of readings below which any effect would explain the residual."""
-LEAST_PROBABILITY = 0.5
-"""Probability of a finding below which it is not stated."""
-LEAST_FOR_PROBABILITY = 30
-"""Fitted readings below which no probability is given: none of the records that it was counted on had so few."""
 SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
-EXPLAINED_BY_CURVE = 0.5
-"""Part of the excess chi-square that a curve may leave to be reported."""
 MOST_BARRED = 5
 """Models that may not be named, which are listed at most."""
-REPORTED_EXCESS = 0.2
-"""Excess chi-square from which on the residual of the added effects is reported."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s", "drift": "drift_K_s"}
@@ -155,8 +146,9 @@ def close_loop(
     """
     record = load_record(record)
     times = int(np.count_nonzero(record.read_mask))
-    if times < MIN_SAMPLES:
-        raise InputError(f"{record.name}: readings at {times} time(s); close-loop needs {MIN_SAMPLES} at least")
+    if times < POLICY.min_reading_times:
+        needed = f"close-loop needs {POLICY.min_reading_times} at least"
+        raise InputError(f"{record.name}: readings at {times} time(s); {needed}")
     # On a clock in another unit every candidate would be fitted to the wrong flight.
     of_clock = clock_fault(record)
     if of_clock is not None:
@@ -194,14 +186,14 @@ def _samples(result: SearchResult, outliers: int) -> dict[str, Any]:
 def _few_samples(samples: Mapping[str, Any]) -> list[str]:
     """Lines on readings that are left out, and on too few of them."""
     words, count = samples_in_words(samples), samples["fit"]
-    few = f"{count} readings are fitted, and below {LEAST_FOR_PROBABILITY} no probability is given"
-    return [line for line in (words, few if count < LEAST_FOR_PROBABILITY else "") if line]
+    few = f"{count} readings are fitted, and below {POLICY.min_samples_for_probability} no probability is given"
+    return [line for line in (words, few if count < POLICY.min_samples_for_probability else "") if line]
 
 
 def _stated(result: SearchResult) -> SearchResult:
     """The result of a search, whose finding is stated where it is rather right than wrong."""
     found = probability_of(result)
-    if not result.explained or found is None or found >= LEAST_PROBABILITY:
+    if not result.explained or found is None or found >= POLICY.min_probability:
         return result
     return replace(result, conclusion=replace(result.conclusion, finding=PARTLY, improbable=found))
 
@@ -364,7 +356,7 @@ def _closure(
 def _curve(result: SearchResult) -> CurveBand | None:
     """The curve that an unexplained residual follows; None where it explains less than half of it."""
     found = result.curve
-    if found is None or found.excess_chi2 > EXPLAINED_BY_CURVE * result.none.excess_chi2:
+    if found is None or found.excess_chi2 > POLICY.min_explained * result.none.excess_chi2:
         return None
     return curve_of(found)
 
@@ -414,9 +406,9 @@ def probability_of(result: SearchResult) -> float | None:
     """Calibrated probability that the finding of a search is right; None where it states nothing.
 
     Nor is there one for a record whose model has an error, no findings on such records having been counted yet, or for
-    one with fewer than LEAST_FOR_PROBABILITY readings.
+    one with fewer than `Policy.min_samples_for_probability` readings.
     """
-    few = sample_count(result.none.last.problem) < LEAST_FOR_PROBABILITY
+    few = sample_count(result.none.last.problem) < POLICY.min_samples_for_probability
     return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) and not few else None
 
 
@@ -543,7 +535,7 @@ def _forms(result: SearchResult) -> list[str]:
 def _residual_warning(result: SearchResult, residual: ResidualHeating | None) -> list[str]:
     """A line on the residual of what was found, where it is more than noise."""
     best = result.conclusion.best
-    if residual is None or best.excess_chi2 < REPORTED_EXCESS:
+    if residual is None or best.excess_chi2 < POLICY.reported_excess:
         return []
     size = math.sqrt(1.0 + best.excess_chi2)
     return [

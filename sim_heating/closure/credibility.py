@@ -8,14 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from sim_heating.closure.statement import ParameterEstimate, Statement
-from sim_heating.closure.verdict.adequacy import ADEQUATE
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, assess
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.simulation.predict import Prediction
-
-LIKELY = 0.95
-"""Calibrated probability of a finding from which the conclusion counts as robust."""
 
 
 def credibility_of_finding(
@@ -43,11 +40,11 @@ def credibility_of_finding(
         sigma=bool(sigma),
         uncertainty=ratio_uncertainty(sigma, [a.record for a in after], reference),
         consistent=Answer(
-            adequacy is not None and adequacy.p_value >= ADEQUATE,
+            adequacy is not None and adequacy.p_value >= POLICY.adequate_p,
             "no test of adequacy" if adequacy is None else f"p-value of adequacy {adequacy.p_value:.2g}",
         ),
         holds=Answer(
-            p is not None and p >= LIKELY and not faulty,
+            p is not None and p >= POLICY.confidence and not faulty,
             "no calibrated probability of the finding" if p is None else f"probability of the finding {p:.2f}",
         ),
         varied=held_out(*(None if errors[n] is None else errors[n]["rmse_K"] for n in ("fit", "holdout"))),

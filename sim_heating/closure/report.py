@@ -39,17 +39,8 @@ from sim_heating.closure.plots import (
     ranking_figure,
     variables_figure,
 )
-from sim_heating.closure.statement import (
-    FOUND,
-    LEAST_ODDS,
-    NONE,
-    ONE_OF,
-    PARTLY,
-    UNKNOWN,
-    ParameterEstimate,
-    Statement,
-    finite,
-)
+from sim_heating.closure.statement import FOUND, NONE, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.estimate_file import Remark
@@ -347,7 +338,7 @@ def tell_apart_section(statement: Statement) -> list[Section]:
     text = (
         f"Expected odds between the alternatives after one more {statement.experiment} like this one, with the change "
         "named: the same conditions, instruments and noise, and no other error of the model. Odds below "
-        f"{LEAST_ODDS:g} to 1 tell nothing apart."
+        f"{POLICY.odds_apart:g} to 1 tell nothing apart."
     )
     return [Section("What would tell them apart", [text], points=lines)]
 

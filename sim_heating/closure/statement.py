@@ -10,14 +10,11 @@ from typing import Any
 from sim_heating.base.parameters import AT
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.search.trials.told_error import ToldError
-from sim_heating.closure.verdict.adequacy import ADEQUATE, Adequacy
+from sim_heating.closure.verdict.adequacy import Adequacy
+from sim_heating.closure.verdict.policy import POLICY
 
 FOUND, ONE_OF, PARTLY, UNKNOWN, NONE = "found", "one of", "partly", "unknown", "none"
 """The findings of a closure report."""
-LEAST_P_VALUE = 1e-6
-"""p-value below which its size says no more."""
-LEAST_ODDS = 20.0
-"""Odds below which an experiment tells nothing apart."""
 HARDLY = 1.05
 """Odds below which their size says no more."""
 FACTOR = "_factor"
@@ -242,8 +239,9 @@ class Statement:
 
     def _adequacy_in_words(self, adequacy: Adequacy) -> str:
         """What a model does to the record."""
-        p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= LEAST_P_VALUE else f"p below {LEAST_P_VALUE:g}"
-        if adequacy.p_value >= ADEQUATE:
+        least = POLICY.min_p_value
+        p = f"p = {adequacy.p_value:.2g}" if adequacy.p_value >= least else f"p below {least:g}"
+        if adequacy.p_value >= POLICY.adequate_p:
             return f"explains the record to its noise ({p})"
         if adequacy.unstructured:
             times = math.sqrt(adequacy.chi2_fit)
@@ -258,12 +256,12 @@ class Statement:
     def would_tell(self) -> list[str]:
         """What would tell the alternatives apart, a line each; none where nothing has to be told apart.
 
-        Where the best has odds below LEAST_ODDS, one line that says so.
+        Where the best has odds below `Policy.odds_apart`, one line that says so.
         """
         if not self.would_tell_apart:
             return []
         best = max(self.would_tell_apart, key=lambda e: e.log_odds)
-        if best.log_odds >= math.log(LEAST_ODDS):
+        if best.log_odds >= math.log(POLICY.odds_apart):
             return [e.in_words() for e in self.would_tell_apart]
         found = f"; the best, {best.in_words()}" if best.log_odds > math.log(HARDLY) else ""
         return [f"none of the {self.experiment}s tried tells them apart{found}"]

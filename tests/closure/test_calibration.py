@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_heating.closure.verdict.adequacy import ADEQUATE, p_value
+from sim_heating.closure.verdict.adequacy import p_value
 from sim_heating.closure.verdict.calibration import (
     FEATURES,
     STATED,
@@ -15,6 +15,7 @@ from sim_heating.closure.verdict.calibration import (
     probability,
     true_statistics,
 )
+from sim_heating.closure.verdict.policy import POLICY
 
 
 def test_the_shipped_calibration_is_of_these_features_and_of_enough_records():
@@ -51,5 +52,5 @@ def test_the_p_value_of_the_middle_of_true_models_is_a_half_and_falls_beyond_all
     known = true_statistics()
     assert p_value(float(np.median(known))) == pytest.approx(0.5, abs=0.02)
     assert p_value(1.5 * float(known[-1])) < 1.0 / len(known)
-    share_called_inadequate = np.mean([p_value(float(s)) < ADEQUATE for s in known])
-    assert share_called_inadequate <= 2.0 * ADEQUATE
+    share_called_inadequate = np.mean([p_value(float(s)) < POLICY.adequate_p for s in known])
+    assert share_called_inadequate <= 2.0 * POLICY.adequate_p

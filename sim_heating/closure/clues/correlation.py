@@ -36,6 +36,7 @@ from sim_heating.closure.clues.shapes import (
     profiled_information,
     trials_factor,
 )
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 from sim_heating.heating.reference.gas import wall_enthalpy_grid
 from sim_heating.inputs.points import conditions_of_record, wall_enthalpy_of
@@ -54,8 +55,6 @@ NEGATIVE_SIGMAS = 2.0
 """A ratio is negative where it is so by more than this many sigmas."""
 MAX_AMPLITUDE = 3.0
 """Largest amplitude of a shape, over the residual's own: a larger one cancels against fitted parameters."""
-SIGNIFICANCE_LEVEL = 0.01
-"""p-value below which evidence is called significant."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ class ResidualEvidence:
         """The evidence in lines for a person: which variable, at which lag, active when, how large."""
         if SHAPES in self.left_out:
             return [f"What the residual follows is left out ({self.left_out[SHAPES]})."]
-        if not self.shape_fits or self.p_value > SIGNIFICANCE_LEVEL:
+        if not self.shape_fits or self.p_value > POLICY.significance:
             return ["As heating, the residual is no more than noise: it follows no variable of the flight."]
         best = self.shape_fits[0]
         lines = [
@@ -148,7 +147,7 @@ class ResidualEvidence:
             size = f"{span.delta_ratio:+.3g}" + ("" if math.isnan(span.relative) else f" ({span.relative:+.0%})")
             lines.append(f"Active from {span.start_s:.0f} to {span.end_s:.0f} s: {size} of {self.unit} on average.")
         lines += self._hysteresis()
-        significant = [s for s in self.axial or () if s.p_value < SIGNIFICANCE_LEVEL and s.as_of_transition]
+        significant = [s for s in self.axial or () if s.p_value < POLICY.significance and s.as_of_transition]
         return lines + [step.describe() + self._distance_from_edge(step) for step in significant]
 
     def _distance_from_edge(self, step: AxialStep) -> str:

@@ -21,6 +21,7 @@ from scipy.special import stdtr
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.closure.clues.residual_heating import ResidualHeating
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.residual_tests import sidak_p_value
 
 ANGLES = ("alpha_deg", "beta_deg", "elevon_deg", "bodyflap_deg")
@@ -29,8 +30,8 @@ MIN_EXCURSION_DEG = 1.0
 WINDOW_S, MARGIN_S = 150.0, 6.0
 MIN_KNOTS = 4
 """Knots that a loop has at least."""
-SIGNIFICANCE_LEVEL, MIN_FILLED = 0.01, 0.1
-"""A loop is reported with a p-value below the first and an area, over that of its box, above the second."""
+MIN_FILLED = 0.1
+"""Area of a loop, over that of its box, from which on it is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class HysteresisLoop:
     @property
     def significant(self) -> bool:
         """Whether noise alone is unlikely to make the loop."""
-        return self.p_value < SIGNIFICANCE_LEVEL and abs(self.filled) > MIN_FILLED
+        return self.p_value < POLICY.significance and abs(self.filled) > MIN_FILLED
 
     def describe(self) -> str:
         """One line for a person."""

@@ -27,14 +27,8 @@ from sim_heating.closure.revise.evidence import OF_START, ratio_names
 from sim_heating.closure.revise.revision_file import RevisionFile
 from sim_heating.closure.revise.revisions import revising
 from sim_heating.closure.revise.table_effects import added_ratio
-from sim_heating.closure.revise.update import (
-    MIN_P_VALUE,
-    TableChange,
-    TableUpdate,
-    check_target,
-    prepare_update,
-    write_update,
-)
+from sim_heating.closure.revise.update import TableChange, TableUpdate, check_target, prepare_update, write_update
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.report.ratio_plot import (
     AFTER,
     BEFORE,
@@ -265,7 +259,7 @@ def _cautions(update: TableUpdate) -> Iterator[str]:
     if update.flight.outside:
         yield f"{update.flight.outside} fitted samples lay outside the table and were omitted"
     for change in update.changes:
-        if change.p_value < MIN_P_VALUE:
+        if change.p_value < POLICY.contradicted_p:
             yield (
                 "The flight is farther from the table than its sigma allows (chi-square "
                 f"{change.chi_square:.1f} on {change.freedom}, p-value {change.p_value:.1g}): the sigma column or the "

@@ -49,8 +49,6 @@ from sim_heating.inputs.vehicle import ControlPoint, Vehicle, load_vehicle, vehi
 
 RATIO_DIGITS, SIGMA_DIGITS = 6, 4
 """Significant digits of a changed node, far below any sigma."""
-MIN_P_VALUE = 1e-3
-"""p-value of the evidence under the table's own sigma below which the report warns."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,32 +16,18 @@ from functools import cached_property
 import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
-from sim_heating.closure.search.admissibility import MIN_SIGMAS, OFF, SETTLED, far_from_declared, objections
+from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
 from sim_heating.closure.search.changes.record_change import ChangeFit
-from sim_heating.closure.search.ranking import MAX_SCATTER, model_bic, prior_penalty, scatter_price
+from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
-from sim_heating.closure.verdict.adequacy import ADEQUATE, UNEXPLAINED, Adequacy, assess
+from sim_heating.closure.verdict.adequacy import Adequacy, assess
+from sim_heating.closure.verdict.policy import POLICY
 
-MIN_BIC_GAIN = 10.0
-"""How much lower the score of an effect has to be than that of none, or of the model without it."""
-GAIN_OVER_ADEQUATE = 30.0
-"""The same where the declared model explains the record to its noise already. Errors of its form that noise hides, such
-as a table whose error is not linear, give some of this gain to any effect."""
-SET_MARGIN = 2.0 * float(np.log(20.0))
-"""Difference of scores within which hypotheses cannot be told apart: odds of 20 to 1."""
-TWIN_MARGIN = 40.0
-"""The same for physical twins, which an error of the model's form tells apart rather than the record."""
 TWINS = frozenset({"thickness_factor", "heat_capacity_factor"}), frozenset({CLOCK_SKEW.name, COMMON_LAG.name})
 """Parameters of one thing that act nearly alike: of a layer below the coating, whose thickness moves no thermocouple by
 much; a clock that is late, and thermocouples that lag."""
-LARGEST_ERROR = 0.15
-"""Relative error of the heating beyond which a model is no explanation of a record."""
-HELD_OUT_LOSS, PROMISED_GAIN = 1.0, 3.0
-"""Log density of what is held out that a cause may lose or has to gain, and the promise from which on it has to."""
-MIN_SHARE = 0.5
-"""Part of the excess chi-square that a hypothesis has to explain for the residual to resemble it."""
 
 
 def adequacy_of(trial: TrialFit, records: int = RECORDS) -> Adequacy:
@@ -115,8 +101,8 @@ class Hypothesis:
 
     @property
     def adequate(self) -> bool:
-        """Whether its p-value is at least ADEQUATE, or its residuals are noise that is larger than declared."""
-        return self.adequacy.p_value >= ADEQUATE or self.adequacy.unstructured
+        """Whether its p-value is at least `Policy.adequate_p`, or its residuals are noise larger than declared."""
+        return self.adequacy.p_value >= POLICY.adequate_p or self.adequacy.unstructured
 
     @property
     def excess_chi2(self) -> float:
@@ -149,19 +135,23 @@ def change_hypothesis(
     contradictions : of the change by the motion of the flight, a line each
     """
     against = list(contradictions)
-    if not fit.fit.converged and not fit.fit.predicted_gain < SETTLED:
+    if not fit.fit.converged and not fit.fit.predicted_gain < POLICY.settled_gain:
         against.append("its fit did not converge")
     if fit.on_bound:
         against.append(f"{fit.change.what} is on its bound")
     parameter = fit.change.parameter
-    if parameter is not None and abs(fit.value - parameter.value) < MIN_SIGMAS * fit.sigma:
-        against.append(f"{fit.change.what}: less than {MIN_SIGMAS:g} standard deviations from none")
+    if parameter is not None and abs(fit.value - parameter.value) < POLICY.min_sigmas * fit.sigma:
+        against.append(f"{fit.change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
     counted = len(fit.change.free) + (1 if fit.change.in_model else 0)  # by the trial's own problem
     more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
     scatter = scatter_price(fit.deviation) + sum(map(scatter_price, fit.deviations_of_free))
     price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
     found = Hypothesis((fit.trial,), fit, tuple(against), price)
-    far = [] if fit.deviation <= MAX_SCATTER else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
+    far = (
+        []
+        if fit.deviation <= POLICY.max_scatter_sigmas
+        else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
+    )
     return _with_far(found, far)
 
 
@@ -221,11 +211,11 @@ def _not_predicted(none: Hypothesis, h: Hypothesis, scale: float) -> list[str]:
     if trial.held_out is None or declared.held_out is None or declared.held_out_chi2 == 0.0:
         return []
     gained = (trial.held_out_log_likelihood - declared.held_out_log_likelihood) / scale
-    if not gained >= -HELD_OUT_LOSS:
+    if not gained >= -POLICY.held_out_gain:
         return ["it predicts the segments held out worse than the declared model"]
     excess = 0.5 * sample_count(trial.held_out) * max(declared.held_out_chi2 - 1.0, 0.0) / scale
     share = (none.excess_chi2 - h.excess_chi2) / none.excess_chi2 if none.excess_chi2 > 0.0 else 0.0
-    if min(max(share, 0.0), 1.0) * excess >= PROMISED_GAIN and gained < HELD_OUT_LOSS:
+    if min(max(share, 0.0), 1.0) * excess >= POLICY.promised_gain and gained < POLICY.held_out_gain:
         return ["it explains what the fitted segments show, and nothing of those held out"]
     return []
 
@@ -269,17 +259,19 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     """
     admissible = [h for h in rated if h.admissible]
     best = admissible[0] if admissible else None
-    least = GAIN_OVER_ADEQUATE if none.adequate else MIN_BIC_GAIN
+    least = POLICY.min_gain_over_adequate if none.adequate else POLICY.min_gain
     if best is None or best.score > -least:
-        enough = UNEXPLAINED if none.last.size is None else ADEQUATE
+        enough = POLICY.contradicted_p if none.last.size is None else POLICY.adequate_p
         unexplained = none.adequacy.p_value < enough and not none.adequacy.unstructured
         unexplained |= not _small_error(none)
         margin = min((h.score for h in admissible), default=np.inf)
         return Conclusion("unknown" if unexplained else "none", none, (), float(margin))
     explained = none.excess_chi2 - best.excess_chi2
     share = explained / none.excess_chi2 if none.excess_chi2 > 0.0 else 1.0
-    inside = [h for h in admissible if h.score <= best.score + SET_MARGIN and len(h.names) == len(best.names)]
-    inside += [h for h in admissible if h not in inside and h.score <= best.score + TWIN_MARGIN and _is_twin(h, best)]
+    inside = [h for h in admissible if h.score <= best.score + POLICY.set_margin and len(h.names) == len(best.names)]
+    inside += [
+        h for h in admissible if h not in inside and h.score <= best.score + POLICY.twin_margin and _is_twin(h, best)
+    ]
     same = set(best.names)
     # another form under the same names is no rival
     outside = [h.score for h in admissible if h not in inside and set(h.names) != same] + [0.0]
@@ -290,7 +282,7 @@ def conclude(none: Hypothesis, rated: Sequence[Hypothesis]) -> Conclusion:
     if best.adequate and _small_error(best):
         several = any(len(slot) > 1 for slot in alternatives)
         return Conclusion("one of" if several else "found", best, alternatives, rival, share, beaten)
-    if share >= MIN_SHARE:
+    if share >= POLICY.min_explained:
         return Conclusion("partly", best, alternatives, rival, share, beaten)
     return Conclusion("unknown", best, (), rival, share, beaten)
 
@@ -314,7 +306,7 @@ def _things(h: Hypothesis) -> set[tuple[str, str]]:
 
 def _small_error(h: Hypothesis) -> bool:
     """Whether the error of a hypothesis' model is small enough for it to be named."""
-    return h.last.size is None or h.last.size.mean <= LARGEST_ERROR
+    return h.last.size is None or h.last.size.mean <= POLICY.max_heating_error
 
 
 def _alternatives(best: Hypothesis, inside: Sequence[Hypothesis]) -> tuple[tuple[str, ...], ...]:

@@ -29,11 +29,9 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
     table_log_prior,
 )
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.record_fit import sensor_definition
-
-MAX_SCATTER = 4.0
-"""Distance from the declared value up to which a parameter scatters, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,12 +141,12 @@ def scatter_price(deviation: float) -> float:
 
         d^2 up to D,    D^2 (1 + 2 log(d / D)) beyond
 
-    D = MAX_SCATTER. A normal distribution as far as things scatter, beyond it a power law of equal slope: what is wrong
-    by more is wrong for a reason of its own, and may be wrong by any amount.
+    D = `Policy.max_scatter_sigmas`. A normal distribution as far as things scatter, beyond it a power law of equal
+    slope: what is wrong by more is wrong for a reason of its own, and may be wrong by any amount.
     """
-    if deviation <= MAX_SCATTER:
+    if deviation <= POLICY.max_scatter_sigmas:
         return deviation**2
-    return float(MAX_SCATTER**2 * (1.0 + 2.0 * np.log(deviation / MAX_SCATTER)))
+    return float(POLICY.max_scatter_sigmas**2 * (1.0 + 2.0 * np.log(deviation / POLICY.max_scatter_sigmas)))
 
 
 def count_forms(tried: Sequence[Candidate]) -> dict[str, int]:

@@ -25,19 +25,13 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
-from sim_heating.closure.verdict.adequacy import ADEQUATE, assess
+from sim_heating.closure.verdict.adequacy import assess
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings, Status
 from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.record import Record
 
-CONTENDERS = 6
-"""Effects of a round that are fitted to convergence, at most."""
-CONTENDER_SHARE, SHARE_OF_ADEQUATE, CONTENDER_MARGIN = 0.5, 0.85, 30.0
-"""Part of the best gain in log likelihood, or distance from it, within which an effect is a contender; the second part
-where the best explains the record to its noise, so that a rival has to come near it."""
-RICHER_FORMS, STARTS_OF_RICHER = 3, 2
-"""Richer forms of an effect that are fitted, and starts of each by predicted gain besides the values of the simpler."""
 CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
 
 
@@ -75,10 +69,12 @@ def refine(
     """
     gains = {t.name: t.fit.log_likelihood - base.fit.log_likelihood for t in trials}
     best = max(gains.values(), default=0.0)
-    share = SHARE_OF_ADEQUATE if any(_is_adequate(t) for t in trials if gains[t.name] == best) else CONTENDER_SHARE
+    share = (
+        POLICY.min_of_adequate if any(_is_adequate(t) for t in trials if gains[t.name] == best) else POLICY.min_of_best
+    )
     led = sorted(
-        (t for t in trials if gains[t.name] >= min(share * best, best - CONTENDER_MARGIN)), key=lambda t: t.delta_bic
-    )[:CONTENDERS]
+        (t for t in trials if gains[t.name] >= min(share * best, best - POLICY.rival_margin)), key=lambda t: t.delta_bic
+    )[: EFFORT.causes]
     forms = [(t, c, start) for t in led for c, start in _forms(base, t, tried, predicted)]
     problems = [problem_with(base, c) for _, c, _ in forms]
     firsts = [start_values(p, start) for p, (_, _, start) in zip(problems, forms, strict=True)]
@@ -146,7 +142,7 @@ def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
 
 def _is_adequate(trial: TrialFit) -> bool:
     """Whether a trial explains the fitted samples to their noise."""
-    return assess(trial.fitted_samples).p_value >= ADEQUATE
+    return assess(trial.fitted_samples).p_value >= POLICY.adequate_p
 
 
 def _forms(
@@ -158,10 +154,10 @@ def _forms(
     own = sorted((k for k, c in enumerate(tried) if c.name == trial.name), key=lambda k: -predicted[k])
     known = [k for k in own if np.isfinite(predicted[k])]
     richest = [tried[k].form for k in known if not any(tried[k].form.is_special_case_of(tried[j].form) for j in own)]
-    for form in list(dict.fromkeys(richest))[:RICHER_FORMS]:
+    for form in list(dict.fromkeys(richest))[: EFFORT.rivals]:
         starts = [tried[k] for k in known if tried[k].form == form]
         if trial.candidate.form.is_special_case_of(form):
             forms.append((starts[0], {**below, **starts[0].start, **at}))
         if form != trial.candidate.form:
-            forms += [(c, {**below, **c.start}) for c in starts[:STARTS_OF_RICHER]]
+            forms += [(c, {**below, **c.start}) for c in starts[: EFFORT.starts]]
     return forms

@@ -34,7 +34,6 @@ from sim_heating.closure.search.changes.record_change import fit_changes, with_o
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
 from sim_heating.closure.search.changes.wall_changes import wall_changes
 from sim_heating.closure.search.hypothesis import (
-    MIN_BIC_GAIN,
     Conclusion,
     Hypothesis,
     change_hypothesis,
@@ -62,6 +61,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     start_values,
     with_own_error,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitProblem
@@ -69,28 +69,15 @@ from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
-FIRST_PICKS, SECOND_PICKS = 6, 2
-"""Effects that a second one is sought on top of, and second ones that are kept of each."""
-PAIR_SHARE, MOST_PAIRS, STARTS_OF_PAIR, REFINED_PAIRS = 0.3, 24, 1, 6
+PAIR_SHARE, MOST_PAIRS, STARTS_OF_PAIR = 0.3, 24, 1
 """Of the most that a further effect promises, on top of any first one: the share that another has to promise to be
-fitted, how many are, how many starts of a form, and how many are fitted to convergence."""
-MIN_SHARE = 0.5
-"""Part of the remaining excess chi-square that a further effect has to explain."""
-MIN_OVER_FIRST = 0.1
-"""Least chi-square that a further effect explains, over that of the first, unless nothing but noise remains after it: a
-first effect of another form leaves less."""
-MAX_EFFECTS, FURTHER_GAIN, EXCHANGES = 3, 6.0, 3
-"""Effects of a model at most; what one more has to gain at least over every model with fewer [BIC]; how often the
-members of the leading model are exchanged for their rivals at most."""
-FREED, RECORRECTED, LIBRARY_SHARE = 6, 4, 0.9
-"""Hypotheses whose effects are tried in a free form, those that get a mesh correction of their own, and the part of the
-excess that they have to explain without: with less, a curve is free to follow anything."""
-JUDGED = 8
-"""Hypotheses that may be named, and others, that are judged with an error of their own."""
-CHANGE_SHARES, SHARES_BESIDE_ADEQUATE, MOST_CHANGES = (0.5, 0.25), (0.8, 0.6), 8
+fitted, how many are, and how many starts of a form."""
+RECORRECTED = 4
+"""Hypotheses that get a mesh correction of their own."""
+CHANGE_SHARES, SHARES_BESIDE_ADEQUATE = (0.5, 0.25), (0.8, 0.6)
 """Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
 and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
-noise. How many without ends are fitted."""
+noise."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -209,7 +196,9 @@ def _judged(none: Hypothesis, rated: Sequence[Hypothesis]) -> tuple[Hypothesis, 
     """
     if none.last.problem.record_fits[0].model_error is None:
         return none, list(rated)
-    leading = [h for h in rated if h.admissible][:JUDGED] + [h for h in rated if not h.admissible][:JUDGED]
+    leading = [h for h in rated if h.admissible][: EFFORT.compared] + [h for h in rated if not h.admissible][
+        : EFFORT.compared
+    ]
     trials = in_processes([partial(with_own_error, h.last) for h in (none, *leading)])
     none, *judged = (
         replace(h, trials=(*h.trials[:-1], trial)) for h, trial in zip((none, *leading), trials, strict=True)
@@ -248,7 +237,7 @@ def _changes(
     best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
     share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
     fits = with_own_corrections(
-        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=MOST_CHANGES)
+        before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
     )
     whole = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
@@ -277,7 +266,7 @@ def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
 
     A curve may take up all of a second effect: it does not end the search.
     """
-    if not rated or min(h.last.delta_bic for h in rated) > -MIN_BIC_GAIN:
+    if not rated or min(h.last.delta_bic for h in rated) > -POLICY.min_gain:
         return False
     best = rated[0]
     return not (best.admissible and best.adequate) or has_free_form(best.last)
@@ -330,9 +319,9 @@ def _with_one_more(
         ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
     )
     for i, found in enumerate(rounds):
-        trials = [t for _, j, t in leading[:REFINED_PAIRS] if j == i]
+        trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
         refined = refine(bases[i], trials, found.tried, found.predicted) if trials else []
-        ordered = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[:SECOND_PICKS]
+        ordered = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[: EFFORT.starts]
         hypotheses += [hypothesis([*stacks[i], k.trial], {**forms, **found.forms}) for k in ordered]
     return rounds, hypotheses
 
@@ -346,24 +335,25 @@ def _screened(stack: Sequence[TrialFit]) -> tuple[list[Candidate], list[float]]:
 def _accepted(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses best first, without those whose further effects explain too little.
 
-    A further effect gains FURTHER_GAIN over every model with fewer effects that may be named. It explains a good part
-    of what these leave, or takes the place of parameters of theirs, and predicts what is held out no worse.
+    A further effect gains `Policy.min_gain_of_further` over every model with fewer effects that may be named. It
+    explains a good part of what these leave, or takes the place of parameters of theirs, and predicts what is held out
+    no worse.
     """
     found = scored(none, found)
     singles = [h for h in found if len(h.names) == 1]
     kept = list(singles)
-    for count in range(2, MAX_EFFECTS + 1):
+    for count in range(2, POLICY.max_causes + 1):
         # What fewer effects explain, whether they may be named or not: an inadmissible one still shows how little more
         # a further effect adds.
         simpler = min((h for h in kept), key=lambda h: h.excess_chi2, default=none)
         least_explained = none.excess_chi2 - min((h.excess_chi2 for h in singles), default=none.excess_chi2)
-        to_beat = min((h.score for h in kept), default=0.0) - FURTHER_GAIN
-        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - FURTHER_GAIN
+        to_beat = min((h.score for h in kept), default=0.0) - POLICY.min_gain_of_further
+        of_nameable = min((h.score for h in kept if h.admissible), default=0.0) - POLICY.min_gain_of_further
         for h in [h for h in found if len(h.names) == count]:
             gained = simpler.excess_chi2 - h.excess_chi2
             predicts = h.last.held_out_log_likelihood >= simpler.last.held_out_log_likelihood
-            explains = gained >= MIN_SHARE * simpler.excess_chi2
-            explains &= gained >= MIN_OVER_FIRST * least_explained or h.adequate
+            explains = gained >= POLICY.min_explained * simpler.excess_chi2
+            explains &= gained >= POLICY.min_explained_over_first * least_explained or h.adequate
             in_place = h.adequate and h.score <= to_beat
             if (explains or in_place) and predicts and h.score <= of_nameable:
                 kept.append(h)
@@ -404,12 +394,12 @@ def _exchanged(
     rounds: list[SearchRound] = []
     more: list[Hypothesis] = []
     rated = _accepted(none, found)
-    for _ in range(EXCHANGES):
+    for _ in range(EFFORT.rivals):
         if not rated or len(rated[0].names) < 2 or rated[0].change is not None:
             break
         best, values = rated[0], fitted_values(rated[0].last)
         reduced = [[t for t in best.trials if t is not left_out] for left_out in best.trials]
-        if len(best.trials) < MAX_EFFECTS:
+        if len(best.trials) < POLICY.max_causes:
             reduced.append([_in_simplest_form(t, first.tried) for t in best.trials])
         stacks = [_stack_effects(base, effects_of, values) for effects_of in reduced]
         stacks = [s for s in stacks if all(np.isfinite(t.fit.log_likelihood) for t in s)]
@@ -433,7 +423,7 @@ def _first_picks(found: Sequence[Hypothesis]) -> list[list[TrialFit]]:
     best: dict[tuple[str, ...], TrialFit] = {}
     for trial in sorted((h.last for h in found if h.change is None), key=lambda t: -t.fit.log_likelihood):
         best.setdefault(trial.candidate.names, trial)
-    return [[trial] for trial in list(best.values())[:FIRST_PICKS]]
+    return [[trial] for trial in list(best.values())[: EFFORT.causes]]
 
 
 def _fitted_on(
@@ -450,7 +440,7 @@ def _fitted_on(
 
 def _explaining_most(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses of effects that explain most of the excess of the declared model, the best first."""
-    most = (1.0 - LIBRARY_SHARE) * none.excess_chi2
+    most = (1.0 - POLICY.min_explained_by_library) * none.excess_chi2
     explaining = [h for h in found if h.change is None and h.excess_chi2 < most]
     return sorted(explaining, key=lambda h: h.excess_chi2)
 
@@ -473,7 +463,7 @@ def _free_forms(
 ) -> list[Hypothesis]:
     """Hypotheses with one effect in a free form (free_forms.py), for those that explain most of the excess."""
     wanted: dict[tuple[str, ...], tuple[list[TrialFit], Candidate, dict[str, float]]] = {}
-    for h in _explaining_most(none, found)[:FREED]:
+    for h in _explaining_most(none, found)[: EFFORT.causes]:
         for freed in h.trials:
             others = [t for t in h.trials if t is not freed]
             key = (freed.name, *sorted(t.name for t in others))
@@ -505,11 +495,11 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
     that do not explain the record either are left out: with a free effect more, any change comes near many residuals.
     """
     best = next((h for h in rated if h.change is not None and h.admissible and len(h.names) == 1), None)
-    if best is None or none.excess_chi2 - best.excess_chi2 < MIN_SHARE * none.excess_chi2:
+    if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
         return []
     more = search_round(best.last, best.effects, progress)
     refined = sorted(_refined(best.last, more, progress), key=lambda k: (not k.admissible, k.trial.delta_bic))
-    found = [with_one_more(best, k.trial, more.forms) for k in refined[:SECOND_PICKS]]
+    found = [with_one_more(best, k.trial, more.forms) for k in refined[: EFFORT.starts]]
     return [h for h in found if h.adequate]
 
 

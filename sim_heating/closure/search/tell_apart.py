@@ -27,6 +27,7 @@ from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.closure.search.changes.record_change import CANNOT_BE
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.trials.trial_fit import THINNED_STEPS, TrialFit, fitted_effects
+from sim_heating.closure.verdict.policy import EFFORT
 from sim_heating.estimation.design.instruments import extra_sensors
 from sim_heating.estimation.inference.newton import Fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
@@ -53,8 +54,8 @@ FINER_BITS, MORE_OFTEN = 12, 5
 """Bits of finer recorder words, and readings in place of one."""
 WORTH_IT = math.log(2.0)
 """Log odds by which an experiment has to exceed those of the same flight again."""
-MOST_RIVALS, MOST_NAMED = 3, 2
-"""Rivals of the likeliest cause that are compared with it, and experiments that are named."""
+MOST_NAMED = 2
+"""Experiments that are named."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def tell_apart(
     returns : the best first, those that do little more than the same flight again left out; none
               where a cause is a change of the readings
     """
-    models = [best, *rivals[:MOST_RIVALS]]
+    models = [best, *rivals[: EFFORT.rivals]]
     part = none.last.problem.record_fits[0]
     if len(models) < 2 or any(_changes_readings(h, part.record) for h in models):
         return []

@@ -10,18 +10,15 @@ from sim_heating.base.parameters import SENSOR_PREFIX
 from sim_heating.closure.search.changes.record_change import NO_EFFECT
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import scatter_price
-from sim_heating.closure.search.refine import CONTENDER_MARGIN, CONTENDER_SHARE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.table_candidates import TABLE
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.joint_fit import Cause
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import conditions_of_record
-
-MOST_CAUSES, FORMS = 8, 2
-"""Causes that are fitted jointly, and forms of each."""
 
 
 def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
@@ -44,7 +41,7 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
             changed = {**cause.changed, **first.changed}
             found = {i: values} | dict(first.found)
             causes[key] = replace(first, price=max(first.price, cause.price), found=found, changed=changed)
-    forms = {names: [c for c in causes.values() if frozenset(c.names) == names][:FORMS] for names in known}
+    forms = {names: [c for c in causes.values() if frozenset(c.names) == names][: EFFORT.starts] for names in known}
     log_n = math.log(sample_count(alone[0].none.last.problem))
 
     def reached(i: int, names: frozenset[str]) -> float:
@@ -57,8 +54,8 @@ def leading_causes(alone: Sequence[SearchResult]) -> list[Cause]:
 
     order = sorted(known, key=bound)
     best = bound(order[0]) if order else 0.0
-    worst = max(CONTENDER_SHARE * best, best + CONTENDER_MARGIN)
-    return [c for names in order[:MOST_CAUSES] if bound(names) <= worst for c in forms[names]]
+    worst = max(POLICY.min_of_best * best, best + POLICY.rival_margin)
+    return [c for names in order[: EFFORT.compared] if bound(names) <= worst for c in forms[names]]
 
 
 def _cause_of_trial(trial: TrialFit, forms: Mapping[str, int]) -> tuple[Cause, float, dict[str, float]]:

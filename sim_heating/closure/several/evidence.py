@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
 from sim_heating.closure.several.causes import applies
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.joint_fit import FEW_STEPS, JointHypothesis, JointModel, fit_models, joint_model
+from sim_heating.closure.verdict.policy import POLICY
 
-DISAGREES = 1e-3
-"""Probability below which a record's own values contradict the common ones."""
 PINNED = 1e-6
 """Standard deviation of a value that is given, over the value."""
 
@@ -48,11 +46,11 @@ class Evidence:
     @property
     def verdict(self) -> str:
         """What it says of the cause, in a word or two."""
-        if self.for_cause < -MIN_BIC_GAIN:
+        if self.for_cause < -POLICY.min_gain:
             return "contradicts it"
-        if self.member and self.agreement is not None and self.agreement < DISAGREES:
+        if self.member and self.agreement is not None and self.agreement < POLICY.contradicted_p:
             return "other values"
-        return "supports it" if self.member and self.for_cause > MIN_BIC_GAIN else "does not tell"
+        return "supports it" if self.member and self.for_cause > POLICY.min_gain else "does not tell"
 
 
 def evidence_of_records(

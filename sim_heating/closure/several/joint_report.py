@@ -29,12 +29,12 @@ from sim_heating.base.report.page import Page, Picture, Section, sections_of, wr
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
-from sim_heating.closure.search.hypothesis import MIN_BIC_GAIN
 from sim_heating.closure.search.trials.told_error import flight_as_json, flight_in_words
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint_search import JointSearch
 from sim_heating.closure.statement import ParameterEstimate, Statement, finite
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility
 from sim_heating.estimation.report.plots import AFTER, BEFORE, fit_chart, shade_holdout
@@ -304,7 +304,7 @@ def evidence_table(found: JointClosure) -> Table:
 def _evidence_section(found: JointClosure) -> Section:
     text = [
         "Differences of BIC with the segments held out, above 0 where a record speaks for the cause, and where it "
-        f"speaks for it rather than for the next one; {MIN_BIC_GAIN:g} is what a finding needs. `common` is what "
+        f"speaks for it rather than for the next one; {POLICY.min_gain:g} is what a finding needs. `common` is what "
         "parameters in common, priors and the number of forms cost. A record that has not got the cause is judged with "
         "the values of the others, and counts in the sum with what it shows by itself. The p-value is that of values "
         "of its own as far from the common ones.",

@@ -21,19 +21,17 @@ from scipy.special import betaincinv
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.files import read_json
+from sim_heating.closure.verdict.policy import POLICY
 
 CALIBRATION = Path(__file__).with_name("closure_calibration.json")
-CONFIDENCE_LEVEL = 0.95
 FEATURES = (
     "constant", "log(1 + rival)", "log10 p", "explained", "set", "none", "further effects", "log(1 + disqualified)",
     "no effect",
 )  # fmt: skip
 STATED = ("found", "one of", "none")
 """Findings that have a probability; the others say that they do not know."""
-MOST = 0.99
-"""Largest probability that is stated: some hundred records of known truth support no more."""
-LEAST_P, LARGEST_RIVAL = 1e-6, 1e6
-"""Limits beyond which a p-value, or the distance of a rival, says no more."""
+LARGEST_RIVAL = 1e6
+"""Limit beyond which the distance of a rival says no more."""
 
 
 @cache
@@ -65,7 +63,7 @@ class Stated:
     @property
     def features(self) -> FloatArray:
         """(feature,) in the order of FEATURES [-]."""
-        p = 1.0 if self.p_value is None else max(float(self.p_value), LEAST_P)
+        p = 1.0 if self.p_value is None else max(float(self.p_value), POLICY.min_p_value)
         apart, beaten = (min(max(float(x), 0.0), LARGEST_RIVAL) for x in (self.rival, self.disqualified))
         return np.array([
             1.0, math.log1p(apart), math.log10(p), float(np.clip(self.explained, 0.0, 1.0)), self.finding == "one of",
@@ -82,8 +80,8 @@ def probability(stated: Stated) -> float | None:
 
 
 def probability_by(features: FloatArray, coefficients: FloatArray) -> float:
-    """Probability by features and their coefficients, at most MOST [-]."""
-    return min(float(logistic(features @ coefficients)), MOST)
+    """Probability by features and their coefficients, at most `Policy.max_probability` [-]."""
+    return min(float(logistic(features @ coefficients)), POLICY.max_probability)
 
 
 def logistic(x: Any) -> Any:
@@ -99,8 +97,8 @@ def true_statistics() -> FloatArray:
 def false_alarm_statement() -> str:
     """The chance of a false alarm with its calibration, in one line."""
     named, records = int(calibration()["named"]), int(calibration()["records"])
-    limit = float(betaincinv(named + 1, records - named, CONFIDENCE_LEVEL))
+    limit = float(betaincinv(named + 1, records - named, POLICY.confidence))
     return (
         f"An effect was named in {named} of {records} synthetic records that had none: chance of a false alarm below "
-        f"{limit:.1%} with {CONFIDENCE_LEVEL:.0%} confidence on such records"
+        f"{limit:.1%} with {POLICY.confidence:.0%} confidence on such records"
     )

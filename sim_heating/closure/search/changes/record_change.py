@@ -25,13 +25,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
 from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
-from sim_heating.closure.search.trials.screening import (
-    GAIN_MARGIN,
-    MIN_GAIN_SHARE,
-    STEPS_AHEAD,
-    gain_of_step,
-    gains_over,
-)
+from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
@@ -42,6 +36,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     sample_count,
     start_values,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
 from sim_heating.estimation.inference.error_likelihood import scored_readings
 from sim_heating.estimation.inference.newton import Evaluation, Fit, NewtonSettings, iteration
@@ -54,22 +49,17 @@ DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
 FIRST_STEPS = replace(QUICK, iterations=5)
 """Settings of the first stage, after which changes that stay far behind are not fitted on."""
-EFFECT_SHARE = 0.5
-"""Part of the best gain that a change which is an effect by name has to predict, at most."""
-NEARLY, MOST_SEARCHES = 0.95, 3
-"""Part of the best gain from which on the ends of a change are searched further, and how often, each with a fit."""
+NEARLY = 0.95
+"""Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
 """The same, further on, where the change leads: some seconds of a large error are far above the noise."""
 GROSS_EXCESS = 10.0
 """Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
-RECORRECTED, RECORRECTED_FROM = 3, 1.0
-"""Leading changes that have the mesh correction of their own record, at most; those with a parameter where they gain
-nearly as much as the best. Excess chi-square of the declared model from which on they have it."""
-WITHOUT_VALUE_SHARE = 0.5
-"""Most that a change without a value is asked for in place of `share`: from the estimates of the declared record, which
-may be far from its own, one step promises too little."""
+RECORRECTED_FROM = 1.0
+"""Excess chi-square of the declared model from which on the leading changes have the mesh correction of their own
+record; those with a parameter where they gain nearly as much as the best."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
@@ -472,8 +462,8 @@ def fit_changes(
     changes: Sequence[RecordChange],
     best_gain: float = 0.0,
     *,
-    share: float = MIN_GAIN_SHARE,
-    near_share: float = MIN_GAIN_SHARE,
+    share: float = POLICY.min_promised,
+    near_share: float = POLICY.min_promised,
     most: int | None = None,
 ) -> list[ChangeFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
@@ -490,7 +480,7 @@ def fit_changes(
 
     def asked(change: RecordChange) -> float:
         if change.parameter is None:
-            return min(share, WITHOUT_VALUE_SHARE)
+            return min(share, POLICY.min_of_best)
         return share if change.near is None else near_share
 
     predicted = _best_starts(base, changes)
@@ -498,8 +488,11 @@ def fit_changes(
     best: dict[str, tuple[float, _ChangedModel, FloatArray]] = {}
     for change, (gain, model, start) in zip(changes, predicted, strict=True):
         # what an effect names competes with it under that name: a step ahead promises too little of a shift in time
-        form, least = change.form or change.what, min(asked(change), EFFECT_SHARE if change.effect else 1.0) * largest
-        if gain > max(least, 0.5 * np.log(n) * change.unknowns - GAIN_MARGIN) and (
+        form, least = (
+            change.form or change.what,
+            min(asked(change), POLICY.min_of_best if change.effect else 1.0) * largest,
+        )
+        if gain > max(least, 0.5 * np.log(n) * change.unknowns - POLICY.gain_margin) and (
             form not in best or gain > best[form][0]
         ):
             best[form] = gain, model, start
@@ -521,7 +514,7 @@ def fit_changes(
     _move_ends(models, fits, [k for k in with_ends if gains[k] > near_share * reached])
     gains = gains_over(fits, base.fit.log_likelihood)
     largest = max([share * best_gain, *gains])
-    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], MOST_SEARCHES)
+    _move_ends(models, fits, [k for k in with_ends if gains[k] > NEARLY * largest], EFFORT.rivals)
     found = [_change_fit(m, f) for m, f in zip(models, fits, strict=True) if np.isfinite(f.log_likelihood)]
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
@@ -537,7 +530,7 @@ def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[Chang
     if base.excess_chi2 < RECORRECTED_FROM:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
-    leading = [f for f in fits[:RECORRECTED] if f.delta_bic < NEARLY * best or f.change.parameter is None]
+    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or f.change.parameter is None]
     found = [f if f not in leading else _recorrected(before, base, f) for f in fits]
     return sorted(found, key=lambda f: f.delta_bic)
 
@@ -610,7 +603,7 @@ def _best_ends(model: _ChangedModel, fit: Fit, searches: int) -> tuple[list[_Mov
             gained = found.log_likelihood - fit.log_likelihood
             if gained > 0.0:
                 model, fit, moves = moved, found, [*moves, *further]
-        if not gained > GAIN_MARGIN:
+        if not gained > POLICY.gain_margin:
             steps = [s for s in steps if s is not ENDS_MOVED]
     return moves, fit
 

@@ -28,6 +28,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, EFFECT_PREFIX, Parameter
 from sim_heating.closure.clues.residual_heating import residual_heating
 from sim_heating.closure.search.trials.candidates import Candidate, Form
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, problem_with, start_values
+from sim_heating.closure.verdict.policy import EFFORT
 from sim_heating.heating.effects import EffectUse
 from sim_heating.heating.effects.compiled import EffectAlong
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
@@ -35,8 +36,8 @@ from sim_heating.march.ensemble import condition_history
 
 MODEL_ERROR = 0.03
 """Error of a smoothed history where heating jumps, over the heating itself [-]."""
-SOLVED, KEPT = 4, 2
-"""Starts of a form from which the least-squares problem is solved, and solutions that are kept."""
+SOLVED = 4
+"""Starts of a form from which the least-squares problem is solved."""
 EVALUATIONS = 60
 STEP = 2.0**-26
 """Step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding."""
@@ -148,7 +149,7 @@ def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[
     for _, start, k in solved:
         if all(_apart(several[k], start, other) for _, other in kept):
             kept.append((k, start))
-    return kept[:KEPT]
+    return kept[: EFFORT.starts]
 
 
 def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:

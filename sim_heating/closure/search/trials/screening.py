@@ -24,6 +24,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     problem_with,
     start_values,
 )
+from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.inference.error_likelihood import ScoredReadings, scored_readings
 from sim_heating.estimation.inference.identifiability import covariance, predicted_gain
 from sim_heating.estimation.inference.likelihood import likelihood
@@ -34,14 +35,6 @@ from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
 TIE = 1e-6
 """Weight of the gain that a start has made already where several promise the same."""
-MAX_STARTS = 2
-"""Starts of one form that are fitted, the most promising ones."""
-SECOND_START_SHARE = 0.5
-"""Part of the best predicted gain from which on several starts of a form are fitted."""
-MIN_GAIN_SHARE = 0.25
-"""Part of the best predicted gain below which a candidate is not fitted."""
-GAIN_MARGIN = 5.0
-"""By how much a predicted gain in log likelihood may fall short of the cost of its parameters."""
 # A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
 # that follow, hence their stages.
 STAGES = (
@@ -51,13 +44,8 @@ STAGES = (
 """Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
 PREDICTED_SHARE = 0.8
 """A candidate also enters the second stage with a gain, predicted at its start, of this part of the best."""
-EFFECT_SHARE = 0.5
-"""The best candidate of an effect also enters it with this part of the best gain: what is second by itself may be one
-of two causes."""
 STEPS_AHEAD = 3.0
 """A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
-LIKELIHOOD_MARGIN = 5.0
-"""By how much the log likelihood of a candidate that is fitted to the end may stay below the best."""
 
 
 def predicted_gains(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
@@ -149,7 +137,7 @@ def _largest_gain(base: TrialFit) -> float:
         readings = s.channel.intervals
         middle = np.where(readings.is_finite, 0.5 * (readings.lower_K + readings.upper_K), s.mean_K)
         largest += float(np.sum(likelihood(readings, middle, s.spread_K).log_likelihood))
-    return max(largest - base.fit.log_likelihood, 0.0) + GAIN_MARGIN
+    return max(largest - base.fit.log_likelihood, 0.0) + POLICY.gain_margin
 
 
 class _KnownPart(NamedTuple):
@@ -204,8 +192,10 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
     for i in sorted(range(len(candidates)), key=lambda i: -gains[i]):
         form = candidates[i].form
         # A weak candidate is not worth a second start.
-        allowed = MAX_STARTS if gains[i] > SECOND_START_SHARE * best else 1
-        promising = gains[i] > max(MIN_GAIN_SHARE * best, 0.5 * np.log(n) * len(candidates[i].names) - GAIN_MARGIN)
+        allowed = EFFORT.starts if gains[i] > POLICY.min_of_best * best else 1
+        promising = gains[i] > max(
+            POLICY.min_promised * best, 0.5 * np.log(n) * len(candidates[i].names) - POLICY.gain_margin
+        )
         if promising and count.get(form, 0) < allowed:
             count[form] = count.get(form, 0) + 1
             selected.append(i)
@@ -239,11 +229,11 @@ def fit_in_stages(
             for name in set(names):
                 own = [k for k, n in enumerate(names) if n == name]
                 leads = max(own, key=lambda k: gains[k])
-                goes_on[leads] |= gains[leads] >= EFFECT_SHARE * best
+                goes_on[leads] |= gains[leads] >= POLICY.min_of_best * best
         elif stage == 2:
-            goes_on &= gains + STEPS_AHEAD * next_step >= best - LIKELIHOOD_MARGIN
+            goes_on &= gains + STEPS_AHEAD * next_step >= best - POLICY.gain_margin
         else:
-            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - LIKELIHOOD_MARGIN
+            goes_on &= np.minimum(_extrapolated(history), gains + next_step) >= best - POLICY.gain_margin
         chosen = [k for k in range(len(fits)) if goes_on[k] and fits[k].status is Status.ITERATIONS]
         continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
         for k, fit in zip(chosen, continued, strict=True):

@@ -12,13 +12,12 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.search.trials.trial_fit import TrialFit
+from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.model_error import ModelError
 
 PHASES = 8
 """Consecutive parts of a record whose error is compared."""
 TIME_SHIFT = "time_shift_s"
-TOLD_APART = 0.5
-"""Part of its prior's standard deviation below which an error of the flight is told by itself."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ def _flight(trial: TrialFit, error: ModelError, u: FloatArray) -> dict[str, tupl
     if flight.has_one_clock and CLOCK_SKEW.name in trial.fit.names:
         k = trial.fit.names.index(CLOCK_SKEW.name)
         own, sigma = float(trial.fit.values[k]), float(trial.fit.sigma[k])
-        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < TOLD_APART * flight.uncertainty.time_shift_s else None
+        told[TIME_SHIFT] = (own, sigma) if 0.0 < sigma < POLICY.told_apart * flight.uncertainty.time_shift_s else None
     return told
 
 
@@ -114,5 +113,5 @@ def told_flight(
         sigma = float(np.sqrt(np.mean(np.einsum("ij,jk,ik->i", row, covariance, row))))
         value = row @ f
         told = float(value[0]) if len(value) == 1 else float(np.sqrt(np.mean(value**2)))
-        found[name] = (told, sigma) if sigma < TOLD_APART * prior else None
+        found[name] = (told, sigma) if sigma < POLICY.told_apart * prior else None
     return found
