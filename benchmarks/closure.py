@@ -117,7 +117,7 @@ def search_of_effect(found: SearchResult, effect: str) -> SearchResult:
     best = refine(base, one.trials, one.tried, one.predicted)[:1]
     if not best:
         return found
-    known = hypothesis([best[0].trial], one.forms)
+    known = hypothesis([best[0]], one.forms)
     return replace(found, rounds=(one,), conclusion=Conclusion("found", known, (), 0.0))
 
 

@@ -36,7 +36,7 @@ from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.prior.table import table_prior
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
-from sim_heating.closure.search.changes.record_change import ENDS_MOVED, ChangeFit
+from sim_heating.closure.search.changes.record_change import ENDS_MOVED
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.refine import CONVERGE
@@ -270,14 +270,16 @@ def refit(result: SearchResult) -> FitResult:
     best = result.compared
     if best is result.none:
         return _declared(result)
-    record = result.record if best.change is None else best.change.change.apply(result.record, best.change.value)
-    if best.change is not None and not best.added:
-        return declared_fit(record, [*result.before.labels, *best.change.change.free] or None)
+    record, change = result.record, best.change
+    if best.changed is not None and change is not None:
+        record = change.apply(record, best.changed.value)
+    if change is not None and not best.added:
+        return declared_fit(record, [*result.before.labels, *change.free] or None)
     last = best.last
     if not _is_exact(last):
         return _with_error(record, last)
     part = last.problem.record_fits[0]
-    in_model = [] if best.change is None or not best.change.change.in_model else best.change.estimates
+    in_model = best.changed.estimates if best.changed is not None and change is not None and change.in_model else []
     return estimate(
         [record],
         [n for n in part.names if n not in in_model],
@@ -457,8 +459,8 @@ def _alternative_values(result: SearchResult) -> dict[str, dict[str, ParameterEs
 def _values_of(found: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
     """Estimates of a cause of a hypothesis by their names within it."""
     estimated = estimates_of(found.last.problem, found.last.fit)
-    if found.change is not None and found.change.change.name == name:
-        return change_parameters(found.change, estimated)
+    if found.changed is not None and found.change is not None and found.change.name == name:
+        return change_parameters(found.changed, estimated)
     return effect_parameters(next(t for t in found.trials if t.name == name), estimated)
 
 
@@ -502,10 +504,10 @@ def _left_out(result: SearchResult) -> list[NotEffect]:
 
 def _causes(found: Hypothesis) -> list[NotEffect]:
     """Causes of a hypothesis that are no effect, with their estimates."""
-    causes, change = [], found.change
-    if change is not None and not change.change.effect:
-        own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in change.estimates.items()}
-        causes.append(NotEffect(found.kind, change.describe(), own))
+    causes, change, changed = [], found.change, found.changed
+    if change is not None and changed is not None and not change.effect:
+        own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in changed.estimates.items()}
+        causes.append(NotEffect(found.kind, change.describe(changed.value), own))
     last = found.last
     for trial in found.trials:
         if trial.name == TABLE:
@@ -552,21 +554,23 @@ def _findings(result: SearchResult, estimated: Mapping[str, ParameterEstimate]) 
         name = result.names[0]
         return [Finding(name, shares[NONE] if name == NONE else 1.0 - shares[NONE], {})]
     share = shares[" + ".join(best.names)]
-    of_change = [best.change] if best.change is not None and best.change.change.effect else []
+    of_change = [best.changed] if best.changed is not None and best.change is not None and best.change.effect else []
     return [
-        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change),
+        *(Finding(f.change.effect, share, change_parameters(f, estimated)) for f in of_change if f.change),
         *(Finding(t.name, share, effect_parameters(t, estimated), _sensor_of(t)) for t in result.added),
     ]
 
 
-def change_parameters(found: ChangeFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+def change_parameters(fit: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
     """The estimates of a change that is an effect: its own, those of the model's parameters that are estimated with it,
     and its ends, to the last step of their search."""
-    own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in found.estimates.items()}
-    own |= {n.rpartition(".")[2]: estimated[n] for n in found.change.free if n in estimated}
-    values = [value for value, _ in found.change.ends.values()]
+    change = fit.change
+    assert change is not None
+    own = {name: ParameterEstimate(value, sigma, p.unit) for name, (p, value, sigma) in fit.estimates.items()}
+    own |= {n.rpartition(".")[2]: estimated[n] for n in change.free if n in estimated}
+    values = [value for value, _ in change.ends.values()]
     step = ENDS_MOVED[-1] * (max(values, default=0.0) - min(values, default=0.0))
-    return own | {name: ParameterEstimate(value, step, unit) for name, (value, unit) in found.change.ends.items()}
+    return own | {name: ParameterEstimate(value, step, unit) for name, (value, unit) in change.ends.items()}
 
 
 def effect_parameters(trial: TrialFit, estimated: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
@@ -597,7 +601,7 @@ def _candidate_scores(result: SearchResult) -> list[CandidateScore]:
     shares = posteriors({name: h.score for name, h in scored.items() if h.admissible} | {NONE: 0.0})
     rows = [(NONE, 0.0, result.none.last)]
     rows += [
-        (h.names[0], h.last.delta_bic if h.change is None else h.change.delta_bic, h.last) for h in scored.values()
+        (h.names[0], h.last.delta_bic if h.changed is None else h.changed.delta_bic, h.last) for h in scored.values()
     ]
     rows += [(t.name, t.delta_bic, t) for t in first.trials if t.name not in scored]
     rows += [

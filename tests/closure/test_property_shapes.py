@@ -72,7 +72,7 @@ def test_a_table_that_is_off_by_two_factors_is_recognised_by_them_and_the_last_f
     before = declared_fit(declared)
     base = base_trial(before)
     (found,) = fit_changes(base, own)
-    assert found.trial.excess_chi2 < 0.1
+    assert found.excess_chi2 < 0.1
     assert found.value == pytest.approx(-0.3, rel=0.3)
     assert [end for end, _ in found.change.ends.values()] == pytest.approx(span, rel=0.2)
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from sim_heating.base.parameters import CLOCK_SKEW, COMMON_LAG, RECORD_PARAMETERS, layer_parameter
 from sim_heating.closure.search.admissibility import OFF, far_from_declared, objections
-from sim_heating.closure.search.changes.record_change import ChangeFit
 from sim_heating.closure.search.ranking import model_bic, prior_penalty, scatter_price
 from sim_heating.closure.search.simulated_records import RECORDS, with_simulated_p_value
 from sim_heating.closure.search.table_candidates import TABLE
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.closure.verdict.adequacy import Adequacy, assess
 from sim_heating.closure.verdict.policy import POLICY
@@ -45,7 +45,7 @@ class Hypothesis:
 
     trials     : its effects, each fitted on top of those before; the last one holds the values of all. The declared
                  model alone, or on a changed record, is the trial named `none`
-    change     : of the record; None where it is as declared
+    changed    : the fit of a change of the record; None where it is as declared
     objections : why it may not be named, empty where it may
     price      : of the number of forms tried of each of its effects, and of what else speaks against it, in units of
                  BIC
@@ -53,10 +53,15 @@ class Hypothesis:
     """
 
     trials: tuple[TrialFit, ...]
-    change: ChangeFit | None = None
+    changed: TrialFit | None = None
     objections: tuple[str, ...] = ()
     price: float = 0.0
     score: float = 0.0
+
+    @property
+    def change(self) -> RecordChange | None:
+        """The change of the record; None where it is as declared."""
+        return None if self.changed is None else self.changed.change
 
     @property
     def last(self) -> TrialFit:
@@ -66,14 +71,14 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its change, in words where no effect is it, and of its effects; none for the declared model."""
-        change = () if self.change is None else (self.change.change.name,)
+        change = () if self.change is None else (self.change.name,)
         return (*change, *(t.name for t in self.trials if t.name != "none"))
 
     @property
     def kind(self) -> str:
         """Kind of its first cause: "effect", "flight", "wall", "sensor", "table"; empty for the declared model."""
         if self.change is not None:
-            return "effect" if self.change.change.effect else self.change.change.kind
+            return "effect" if self.change.effect else self.change.kind
         if not self.names:
             return ""
         return "table" if self.names == (TABLE,) else "effect"
@@ -81,7 +86,7 @@ class Hypothesis:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of its effects, as a closure report has them."""
-        change = () if self.change is None or not self.change.change.effect else (self.change.change.effect,)
+        change = () if self.change is None or not self.change.effect else (self.change.effect,)
         return (*change, *(t.name for t in self.added))
 
     @property
@@ -126,33 +131,33 @@ def hypothesis(trials: Sequence[TrialFit], forms: Mapping[str, int]) -> Hypothes
 
 
 def change_hypothesis(
-    fit: ChangeFit, tried: int, against_motion: float = 0.0, contradictions: Sequence[str] = ()
+    trial: TrialFit, tried: int, against_motion: float = 0.0, contradictions: Sequence[str] = ()
 ) -> Hypothesis:
     """The hypothesis that the record is changed.
 
+    trial          : of the change
     tried          : number of changes of its family that were tried
     against_motion : what the motion of the flight says against the change, in units of BIC
     contradictions : of the change by the motion of the flight, a line each
     """
-    against = list(contradictions)
-    if not fit.fit.converged and not fit.fit.predicted_gain < POLICY.settled_gain:
+    change, fit, against = trial.change, trial.whole_fit, list(contradictions)
+    assert change is not None
+    assert fit is not None
+    parameter = change.parameter
+    if not fit.converged and not fit.predicted_gain < POLICY.settled_gain:
         against.append("its fit did not converge")
-    if fit.on_bound:
-        against.append(f"{fit.change.what} is on its bound")
-    parameter = fit.change.parameter
-    if parameter is not None and abs(fit.value - parameter.value) < POLICY.min_sigmas * fit.sigma:
-        against.append(f"{fit.change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
-    counted = len(fit.change.free) + (1 if fit.change.in_model else 0)  # by the trial's own problem
-    more = (fit.change.unknowns - counted) * float(np.log(sample_count(fit.trial.problem)))
-    scatter = scatter_price(fit.deviation) + sum(map(scatter_price, fit.deviations_of_free))
+    if parameter is not None and bool(fit.on_bound[-1]):
+        against.append(f"{change.what} is on its bound")
+    if parameter is not None and abs(trial.value - parameter.value) < POLICY.min_sigmas * trial.sigma:
+        against.append(f"{change.what}: less than {POLICY.min_sigmas:g} standard deviations from none")
+    counted = len(change.free) + (1 if change.in_model else 0)  # by the trial's own problem
+    more = (change.unknowns - counted) * float(np.log(sample_count(trial.problem)))
+    scatter = scatter_price(trial.deviation) + sum(map(scatter_price, trial.deviations_of_free))
     price = 2.0 * float(np.log(max(tried, 1))) + more + scatter + against_motion
-    found = Hypothesis((fit.trial,), fit, tuple(against), price)
-    far = (
-        []
-        if fit.deviation <= POLICY.max_scatter_sigmas
-        else [f"{fit.change.what} is {fit.deviation:.1f} {OFF} the declared value"]
-    )
-    return _with_far(found, far)
+    far = trial.deviation > POLICY.max_scatter_sigmas
+    lines = [f"{change.what} is {trial.deviation:.1f} {OFF} the declared value"] if far else []
+    # the last trial of a hypothesis goes to other processes and back, which a change cannot
+    return _with_far(Hypothesis((replace(trial, change=None, whole_fit=None),), trial, tuple(against), price), lines)
 
 
 def with_one_more(below: Hypothesis, trial: TrialFit, forms: Mapping[str, int]) -> Hypothesis:
@@ -297,7 +302,7 @@ def _is_twin(h: Hypothesis, best: Hypothesis) -> bool:
 
 def _things(h: Hypothesis) -> set[tuple[str, str]]:
     """What the parameters of a hypothesis are of, and which: of layers by their names, and of the record."""
-    change = [] if h.change is None or h.change.change.parameter is None else [h.change.change.parameter.name]
+    change = [] if h.change is None or h.change.parameter is None else [h.change.parameter.name]
     names = {*change, *(n for t in h.trials for n in t.candidate.model_names)}
     layers = {n: layer_parameter(n) for n in names}
     found = {(layer[0], layer[1].name) for layer in layers.values() if layer is not None and layer[0] != "coating"}

@@ -8,7 +8,7 @@ parameters are free, from where the leading one is and from the most promising s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     TrialFit,
+    corrected,
     fitted_values,
     held_out_problem_with,
     own_thinning_error,
@@ -35,33 +36,9 @@ from sim_heating.inputs.record import Record
 CONVERGE = replace(QUICK, min_improvement=0.02, min_step=0.1, iterations=60)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Contender:
-    """A candidate fitted to convergence.
-
-    trial      : its best form;  objections : why it may not be named, empty where it may
-    """
-
-    trial: TrialFit
-    objections: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.trial.name
-
-    @property
-    def admissible(self) -> bool:
-        """Whether it may be named."""
-        return not self.objections
-
-    def __repr__(self) -> str:
-        return f"<Contender {self.name}: {self.trial.delta_bic:+.1f}, {'; '.join(self.objections) or 'admissible'}>"
-
-
 def refine(
     base: TrialFit, trials: Sequence[TrialFit], tried: Sequence[Candidate], predicted: Sequence[float]
-) -> list[Contender]:
+) -> list[TrialFit]:
     """Fit the leading candidates of a round to convergence, the likeliest first.
 
     base      : the model below;  trials : the best trial of each effect as the round left it
@@ -90,14 +67,12 @@ def refine(
     continued = maximise_together([problems[k] for k in again], [fits[k].values for k in again], CONVERGE)
     for k, fit in zip(again, continued, strict=True):
         contenders[k] = _contender(base, forms[k][1], problems[k], fit)
-    found: dict[str, list[Contender]] = {}
+    found: dict[str, list[TrialFit]] = {}
     for contender in filter(None, contenders):
         found.setdefault(contender.name, []).append(contender)
-    chosen = [min(several, key=lambda k: (not k.admissible, k.trial.delta_bic)) for several in found.values()]
-    complete = [
-        replace(k, trial=replace(k.trial, held_out=held_out_problem_with(base, k.trial.candidate))) for k in chosen
-    ]
-    return sorted(complete, key=lambda k: k.trial.delta_bic)
+    chosen = [min(forms, key=lambda t: (not t.admissible, t.delta_bic)) for forms in found.values()]
+    complete = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in chosen]
+    return sorted(complete, key=lambda t: t.delta_bic)
 
 
 def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> NewtonSettings:
@@ -108,12 +83,12 @@ def _unless_behind(base: TrialFit, leading: TrialFit, candidate: Candidate) -> N
     return replace(CONVERGE, needed_log_likelihood=needed_log_likelihood(base, candidate, leading.delta_bic))
 
 
-def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> Contender | None:
+def _contender(base: TrialFit, candidate: Candidate, problem: FitProblem, fit: Fit) -> TrialFit | None:
     """A candidate with its fit; None where it cannot be marched, or fell far behind."""
     if fit.status is Status.BEHIND or not np.isfinite(fit.log_likelihood):
         return None
     trial = TrialFit(candidate.name, candidate, problem, None, fit, delta_bic(base, fit, candidate, 1.0))
-    return Contender(trial, objections(trial))
+    return replace(trial, objections=objections(trial))
 
 
 def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
@@ -128,16 +103,12 @@ def recorrected(trial: TrialFit, whole: Record) -> TrialFit:
         error_K, at_s = own_thinning_error(trial, whole)
     except InputError:  # a broken sensor that one of the two leaves out
         return trial
-
-    def corrected(problem: FitProblem) -> FitProblem:
-        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
-
-    own, held_out = corrected(trial.problem), trial.held_out and corrected(trial.held_out)
-    fit = maximise_together([own], [trial.fit.values], CONVERGE)[0]
+    again = corrected(trial, (error_K, at_s))
+    fit = maximise_together([again.problem], [trial.fit.values], CONVERGE)[0]
     if not (np.any(error_K) and np.isfinite(fit.log_likelihood)):
         return trial
     delta = trial.delta_bic - 2.0 * (fit.log_likelihood - trial.fit.log_likelihood)
-    return replace(trial, problem=own, held_out=held_out, fit=fit, delta_bic=delta)
+    return replace(again, fit=fit, delta_bic=delta)
 
 
 def _is_adequate(trial: TrialFit) -> bool:

@@ -43,7 +43,7 @@ from sim_heating.closure.search.hypothesis import (
     with_one_more,
 )
 from sim_heating.closure.search.ranking import SearchRound, count_forms, delta_bic, score_round
-from sim_heating.closure.search.refine import CONVERGE, Contender, recorrected, refine
+from sim_heating.closure.search.refine import CONVERGE, recorrected, refine
 from sim_heating.closure.search.table_candidates import table_candidates
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.free_forms import FREE_FORMS, free_form, has_free_form
@@ -152,7 +152,7 @@ def search_effects(
     first = search_round(base, [], _part(progress, 0.1, 0.35, "one effect"))
     singles = _refined(base, first, _part(progress, 0.35, 0.45, "one effect"))
     none = hypothesis([base], {})
-    rounds, found = [first], [hypothesis([k.trial], first.forms) for k in singles]
+    rounds, found = [first], [hypothesis([t], first.forms) for t in singles]
     discrepancies = flight_discrepancies(record.conditions)
     found += _changes(before, base, singles, discrepancies, _explaining(found), progress)
     rated = scored(none, found)
@@ -214,7 +214,7 @@ def _part(progress: Progress, begin: float, end: float, what: str) -> Progress:
 def _changes(
     before: FitResult,
     base: TrialFit,
-    singles: Sequence[Contender],
+    singles: Sequence[TrialFit],
     discrepancies: Sequence[Discrepancy],
     explained: Collection[str],
     progress: Progress,
@@ -234,7 +234,7 @@ def _changes(
         if not (c.in_model and c.parameter and is_fitted(base, c.parameter.name))
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
-    best = max((k.trial.fit.log_likelihood - base.fit.log_likelihood for k in singles), default=0.0)
+    best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
     share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
     fits = with_own_corrections(
         before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
@@ -242,8 +242,9 @@ def _changes(
     whole = before.problem.record_fits[0].record
     tried = Counter(c.family for c in changes)
     return [
-        change_hypothesis(f, tried[f.change.family], motion_evidence(whole, f), contradicted_by_motion(whole, f))
-        for f in fits
+        change_hypothesis(t, tried[t.change.family], motion_evidence(whole, t), contradicted_by_motion(whole, t))
+        for t in fits
+        if t.change is not None
     ]
 
 
@@ -272,7 +273,7 @@ def _more_is_missing(none: Hypothesis, rated: Sequence[Hypothesis]) -> bool:
     return not (best.admissible and best.adequate) or has_free_form(best.last)
 
 
-def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Contender]:
+def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[TrialFit]:
     """The leading candidates of a round, fitted to convergence."""
     progress(0.0, f"fitting the leading of {len(found.trials)} candidates to convergence")
     return refine(base, found.trials, found.tried, found.predicted)
@@ -321,8 +322,8 @@ def _with_one_more(
     for i, found in enumerate(rounds):
         trials = [t for _, j, t in leading[: EFFORT.causes] if j == i]
         refined = refine(bases[i], trials, found.tried, found.predicted) if trials else []
-        ordered = sorted(refined, key=lambda k: (not k.admissible, k.trial.delta_bic))[: EFFORT.starts]
-        hypotheses += [hypothesis([*stacks[i], k.trial], {**forms, **found.forms}) for k in ordered]
+        ordered = sorted(refined, key=lambda t: (not t.admissible, t.delta_bic))[: EFFORT.starts]
+        hypotheses += [hypothesis([*stacks[i], t], {**forms, **found.forms}) for t in ordered]
     return rounds, hypotheses
 
 
@@ -498,8 +499,8 @@ def _on_the_best_change(none: Hypothesis, rated: Sequence[Hypothesis], progress:
     if best is None or none.excess_chi2 - best.excess_chi2 < POLICY.min_explained * none.excess_chi2:
         return []
     more = search_round(best.last, best.effects, progress)
-    refined = sorted(_refined(best.last, more, progress), key=lambda k: (not k.admissible, k.trial.delta_bic))
-    found = [with_one_more(best, k.trial, more.forms) for k in refined[: EFFORT.starts]]
+    refined = sorted(_refined(best.last, more, progress), key=lambda t: (not t.admissible, t.delta_bic))
+    found = [with_one_more(best, t, more.forms) for t in refined[: EFFORT.starts]]
     return [h for h in found if h.adequate]
 
 

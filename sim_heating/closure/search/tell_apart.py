@@ -142,9 +142,9 @@ def tell_apart(
 
 def _changes_readings(hypothesis: Hypothesis, record: Record) -> bool:
     """Whether a cause is a change of the readings themselves, which no model predicts."""
-    if hypothesis.change is None or hypothesis.change.change.in_model:
+    if hypothesis.changed is None or hypothesis.change is None or hypothesis.change.in_model:
         return False
-    changed = hypothesis.change.change.apply(record, hypothesis.change.value)
+    changed = hypothesis.change.apply(record, hypothesis.changed.value)
     return any(
         not np.array_equal(column, changed.thermocouples[name], equal_nan=True)
         for name, column in record.thermocouples.items()
@@ -242,7 +242,7 @@ def _predict(base: TrialFit, models: Sequence[Hypothesis], flights: Sequence[_Fl
 def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[FitProblem, FloatArray]]:
     """Problems, each with its vector: a model over a record, and one step away in a change that has no exact
     derivative. None where the change does not exist there."""
-    value = 0.0 if model.change is None else model.change.value
+    value = 0.0 if model.changed is None else model.changed.value
     values = [value, value + _step(model)] if _step(model) else [value]
     try:
         return [(_problem(base, model.last, _changed(model, record, at)), model.last.fit.values) for at in values]
@@ -255,15 +255,15 @@ def _step(model: Hypothesis) -> float:
 
     The value of a change that an effect was added to stays as it was found.
     """
-    change = None if model.change is None or model.added else model.change.change
+    change = None if model.added else model.change
     return 0.0 if change is None or change.in_model or change.parameter is None else STEP * change.parameter.sigma
 
 
 def _changed(model: Hypothesis, record: Record, value: float) -> Record:
     """A record with the change of a hypothesis, where it has one that is no parameter of the model."""
-    if model.change is None or model.change.change.in_model:
+    if model.change is None or model.change.in_model:
         return record
-    return model.change.change.apply(record, value)
+    return model.change.apply(record, value)
 
 
 def _problem(base: TrialFit, trial: TrialFit, record: Record) -> FitProblem:
@@ -313,4 +313,5 @@ def _expected(truth: _Predicted, fitted: _Predicted, model: Hypothesis, scale: f
 
 def _fit_of(model: Hypothesis) -> Fit:
     """The fit of a hypothesis with all of its unknowns, that of a change last where it is none of the model."""
-    return model.change.fit if model.change is not None and _step(model) else model.last.fit
+    fit = None if model.changed is None else model.changed.whole_fit
+    return fit if fit is not None and _step(model) else model.last.fit

@@ -69,15 +69,15 @@ def _cause_of(i: int, h: Hypothesis, one_point: bool) -> tuple[Cause, float, dic
     """A hypothesis on record i as a cause that others may share, its score, and its values; None for causes of one
     flight or one thermocouple, and for those of a wall that the others do not have."""
     values = fitted_values(h.last)
-    if h.change is None:
+    if h.change is None or h.changed is None:
         return Cause(h.names, h.kind, tuple(t.candidate for t in h.trials), h.price), h.score, values
-    change, price = h.change.change, h.price - scatter_price(h.change.deviation)
+    change, price = h.change, h.price - scatter_price(h.changed.deviation)
     if change.kind != "wall" or not one_point or (change.parameter is not None and not change.in_model):
         return None
     if change.parameter is None:
         return Cause(h.names, "wall", (NO_EFFECT,), price, change, changed={i: h.last}), h.score, values
     name = change.parameter.name
-    candidate = Candidate(change.what, (), (name,), {name: h.change.value}, active=(name,), with_prior=(name,))
+    candidate = Candidate(change.what, (), (name,), {name: h.changed.value}, active=(name,), with_prior=(name,))
     return Cause(h.names, "wall", (candidate,), price), h.score, values
 
 

@@ -19,13 +19,14 @@ from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import CLOCK_SKEW
 from sim_heating.closure.prior.model_error import flight_error
 from sim_heating.closure.search.admissibility import objections
-from sim_heating.closure.search.changes.record_change import NO_EFFECT, RecordChange
+from sim_heating.closure.search.changes.record_change import NO_EFFECT
 from sim_heating.closure.search.hypothesis import Hypothesis, adequacy_of
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.simulated_records import RECORDS
 from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import (
     OF_TABLE,
     WIDENED,

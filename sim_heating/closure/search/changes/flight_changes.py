@@ -21,7 +21,8 @@ from sim_heating.closure.prior.changed_flight import (
     with_sharper_alpha,
     with_velocity,
 )
-from sim_heating.closure.search.changes.record_change import ChangeFit, RecordChange, Span, moved_ends
+from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends
+from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
 
 EVERYWHERE: Span = (-np.inf, np.inf)
@@ -54,7 +55,7 @@ SMOOTH_POINTS = 33
 """Altitudes that a smooth layer is interpolated between."""
 
 
-def motion_evidence(record: Record, fit: ChangeFit) -> float:
+def motion_evidence(record: Record, fit: TrialFit) -> float:
     """What the motion of the flight says against a change of the record, in units of BIC; 0 where it says nothing.
 
     Negative where the motion follows from the forces better with the change. The heating alone hardly tells a layer of
@@ -63,13 +64,13 @@ def motion_evidence(record: Record, fit: ChangeFit) -> float:
 
     It says nothing of a change of wall or sensors, or of a test without flow.
     """
-    if fit.change.kind != "flight" or not record.has_flow:
+    if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
         return 0.0
     changed = fit.change.apply(record, fit.value)
     return misfit_of_motion(changed.conditions) - misfit_of_motion(record.conditions)
 
 
-def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
+def contradicted_by_motion(record: Record, fit: TrialFit) -> list[str]:
     """How the motion of the flight contradicts a change of the record, in a line; empty where it does not.
 
     record : as in `motion_evidence`
@@ -78,7 +79,7 @@ def contradicted_by_motion(record: Record, fit: ChangeFit) -> list[str]:
     that deviates by more than the scatter of the whole flight, and more than the conditions as stated, explains the
     heating by a flight that was not flown.
     """
-    if fit.change.kind != "flight" or not record.has_flow:
+    if fit.change is None or fit.change.kind != "flight" or not record.has_flow:
         return []
     changed = fit.change.apply(record, fit.value).conditions
     return [f"{fit.change.what}: {d.message}" for d in contradictions_of_motion(record.conditions, changed)[:1]]

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.inputs.record import Record
 
 FLUX = Parameter("factor", "1", 1.0, 0.1, 0.1, 10.0, "absorbed flux over that of the conditions")

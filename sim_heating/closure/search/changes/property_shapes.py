@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.parameters import Parameter
-from sim_heating.closure.search.changes.record_change import RecordChange, Span, moved_ends
 from sim_heating.closure.search.changes.wall_changes import with_layers
+from sim_heating.closure.search.trials.change import RecordChange, Span, moved_ends
 from sim_heating.heating.effects.conductivity import LEAST_DECADES
 from sim_heating.inputs.points import conditions_of_record, point_of_record
 from sim_heating.inputs.record import Record

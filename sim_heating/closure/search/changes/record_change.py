@@ -14,23 +14,24 @@ it can gain; changes that predict little are not fitted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
-from sim_heating.base.parameters import Parameter
 from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
     QUICK,
     WIDENED,
     TrialFit,
     candidate_problem,
+    corrected,
     fitted_values,
     own_thinning_error,
     sample_count,
@@ -63,131 +64,6 @@ record; those with a parameter where they gain nearly as much as the best."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
-Span = tuple[float, float]
-"""Begin and end of a part of a flight, of the air, or of a table."""
-
-
-def moved_ends(span: Span, fraction: float, shortest: float, within: Span) -> list[Span]:
-    """A span with either end, or both, moved by a fraction of its length; within limits, and not too short."""
-    low, high = span
-    by = fraction * (high - low)
-    moves = ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by), (-by, -by), (by, by))
-    spans = [(max(low + a, within[0]), min(high + b, within[1])) for a, b in moves]
-    return [(a, b) for a, b in dict.fromkeys(spans) if b - a >= shortest and (a, b) != span]
-
-
-@dataclass(frozen=True, eq=False)
-class RecordChange:
-    """A change of a record's flight, wall or sensors that may explain it.
-
-    kind      : of the cause: "flight", "wall" or "sensor"
-    what      : the change in words, without a value: "density of the flight conditions"
-    parameter : its unknown: neutral value, standard deviation that is usual (finite), bounds; None for a change without
-    apply     : the changed record at a value (0 where there is no parameter). The times of conditions and measurements
-                stay as they are; where readings change with the value, their sensor has no recorder word any more
-    describe  : the change in words, with its value: "density of the flight conditions 8 % too low"
-    starts    : further values that a fit may start from, where the neutral one is too far away
-    effect    : the effect of a closure report that it is, such as "time-skew", whose parameter has the name of its own;
-                empty where no name covers it
-    form      : in words, what it has in common with changes of which one alone is fitted, such as layers of density
-                between other altitudes; by default `what`
-    near      : changes of the same form whose ends in time or altitude are moved by a fraction of its span; None where
-                it has no ends. Both ends are searched, and count as unknowns
-    known_log_likelihood : of readings that the changed record lacks because the change explains them by itself, such as
-                those of a stuck thermocouple: of fitted ones, and of those held out
-    in_model  : whether the unknown is a parameter of the point's model or of a sensor by its dotted name, such as
-                `stack.al2024.heat_capacity_factor`: it is then estimated with the others, with its exact derivative
-    free      : dotted names of parameters of the point's model that are estimated with it
-    ends      : of a change with ends that is an effect, by their names in a closure report: value and unit
-    """
-
-    kind: Literal["flight", "wall", "sensor"]
-    what: str
-    parameter: Parameter | None
-    apply: Callable[[Record, float], Record]
-    describe: Callable[[float], str]
-    starts: tuple[float, ...] = ()
-    in_model: bool = False
-    effect: str = ""
-    form: str = ""
-    near: Callable[[float], Sequence[RecordChange]] | None = None
-    known_log_likelihood: tuple[float, float] = (0.0, 0.0)
-    free: tuple[str, ...] = ()
-    ends: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-
-    @property
-    def neutral(self) -> float:
-        """Value at which the record is as declared; 0 for a change without a parameter, which has none."""
-        return 0.0 if self.parameter is None else self.parameter.value
-
-    @property
-    def name(self) -> str:
-        """Its name among causes: that of the effect that it is, else the change in words, without a value."""
-        return self.effect or self.what
-
-    @property
-    def family(self) -> str:
-        """What shares one prior probability, as the forms of an effect do.
-
-        Changes of one form, all of the sensors, or all properties of the layers; else the change by itself.
-        """
-        together = self.kind if self.kind == "sensor" or self.in_model else self.what
-        return self.form or together
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns that it adds to a model: its parameter, those estimated with it, and its ends."""
-        return (0 if self.parameter is None else 1) + len(self.free) + (0 if self.near is None else 2)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ChangeFit:
-    """A model fitted to a changed record.
-
-    change : what was changed
-    value, sigma : of its parameter with its standard deviation, in its unit; 0 where it has none
-    trial  : the model on the changed record, whose `fit` has the model's parameters; effects may be tried on top of it
-    fit    : of all unknowns, the parameter of the change last
-    delta_bic : BIC minus that of the model on the record as declared, residuals taken as noise (c = 1)
-    """
-
-    change: RecordChange
-    value: float
-    sigma: float
-    trial: TrialFit
-    fit: Fit
-    delta_bic: float
-
-    @property
-    def deviation(self) -> float:
-        """Distance of the value from the neutral one over the standard deviation that is usual [-]; 0 without one."""
-        parameter = self.change.parameter
-        return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
-
-    @property
-    def deviations_of_free(self) -> list[float]:
-        """The same of the model's parameters that are estimated with the change [-]."""
-        part, found = self.trial.problem.record_fits[0], fitted_values(self.trial)
-        priors = {name: part.model.definition(name) for name in self.change.free}
-        return [abs(found[name] - p.value) / p.sigma for name, p in priors.items()]
-
-    @property
-    def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
-        """Parameter, value and standard deviation by the name of the parameter; none for a change without one."""
-        parameter = self.change.parameter
-        return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
-
-    @property
-    def on_bound(self) -> bool:
-        """Whether the value is on a bound of its parameter."""
-        return self.change.parameter is not None and bool(self.fit.on_bound[-1])
-
-    def describe(self) -> str:
-        """The change in words with its value."""
-        return self.change.describe(self.value)
-
-    def __repr__(self) -> str:
-        return f"<ChangeFit: {self.describe()}, BIC {self.delta_bic:+.1f}>"
 
 
 class _ChangedModel:
@@ -465,7 +341,7 @@ def fit_changes(
     share: float = POLICY.min_promised,
     near_share: float = POLICY.min_promised,
     most: int | None = None,
-) -> list[ChangeFit]:
+) -> list[TrialFit]:
     """Fit a model to its record with each change that promises enough, all side by side.
 
     base      : the model, fitted to the record as declared
@@ -519,7 +395,7 @@ def fit_changes(
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
 
-def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[ChangeFit]) -> list[ChangeFit]:
+def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[TrialFit]) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
     before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
@@ -530,38 +406,33 @@ def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[Chang
     if base.excess_chi2 < RECORRECTED_FROM:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
-    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or f.change.parameter is None]
+    leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]
     found = [f if f not in leading else _recorrected(before, base, f) for f in fits]
     return sorted(found, key=lambda f: f.delta_bic)
 
 
-def _recorrected(before: FitResult, base: TrialFit, fit: ChangeFit) -> ChangeFit:
+def _recorrected(before: FitResult, base: TrialFit, trial: TrialFit) -> TrialFit:
     """The fit of a change with the mesh correction of the changed record, fitted on from there.
 
     The fit as it is where the whole record cannot be marched there.
     """
-    trial, part = fit.trial, fit.trial.problem.record_fits[0]
-    names = [n for n in part.names if n not in fit.estimates]
+    change, fit, part = trial.change, trial.whole_fit, trial.problem.record_fits[0]
+    assert change is not None
+    assert fit is not None
+    names = [n for n in part.names if n not in trial.estimates]
     try:
-        record = fit.change.apply(before.problem.record_fits[0].record, fit.value)
-        thin = part.record if not fit.change.in_model else fit.change.apply(part.record, fit.value)
-        error_K, at_s = own_thinning_error(trial, record, thin, names)
+        record = change.apply(before.problem.record_fits[0].record, trial.value)
+        thin = part.record if not change.in_model else change.apply(part.record, trial.value)
+        correction = own_thinning_error(trial, record, thin, names)
     except CANNOT_BE:
-        return fit
-    if fit.change.parameter is not None:
-
-        def own_correction(problem: FitProblem) -> FitProblem:
-            return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
-
-        held_out = base.held_out and own_correction(base.held_out)
-        model = _model(replace(base, problem=own_correction(base.problem), held_out=held_out), fit.change)
-        return _change_fit(model, _maximise([model], [fit.fit.values])[0]) or fit
-    for problem in (trial.problem, *([trial.held_out] if trial.held_out else [])):
-        own = problem.record_fits[0]
-        own.correction_K = error_K[:, np.isin(at_s, own.sample_s)]
+        return trial
+    if change.parameter is not None:
+        model = _model(corrected(base, correction), change)
+        return _change_fit(model, _maximise([model], [fit.values])[0]) or trial
+    trial = corrected(trial, correction)
     again = maximise_together([trial.problem], [trial.fit.values], QUICK)[0]
-    delta = fit.delta_bic - 2.0 * (again.log_likelihood - fit.fit.log_likelihood)
-    return replace(fit, trial=replace(trial, fit=again, delta_bic=delta), fit=again, delta_bic=delta)
+    delta = trial.delta_bic - 2.0 * (again.log_likelihood - trial.fit.log_likelihood)
+    return replace(trial, fit=again, whole_fit=again, delta_bic=delta)
 
 
 def _move_ends(models: list[_ChangedModel], fits: list[Fit], chosen: Sequence[int], searches: int = 1) -> None:
@@ -644,9 +515,9 @@ def _maximise(
     return in_turn(of_some, len(models))
 
 
-def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
-    """The result of a fit, with the model on the changed record as a trial of its own; None where the samples held out
-    cannot be predicted, as where a change leaves none of them: it could not be compared."""
+def _change_fit(model: _ChangedModel, fit: Fit) -> TrialFit | None:
+    """The trial of a fit, with the model on the changed record; None where the samples held out cannot be predicted, as
+    where a change leaves none of them: it could not be compared."""
     change, base, value = model.change, model.base, model.split(fit.values)[1]
     gained = fit.log_likelihood - base.fit.log_likelihood
     delta = float(-2.0 * gained + change.unknowns * np.log(sample_count(base.problem)))
@@ -655,4 +526,4 @@ def _change_fit(model: _ChangedModel, fit: Fit) -> ChangeFit | None:
         trial = model.trial(fit)
     except CANNOT_BE:
         return None
-    return ChangeFit(change, value, sigma, replace(trial, delta_bic=delta), fit, delta)
+    return replace(trial, delta_bic=delta, change=change, value=value, sigma=sigma, whole_fit=fit)

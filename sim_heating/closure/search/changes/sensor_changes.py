@@ -27,7 +27,7 @@ from sim_heating.base.arrays import BoolArray, FloatArray, IntArray
 from sim_heating.base.errors import RunError
 from sim_heating.base.parameters import SENSOR, Parameter
 from sim_heating.closure.clues.residual_heating import ResidualHeating, SensorResidual, residual_heating
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.trial_fit import TrialFit, sample_count
 from sim_heating.estimation.filter.heating_input import MAX_COARSE_KNOTS, interpolation_weights
 from sim_heating.estimation.inference.likelihood import reading_intervals, scores

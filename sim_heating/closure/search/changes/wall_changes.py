@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from sim_heating.base.parameters import LAYER, MODEL, STACK_PREFIX, Parameter
-from sim_heating.closure.search.changes.record_change import RecordChange
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import point_of_record
 from sim_heating.inputs.record import Record

@@ -23,6 +23,7 @@ from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
 from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import (
     FitResult,
     declared_model,
@@ -87,6 +88,10 @@ class TrialFit:
     posterior : its probability among all candidates of its round
     size      : what the readings say of the size of its model's error, responses taken about its own values; None as
                 long as the error is that of the base
+    objections : why it may not be named, empty where it may; known of candidates fitted to convergence
+    change    : of the record, where the problem is over a changed one
+    value, sigma : of the parameter of the change with its standard deviation, in its unit; 0 where it has none
+    whole_fit : of all unknowns, the parameter of the change last
     """
 
     name: str
@@ -98,6 +103,35 @@ class TrialFit:
     score: float = 0.0
     posterior: float = 0.0
     size: ErrorSize | None = None
+    objections: tuple[str, ...] = ()
+    change: RecordChange | None = None
+    value: float = 0.0
+    sigma: float = 0.0
+    whole_fit: Fit | None = None
+
+    @property
+    def admissible(self) -> bool:
+        """Whether it may be named."""
+        return not self.objections
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the value of a change from the neutral one over the sigma that is usual [-]; 0 without one."""
+        parameter = None if self.change is None else self.change.parameter
+        return 0.0 if parameter is None else abs(self.value - parameter.value) / parameter.sigma
+
+    @property
+    def deviations_of_free(self) -> list[float]:
+        """Distance of each model parameter freed with a change from its prior, in standard deviations [-]."""
+        part, values = self.problem.record_fits[0], fitted_values(self)
+        priors = {name: part.model.definition(name) for name in (self.change.free if self.change else ())}
+        return [abs(values[name] - p.value) / p.sigma for name, p in priors.items()]
+
+    @property
+    def estimates(self) -> dict[str, tuple[Parameter, float, float]]:
+        """Parameter of the change, value and standard deviation by its name; none for a change without one."""
+        parameter = None if self.change is None else self.change.parameter
+        return {} if parameter is None else {parameter.name: (parameter, self.value, self.sigma)}
 
     @property
     def log_evidence(self) -> float:
@@ -174,7 +208,8 @@ class TrialFit:
         return rms_normalised_residual(self.held_out_samples) ** 2
 
     def __repr__(self) -> str:
-        return f"<TrialFit of {self.name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
+        name = self.name if self.change is None else self.change.describe(self.value)
+        return f"<TrialFit of {name}: score {self.score:+.1f}, posterior {self.posterior:.3f}>"
 
 
 def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResult:
@@ -378,6 +413,16 @@ def own_thinning_error(
     full = FitProblem([whole], own, trial.problem.reference, options)
     thinned = FitProblem([thin or part.record], own, trial.problem.reference, replace(options, **THINNED_STEPS))
     return thinning_error(full, thinned, fitted_values(trial))
+
+
+def corrected(trial: TrialFit, correction: tuple[FloatArray, FloatArray]) -> TrialFit:
+    """A trial with another mesh correction, as `own_thinning_error` gives it; its fit is as before."""
+    error_K, at_s = correction
+
+    def with_own(problem: FitProblem) -> FitProblem:
+        return problem.with_correction(error_K[:, np.isin(at_s, problem.record_fits[0].sample_s)])
+
+    return replace(trial, problem=with_own(trial.problem), held_out=trial.held_out and with_own(trial.held_out))
 
 
 def problem_with(base: TrialFit, candidate: Candidate) -> FitProblem:
