@@ -83,8 +83,6 @@ FILES = (*REPORT_FILES, NAME, *FIT_FILES)
 """Names of all files that a closed loop may write."""
 SEARCH_FRACTION = 0.8
 """Fraction of the time that the search takes."""
-MOST_BARRED = 5
-"""Models that may not be named, which are listed at most."""
 REFIT = NewtonSettings(min_improvement=1e-3, min_step=0.02, iterations=10, trust_radius=QUICK.trust_radius)
 """Convergence of the last fit: far within its bounds; no step is longer than those of the search."""
 SENSOR_PARAMETERS = {"bias": "bias_K", "gain": "gain", "tau_s": "tau_s", "drift": "drift_K_s"}
@@ -394,14 +392,17 @@ def _resembles(result: SearchResult) -> list[str]:
     return [_in_words(result, name) for name in result.compared.names]
 
 
-def _barred(result: SearchResult) -> list[Barred]:
-    """Models that fit better than the best that may be named, with the reason for which they may not be."""
+def _barred(result: SearchResult, *, most_barred: int = 5) -> list[Barred]:
+    """Models that fit better than the best that may be named, with the reason for which they may not be.
+
+    most_barred : models that may not be named, which are listed at most
+    """
     best, seen = result.compared, dict[tuple[str, ...], Barred]()
     for h in sorted(result.hypotheses, key=lambda h: h.score):
         gain = 0.5 * (best.score - h.score)
         if not h.admissible and np.isfinite(h.score) and gain > 0.0:
             seen.setdefault(h.names, Barred(h.names, "; ".join(h.objections), gain))
-    return list(seen.values())[:MOST_BARRED]
+    return list(seen.values())[:most_barred]
 
 
 def probability_of(result: SearchResult) -> float | None:

@@ -23,14 +23,9 @@ MIN_SAMPLES = 20
 """Samples that a window has at least."""
 BLIND_S = 2.0
 """A step nearer than this to an end of its window is not searched for."""
-MIN_ACCELERATION_G = 1e-4
-"""Smaller accelerations are taken to be noise of the accelerometer."""
 ANGLES = ("alpha_deg", "elevon_deg", "bodyflap_deg")
-MAX_STEPS = 4
 LEAST_STEP = 0.01
 """A smaller step, relative to the coefficient, is no transition: that raises the axial force by 5 % or more."""
-RESOLUTION = 1e-5
-"""Least residual of a coefficient, relative to it: digits of a file are not noise."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +55,20 @@ class AxialStep:
         )
 
 
-def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
-    """The largest steps, more than half a window apart; None where the record has no axial acceleration."""
+def axial_steps(
+    record: Record, *, min_acceleration_g: float = 1e-4, max_steps: int = 4
+) -> tuple[AxialStep, ...] | None:
+    """The largest steps, more than half a window apart; None where the record has no axial acceleration.
+
+    min_acceleration_g : smaller accelerations are taken to be noise of the accelerometer
+    """
     flown = record.conditions
     if COLUMN not in flown:
         return None
     span = record.time_s[record.fit_mask() | record.holdout_mask()]
     t, a = flown.time_s, flown[COLUMN]
     known = (
-        (np.abs(a) > MIN_ACCELERATION_G) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
+        (np.abs(a) > min_acceleration_g) & (t >= np.min(span, initial=np.inf)) & (t <= np.max(span, initial=-np.inf))
     )
     if np.count_nonzero(known) < MIN_SAMPLES:
         return ()
@@ -87,13 +87,18 @@ def axial_steps(record: Record) -> tuple[AxialStep, ...] | None:
             found.append(
                 AxialStep(float(at), size, float(-math.expm1(windows * math.log1p(-min(single, 1.0 - 1e-16)))))
             )
-        if len(found) == MAX_STEPS:
+        if len(found) == max_steps:
             break
     return tuple(found)
 
 
-def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[float, int, float]:
-    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size."""
+def _step(
+    t: FloatArray, C: FloatArray, angles: FloatArray, at: float, *, resolution: float = 1e-5
+) -> tuple[float, int, float]:
+    """F of a step at a time, its degrees of freedom (0 where the window is too short), and its relative size.
+
+    resolution : least residual of a coefficient, relative to it: digits of a file are not noise
+    """
     window = np.abs(t - at) <= HALF_WINDOW_S
     early, late = np.count_nonzero(window & (t < at - BLIND_S)), np.count_nonzero(window & (t > at + BLIND_S))
     if min(early, late) < MIN_SAMPLES // 2:
@@ -110,7 +115,7 @@ def _step(t: FloatArray, C: FloatArray, angles: FloatArray, at: float) -> tuple[
     residual = y - with_step @ fit
     dof = len(y) - with_step.shape[1]
     level = float(np.mean(np.abs(y)))
-    floor = dof * (RESOLUTION * level) ** 2
+    floor = dof * (resolution * level) ** 2
     # The step never worsens the fit but by rounding; then F is 0, and p is 1.
     improvement = max(float(residual_without @ residual_without - residual @ residual), 0.0)
     return improvement / ((float(residual @ residual) + floor) / dof), dof, float(fit[-1]) / level

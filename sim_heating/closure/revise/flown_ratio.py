@@ -10,8 +10,8 @@ and the table's own ratio there is W n. The table is to be this function over th
 
 B e is the error of the fit, of as many dimensions as it has parameters. s is by how much the function of the table may
 differ from the form of the fit: its weighted mean square is tau^2, whatever the number of samples, so that a longer or
-a denser record adds no information. tau is SHAPE of the table's own sigma: small against it, so that the table has the
-form of the fit where it flew, and above 0, so that nothing is taken to be known exactly.
+a denser record adds no information. tau is a small part of the table's own sigma, so that the table has the form of the
+fit where it flew, and above 0, so that nothing is taken to be known exactly.
 
 w_t is the square of dT/dr of a wall near radiation equilibrium, T ~ q^(1/4), at equal ratio: the square root of the
 heat flux. The samples of a turbulent boundary layer inform the turbulent table, those of a laminar one the laminar
@@ -33,8 +33,6 @@ from sim_heating.base.arrays import FloatArray, IntArray
 from sim_heating.heating.ratio.table import RatioTable
 from sim_heating.heating.ratio.uncertainty import Evidence, node_weights
 
-SHAPE = 0.003
-"""tau over the sigma of the table along the path [-]."""
 WORST = 0.02
 """Part of the samples, those that lie farthest from what the nodes give, by which the nodes are judged."""
 NEGLIGIBLE = 1e-9
@@ -145,11 +143,12 @@ FlightMeasurement = FlownRatio | NodeEvidence
 """What a revision took from a flight."""
 
 
-def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray) -> float:
-    """tau [-] of a table along a path: SHAPE times the root mean square of its sigma.
+def shape_sigma(table: RatioTable, x: FloatArray, weight: FloatArray, *, shape_error: float = 0.003) -> float:
+    """tau [-] of a table along a path: `shape_error` times the root mean square of its sigma.
 
     x : (m, 5) conditions, [deg] and [-];  weight : (m,) w [-]
+    shape_error : tau over the sigma of the table along the path [-]
     """
     assert table.sigma is not None  # checked by the caller
     sigma = node_weights(table.axes, x) @ table.sigma.ravel()
-    return SHAPE * float(np.sqrt(np.average(sigma**2, weights=weight)))
+    return shape_error * float(np.sqrt(np.average(sigma**2, weights=weight)))

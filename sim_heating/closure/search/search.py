@@ -69,16 +69,6 @@ from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
 
-PAIR_SHARE, MOST_PAIRS, STARTS_OF_PAIR = 0.3, 24, 1
-"""Of the most that a further effect promises, on top of any first one: the share that another has to promise to be
-fitted, how many are, and how many starts of a form."""
-RECORRECTED = 4
-"""Hypotheses that get a mesh correction of their own."""
-CHANGE_SHARES, SHARES_BESIDE_ADEQUATE = (0.5, 0.25), (0.8, 0.6)
-"""Parts of the best gain in log likelihood that a change of the record has to predict to be fitted: one without ends,
-and one whose ends can be moved, which gains more by that; the second two where an effect explains the record to its
-noise."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
@@ -218,10 +208,16 @@ def _changes(
     discrepancies: Sequence[Discrepancy],
     explained: Collection[str],
     progress: Progress,
+    *,
+    change_shares: tuple[float, float] = (0.5, 0.25),
+    shares_beside_adequate: tuple[float, float] = (0.8, 0.6),
 ) -> list[Hypothesis]:
     """Hypotheses that the record's flight, wall or sensors are other than declared.
 
     explained : names of the effects that explain the record to its noise already: it needs no further forms of these
+    change_shares, shares_beside_adequate : parts of the best gain in log likelihood that a change of the record has to
+        predict to be fitted: one without ends, and one whose ends can be moved, which gains more by that; the second
+        two where an effect explains the record to its noise
     """
     progress(0.45, "changes of the flight, the wall and the sensors")
     record = base.problem.record_fits[0].record
@@ -235,7 +231,7 @@ def _changes(
         and not (c.free and (c.effect in explained or any(is_fitted(base, name) for name in c.free)))
     ]  # fmt: skip
     best = max((t.fit.log_likelihood - base.fit.log_likelihood for t in singles), default=0.0)
-    share, near_share = SHARES_BESIDE_ADEQUATE if explained else CHANGE_SHARES
+    share, near_share = shares_beside_adequate if explained else change_shares
     fits = with_own_corrections(
         before, base, fit_changes(base, changes, best, share=share, near_share=near_share, most=EFFORT.compared)
     )
@@ -280,11 +276,19 @@ def _refined(base: TrialFit, found: SearchRound, progress: Progress) -> list[Tri
 
 
 def _with_one_more(
-    stacks: Sequence[Sequence[TrialFit]], forms: Mapping[str, int], progress: Progress
+    stacks: Sequence[Sequence[TrialFit]],
+    forms: Mapping[str, int],
+    progress: Progress,
+    *,
+    pair_share: float = 0.3,
+    most_pairs: int = 24,
+    starts_of_pair: int = 1,
 ) -> tuple[list[SearchRound], list[Hypothesis]]:
     """A round on top of each of several stacks of effects, all side by side, and hypotheses with one effect more.
 
     stacks : effects, each fitted on top of those before
+    pair_share, most_pairs, starts_of_pair : of the most that a further effect promises, on top of any first one: the
+        share that another has to promise to be fitted, how many are, and how many starts of a form
     """
     progress(0.0, "screening candidates")
     bases = [stack[-1] for stack in stacks]
@@ -295,13 +299,13 @@ def _with_one_more(
         for i, (_, gains) in enumerate(screened)
         for k, gain in enumerate(gains)
     ]
-    least = PAIR_SHARE * max((r for r, _, _ in reached), default=0.0)
+    least = pair_share * max((r for r, _, _ in reached), default=0.0)
     chosen: list[tuple[float, int, int]] = []
     for total, i, k in sorted(reached, reverse=True):
-        if total < least or len(chosen) == MOST_PAIRS:
+        if total < least or len(chosen) == most_pairs:
             break
         form = screened[i][0][k].form
-        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < STARTS_OF_PAIR:
+        if sum(j == i and screened[j][0][m].form == form for _, j, m in chosen) < starts_of_pair:
             chosen.append((total, i, k))
     progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
@@ -447,16 +451,17 @@ def _explaining_most(none: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypo
 
 
 def _recorrected(
-    none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int]
+    none: Hypothesis, found: Sequence[Hypothesis], whole: Record, forms: Mapping[str, int], *, most: int = 4
 ) -> list[Hypothesis]:
-    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess."""
+    """The leading hypotheses with the mesh correction at their own values, where they explain most of the excess.
+
+    most : hypotheses that get a mesh correction of their own
+    """
     leading: dict[frozenset[str], Hypothesis] = {}
     for h in _explaining_most(none, found):
         if not h.adequate:
             leading.setdefault(frozenset(h.names), h)
-    return [
-        hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:RECORRECTED]
-    ]
+    return [hypothesis([*h.trials[:-1], recorrected(h.last, whole)], forms) for h in list(leading.values())[:most]]
 
 
 def _free_forms(

@@ -44,18 +44,8 @@ IN_WORDS = {
     "alpha_deg": "a push-over pull-up of 5 deg", "beta_deg": "a sideslip doublet of 2 deg",
     "elevon_deg": "an elevon pulse of 5 deg", "bodyflap_deg": "a body-flap pulse of 5 deg",
 }  # fmt: skip
-PLACES = (0.2, 0.5, 0.8)
-"""Where a manoeuvre begins, as parts of the time that is read."""
-STEP = 0.1
-"""Step in a change without exact derivative, over the usual standard deviation of its parameter."""
 MOST_ODDS = 1000.0
 """Odds above which a number says no more."""
-FINER_BITS, MORE_OFTEN = 12, 5
-"""Bits of finer recorder words, and readings in place of one."""
-WORTH_IT = math.log(2.0)
-"""Log odds by which an experiment has to exceed those of the same flight again."""
-MOST_NAMED = 2
-"""Experiments that are named."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +94,12 @@ class _Predicted:
 
 
 def tell_apart(
-    none: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], most: int = MOST_NAMED
+    none: Hypothesis,
+    best: Hypothesis,
+    rivals: Sequence[Hypothesis],
+    most: int = 2,
+    *,
+    least_log_odds: float = math.log(2.0),
 ) -> list[Experiment]:
     """The experiments that are expected to tell the likeliest cause from its rivals best, with their odds.
 
@@ -113,6 +108,8 @@ def tell_apart(
     most    : how many are returned
     returns : the best first, those that do little more than the same flight again left out; none
               where a cause is a change of the readings
+
+    least_log_odds : log odds by which an experiment has to exceed those of the same flight again
     """
     models = [best, *rivals[: EFFORT.rivals]]
     part = none.last.problem.record_fits[0]
@@ -136,7 +133,7 @@ def tell_apart(
             kinds[flight.kind] = found
     again = kinds.pop(REPEATED, Experiment(REPEATED, 0.0))
     # What hardly does more than the same flight again is not worth its cost.
-    better = [e for e in kinds.values() if e.log_odds > again.log_odds + WORTH_IT]
+    better = [e for e in kinds.values() if e.log_odds > again.log_odds + least_log_odds]
     return [*sorted(better, key=lambda e: -e.log_odds), again][:most]
 
 
@@ -170,16 +167,19 @@ def _flights(record: Record, *, recorders: bool) -> Iterator[_Flight]:
     yield from _manoeuvres(record)
 
 
-def _recorders(record: Record) -> Iterator[_Flight]:
-    """The readings in finer words, and more often."""
+def _recorders(record: Record, *, finer_bits: int = 12, more_often: int = 5) -> Iterator[_Flight]:
+    """The readings in finer words, and more often.
+
+    finer_bits, more_often : bits of finer recorder words, and readings in place of one
+    """
     finer = [
-        s.model_copy(update={"bits": FINER_BITS}) if s.bits is not None and s.bits < FINER_BITS else s
+        s.model_copy(update={"bits": finer_bits}) if s.bits is not None and s.bits < finer_bits else s
         for s in record.sensors
     ]
     if finer != list(record.sensors):
-        yield _Flight(f"recorder words of {FINER_BITS} bits", "words", record.with_sensors(finer))
+        yield _Flight(f"recorder words of {finer_bits} bits", "words", record.with_sensors(finer))
     t = record.time_s
-    between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(MORE_OFTEN) / MORE_OFTEN).ravel()
+    between = (t[:-1, np.newaxis] + np.diff(t)[:, np.newaxis] * np.arange(more_often) / more_often).ravel()
     often = np.append(between, t[-1])
     columns = {n: np.interp(often, t, column) for n, column in record.thermocouples.items() if n != "time_s"}
     interval = float(np.median(np.diff(often)))
@@ -187,13 +187,16 @@ def _recorders(record: Record) -> Iterator[_Flight]:
     yield _Flight(f"readings every {interval:.2g} s", "rate", changed)
 
 
-def _manoeuvres(record: Record) -> Iterator[_Flight]:
-    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state."""
+def _manoeuvres(record: Record, *, begins: tuple[float, float, float] = (0.2, 0.5, 0.8)) -> Iterator[_Flight]:
+    """One manoeuvre more at each of some times; none where nothing flows, or in what the flight does not state.
+
+    begins : where a manoeuvre begins, as parts of the time that is read
+    """
     flown, read = record.conditions, record.time_s[record.fit_mask() | record.holdout_mask()]
     begin, end = max(float(read[0]), flown.time_s[0]), min(float(read[-1]), flown.time_s[-1])
     if not record.has_flow or end - begin < 3.0 * max(PERIOD_S.values()):
         return
-    starts = [begin + place * (end - begin) for place in PLACES]
+    starts = [begin + place * (end - begin) for place in begins]
     # One grid for all, so that all are marched side by side.
     fine = [t + s for t in starts for s in np.arange(0.0, max(PERIOD_S.values()) + 1.0)]
     flown = flown.at(np.union1d(flown.time_s, np.clip(fine, flown.time_s[0], flown.time_s[-1])))
@@ -250,13 +253,15 @@ def _marches(base: TrialFit, model: Hypothesis, record: Record) -> list[tuple[Fi
         return []
 
 
-def _step(model: Hypothesis) -> float:
+def _step(model: Hypothesis, *, step: float = 0.1) -> float:
     """Step in a change whose value is an unknown without exact derivative; 0 for any other model.
 
     The value of a change that an effect was added to stays as it was found.
+
+    step : step in a change without exact derivative, over the usual standard deviation of its parameter
     """
     change = None if model.added else model.change
-    return 0.0 if change is None or change.in_model or change.parameter is None else STEP * change.parameter.sigma
+    return 0.0 if change is None or change.in_model or change.parameter is None else step * change.parameter.sigma
 
 
 def _changed(model: Hypothesis, record: Record, value: float) -> Record:

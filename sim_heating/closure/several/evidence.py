@@ -15,9 +15,6 @@ from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.joint_fit import FEW_STEPS, JointHypothesis, JointModel, fit_models, joint_model
 from sim_heating.closure.verdict.policy import POLICY
 
-PINNED = 1e-6
-"""Standard deviation of a value that is given, over the value."""
-
 
 @dataclass(frozen=True)
 class Evidence:
@@ -95,11 +92,14 @@ def _values(h: JointHypothesis) -> dict[str, float]:
     return {u.parameter.name: float(v) for u, v in pairs if u.parameter.name in h.model.cause.candidate.names}
 
 
-def _pinned(model: JointModel, values: Mapping[str, float]) -> JointModel:
-    """The model with those parameters of its cause at given values that records may have in common."""
+def _pinned(model: JointModel, values: Mapping[str, float], *, pinned_sigma: float = 1e-6) -> JointModel:
+    """The model with those parameters of its cause at given values that records may have in common.
+
+    pinned_sigma : standard deviation of a value that is given, over the value
+    """
     pinned = [n for n, level in model.cause.widest.items() if level != RECORD]
     model.problem.unknowns = [
-        replace(u, parameter=replace(p, value=values[p.name], sigma=PINNED * (abs(values[p.name]) or 1.0)))
+        replace(u, parameter=replace(p, value=values[p.name], sigma=pinned_sigma * (abs(values[p.name]) or 1.0)))
         if (p := u.parameter).name in pinned
         else u
         for u in model.problem.unknowns

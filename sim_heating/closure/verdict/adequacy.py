@@ -27,8 +27,8 @@ from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.likelihood import likelihood
 from sim_heating.estimation.record_fit import PredictedSamples
 
-PARTS, FEWEST = 8, 12
-"""Consecutive parts of a record that are judged by themselves, and the least number of samples of one."""
+FEWEST = 12
+"""Least number of samples of a part that is judged by itself."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,13 @@ def _joined(several: Sequence[_Scores]) -> _Scores:
     return _Scores(time_s[order], square[order], information[order])
 
 
-def _parts(everything: _Scores) -> dict[str, _Scores]:
-    """Consecutive parts with as many samples each, by their times."""
+def _parts(everything: _Scores, *, part_count: int = 8) -> dict[str, _Scores]:
+    """Consecutive parts with as many samples each, by their times.
+
+    part_count : consecutive parts of a record that are judged by themselves
+    """
     found = {}
-    for index in np.array_split(np.arange(len(everything.time_s)), PARTS):
+    for index in np.array_split(np.arange(len(everything.time_s)), part_count):
         if len(index) >= FEWEST:
             part = everything.select(index)
             found[f"{part.time_s[0]:.0f} to {part.time_s[-1]:.0f} s"] = part

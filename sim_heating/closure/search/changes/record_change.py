@@ -48,19 +48,12 @@ from sim_heating.inputs.record import Record
 
 DIFFERENCE = 0.1
 """Step h of the sensitivity to a change, over the usual standard deviation of its parameter."""
-FIRST_STEPS = replace(QUICK, iterations=5)
-"""Settings of the first stage, after which changes that stay far behind are not fitted on."""
 NEARLY = 0.95
 """Part of the best gain from which on the ends of a change are searched further, each time with a fit."""
 ENDS_MOVED = (0.5, 0.5, 0.25, 0.25, 0.12, 0.12, 0.06, 0.06)
 """Parts of the span of a change by which its ends are moved, one after the other, each time to where it gains most."""
 ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
 """The same, further on, where the change leads: some seconds of a large error are far above the noise."""
-GROSS_EXCESS = 10.0
-"""Excess chi-square from which on the estimates of a model may be distorted by a wrong sensor."""
-RECORRECTED_FROM = 1.0
-"""Excess chi-square of the declared model from which on the leading changes have the mesh correction of their own
-record; those with a parameter where they gain nearly as much as the best."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
 NO_EFFECT = Candidate("none", (), (), {}, (), ())
@@ -310,8 +303,13 @@ def predicted_change_gains(base: TrialFit, changes: Sequence[RecordChange]) -> l
     return [(gain, model.split(vector)[1]) for gain, model, vector in _best_starts(base, changes)]
 
 
-def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[float, _ChangedModel, FloatArray]]:
-    """Predicted gain, model and vector to start from of each change."""
+def _best_starts(
+    base: TrialFit, changes: Sequence[RecordChange], *, gross_excess: float = 10.0
+) -> list[tuple[float, _ChangedModel, FloatArray]]:
+    """Predicted gain, model and vector to start from of each change.
+
+    gross_excess : excess chi-square from which on the estimates of a model may be distorted by a wrong sensor
+    """
     starts = [(k, v) for k, c in enumerate(changes) for v in dict.fromkeys((c.neutral, *c.starts))]
     # one march as declared for all changes with the same free parameters
     freed = {free: _with_free(base, free) for free in {c.free for c in changes}}
@@ -320,7 +318,7 @@ def _best_starts(base: TrialFit, changes: Sequence[RecordChange]) -> list[tuple[
     predicted = _predicted(models, vectors)
     # A swap distorts the estimates: where the declared values are likelier with the change, it starts from these.
     gross = [
-        i for i, m in enumerate(models) if base.excess_chi2 > GROSS_EXCESS and m.change.kind == "sensor" and not m.exact
+        i for i, m in enumerate(models) if base.excess_chi2 > gross_excess and m.change.kind == "sensor" and not m.exact
     ]
     others = [models[i].start(starts[i][1], declared=True) for i in gross]
     for i, vector, own in zip(gross, others, _predicted([models[i] for i in gross], others), strict=True):
@@ -375,7 +373,7 @@ def fit_changes(
     leading = sorted((gain for gain, model, _ in best.values() if model.change.near is None), reverse=True)[:most]
     best = {form: b for form, b in best.items() if b[1].change.near is not None or b[0] in leading}
     models = [model for _, model, _ in best.values()]
-    fits = _maximise(models, [start for _, _, start in best.values()], FIRST_STEPS)
+    fits = _maximise(models, [start for _, _, start in best.values()], replace(QUICK, iterations=5))
     gains = gains_over(fits, base.fit.log_likelihood)
     reached = max([best_gain, *gains])
     # Predictions are linear and promise too much: after some steps those that stay far behind are not fitted on.
@@ -395,15 +393,20 @@ def fit_changes(
     return sorted((f for f in found if f is not None), key=lambda f: f.delta_bic)
 
 
-def with_own_corrections(before: FitResult, base: TrialFit, fits: Sequence[TrialFit]) -> list[TrialFit]:
+def with_own_corrections(
+    before: FitResult, base: TrialFit, fits: Sequence[TrialFit], *, min_excess: float = 1.0
+) -> list[TrialFit]:
     """Fits of changes, the leading ones with the mesh correction of their own record.
 
     before  : the declared model fitted to the whole record;  base : the same for the search, which `fits` started from
     returns : the lowest BIC first; as given where the declared model is near the record
 
     The correction at the declared model is of another wall, or at estimates that a wrong sensor distorts.
+
+    min_excess : excess chi-square of the declared model from which on the leading changes have the mesh correction of
+        their own record; those with a parameter where they gain nearly as much as the best
     """
-    if base.excess_chi2 < RECORRECTED_FROM:
+    if base.excess_chi2 < min_excess:
         return list(fits)
     best = min((f.delta_bic for f in fits), default=0.0)
     leading = [f for f in fits[: EFFORT.rivals] if f.delta_bic < NEARLY * best or not f.estimates]

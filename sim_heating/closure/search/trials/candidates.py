@@ -26,13 +26,8 @@ SENSOR_EFFECT, LAG_EFFECT = "sensor-bias", "sensor-lag"
 """Names in a closure report of a wrong bias or gain of a thermocouple, and of a lag of one or of all of them."""
 BIASES, LAGS = (("bias",), ("gain",), ("bias", "gain")), (("tau_s",),)
 """Parameters of a sensor that are estimated together."""
-LAG_STARTS_S, LAG_SIGMA_S = (5.0, 20.0), 5.0
-"""Time constants that a lag is searched from besides the declared one [s], and the prior that keeps a step within
-reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from linear in it."""
 ONSET_NAME = "log10_re_onset"
 """Parameter that the search for a declared transition is started from several values of."""
-CONSTANT = 1e-3
-"""Standard deviation below which a flight condition other than the ratio variables counts as constant, in its unit."""
 
 
 class Form(NamedTuple):
@@ -164,9 +159,13 @@ def with_criterion(used: EffectUse, flown: Conditions) -> Conditions:
     return flown.with_columns(log10_re=flown["log10_re_theta_m"]) if by_re_theta else flown
 
 
-def _varies(variable: str, flown: Conditions) -> bool:
-    """Whether a column of the conditions exists and varies over the fitted samples."""
-    return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, CONSTANT))
+def _varies(variable: str, flown: Conditions, *, constant: float = 1e-3) -> bool:
+    """Whether a column of the conditions exists and varies over the fitted samples.
+
+    constant : standard deviation below which a flight condition other than the ratio variables counts as constant, in
+        its unit
+    """
+    return variable in flown and bool(np.std(flown[variable]) > CONSTANT_BELOW.get(variable, constant))
 
 
 def _effect_candidates(effect: Effect, record: Record, flown: Conditions) -> list[Candidate]:
@@ -233,8 +232,15 @@ def _sensor_candidates(record: Record, effect: str, forms: Sequence[tuple[str, .
     return found
 
 
-def _lag_candidates(lag: Parameter) -> list[Candidate]:
-    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value."""
-    names, priors = (lag.name,), {lag.name: replace(lag, sigma=LAG_SIGMA_S)}
-    starts = (lag.value, *(start for start in LAG_STARTS_S if start > lag.value))
+def _lag_candidates(
+    lag: Parameter, *, lag_sigma_s: float = 5.0, lag_starts_s: tuple[float, float] = (5.0, 20.0)
+) -> list[Candidate]:
+    """An unknown lag, from the declared one and from others; lag : its parameter, with the declared value.
+
+    lag_starts_s : time constants that a lag is searched from besides the declared one [s], and the prior that keeps a
+        step within reason: a badly attached junction may lag by tens of seconds, and what a lag changes is far from
+        linear in it
+    """
+    names, priors = (lag.name,), {lag.name: replace(lag, sigma=lag_sigma_s)}
+    starts = (lag.value, *(start for start in lag_starts_s if start > lag.value))
     return [Candidate(LAG_EFFECT, (), names, {lag.name: start}, names, names, priors) for start in starts]

@@ -34,13 +34,6 @@ from sim_heating.heating.effects.compiled import EffectAlong
 from sim_heating.heating.ratio.uncertainty import basis, declared_ratio
 from sim_heating.march.ensemble import condition_history
 
-MODEL_ERROR = 0.03
-"""Error of a smoothed history where heating jumps, over the heating itself [-]."""
-SOLVED = 4
-"""Starts of a form from which the least-squares problem is solved."""
-EVALUATIONS = 60
-STEP = 2.0**-26
-"""Step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding."""
 FITTED = ("ratio.scale", *(f"ratio.d_{name}" for name in ("alpha", "beta", "logre", "elevon", "bodyflap")))
 """Magnitude and first derivatives, which are adjusted to the history."""
 
@@ -69,11 +62,12 @@ class HeatingHistory:
         return EffectAlong(used, self.rows, self.wall_K)
 
 
-def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None:
+def heating_history(base: TrialFit, neutral: Candidate, *, smoothing_error: float = 0.03) -> HeatingHistory | None:
     """The heating history of a record, as a model with one effect at its neutral values sees it.
 
     base    : the declared model;  neutral : a candidate that has no effect at its start
     returns : None where the model cannot be marched, has no tabulated heating, or none that is fitted
+    smoothing_error : error of a smoothed history where heating jumps, over the heating itself [-]
     """
     parameters = tuple(p for p in base.problem.parameters if p.name in FITTED)
     if not parameters:
@@ -94,7 +88,7 @@ def heating_history(base: TrialFit, neutral: Candidate) -> HeatingHistory | None
     y = tabulated + found.delta_ratio[inside]
     if len(t) == 0 or not np.all(np.isfinite(y)):
         return None
-    sigma = np.hypot(found.sigma[inside], MODEL_ERROR * np.abs(y))
+    sigma = np.hypot(found.sigma[inside], smoothing_error * np.abs(y))
     wall = np.interp(t, found.march_s, found.input.temperature_K[:, 0])
     columns = basis([p.name for p in parameters], x, np.array(base.problem.reference), tabulated)
     return HeatingHistory(y, sigma, tabulated, columns, condition_history(flown), wall, parameters)
@@ -140,10 +134,15 @@ def _is_suitable(c: Candidate) -> bool:
     )
 
 
-def _best_starts(history: HeatingHistory, several: Sequence[Candidate]) -> list[tuple[int, dict[str, float]]]:
-    """Of the candidates of one form those, by index, that fit the history best, with the starts that do."""
+def _best_starts(
+    history: HeatingHistory, several: Sequence[Candidate], *, most_solved: int = 4
+) -> list[tuple[int, dict[str, float]]]:
+    """Of the candidates of one form those, by index, that fit the history best, with the starts that do.
+
+    most_solved : starts of a form from which the least-squares problem is solved
+    """
     misfits = [_linear_misfit(history, c) for c in several]
-    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:SOLVED]
+    linear = sorted(range(len(several)), key=lambda k: misfits[k])[:most_solved]
     solved = sorted(((*_solved(history, several[k]), k) for k in linear), key=lambda s: s[0])
     kept: list[tuple[int, dict[str, float]]] = []
     for _, start, k in solved:
@@ -173,8 +172,13 @@ def _linear_misfit(history: HeatingHistory, c: Candidate) -> float:
     return float(np.sum((right - system @ step) ** 2))
 
 
-def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, float]]:
-    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start."""
+def _solved(
+    history: HeatingHistory, c: Candidate, *, evaluations: int = 60, step: float = 2.0**-26
+) -> tuple[float, dict[str, float]]:
+    """Misfit and values of the parameters at the solution of the least-squares problem from a candidate's start.
+
+    step : step of a difference against a parameter of an effect, over its sigma or its value [-]: root of the rounding
+    """
     used = c.uses[0]
     definitions = {f"{EFFECT_PREFIX}{used.effect.name}.{p.name}": p for p in used.definitions}
     free = [definitions[n] for n in c.names]
@@ -199,7 +203,7 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, flo
 
     def jacobian(z: FloatArray) -> FloatArray:
         """Forward differences, to the other side at a bound, all in one call of the compiled effect."""
-        h = np.where(z >= 0.0, STEP, -STEP) * np.maximum(np.abs(z), 1.0)
+        h = np.where(z >= 0.0, step, -step) * np.maximum(np.abs(z), 1.0)
         h = np.where((z + h < lower) | (z + h > upper), -h, h)
         moved = np.vstack([z, z + np.diag(h)])
         found = residuals(moved)
@@ -219,7 +223,7 @@ def _solved(history: HeatingHistory, c: Candidate) -> tuple[float, dict[str, flo
         jacobian,
         bounds=(lower, upper),
         x_scale=1.0,
-        max_nfev=EVALUATIONS,
+        max_nfev=evaluations,
     )
     at = dict(zip([*(p.name for p in history.parameters), *c.names], map(float, done.x * unit), strict=True))
     return float(2.0 * done.cost), at

@@ -33,8 +33,6 @@ from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.record_fit import PredictedSamples
 from sim_heating.estimation.side_by_side import JointMarch, maximise_together
 
-TIE = 1e-6
-"""Weight of the gain that a start has made already where several promise the same."""
 # A hundred starts screened by their sensitivities cost about as much as one fit; most of the time goes into the fits
 # that follow, hence their stages.
 STAGES = (
@@ -42,8 +40,6 @@ STAGES = (
     (0.8, QUICK),
 )  # fmt: skip
 """Part of the best gain that a candidate has to have reached to enter the stage, and the settings of the stage."""
-PREDICTED_SHARE = 0.8
-"""A candidate also enters the second stage with a gain, predicted at its start, of this part of the best."""
 STEPS_AHEAD = 3.0
 """A candidate also goes on where this many steps like its next one would make it the best; one in the last stage."""
 
@@ -87,13 +83,15 @@ def _predicted_gains(base: TrialFit, candidates: Sequence[Candidate], known: Flo
     return gains
 
 
-def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
+def gains_from(base: TrialFit, candidates: Sequence[Candidate], *, tie: float = 1e-6) -> list[float]:
     """Gain in log likelihood that one Gauss-Newton step predicts from starts where candidates have an effect already.
 
     returns : minus infinity where the model cannot be marched there
 
     The gain that the start has made already counts, where it is more; of starts that promise the same, those that have
     gained most come first.
+
+    tie : weight of the gain that a start has made already where several promise the same
     """
     problems = [problem_with(base, c) for c in candidates]
     firsts = [start_values(p, {**fitted_values(base), **c.start}) for p, c in zip(problems, candidates, strict=True)]
@@ -105,7 +103,7 @@ def gains_from(base: TrialFit, candidates: Sequence[Candidate]) -> list[float]:
         found = problem.evaluate(first)
         gained = found.log_likelihood - base.fit.log_likelihood
         promised = gained + gain_of_step(problem.parameters, first, found)
-        gains.append(max(gained, min(promised, limit)) + TIE * gained)
+        gains.append(max(gained, min(promised, limit)) + tie * gained)
     return gains
 
 
@@ -208,6 +206,8 @@ def fit_in_stages(
     base: float,
     predicted: Sequence[float],
     names: Sequence[str] = (),
+    *,
+    min_predicted: float = 0.8,
 ) -> list[Fit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
 
@@ -215,6 +215,8 @@ def fit_in_stages(
     base      : log likelihood of the model without them
     predicted : gain in log likelihood of each, predicted at its start
     names     : of their effects; the best fit of an effect goes on with half the gain of the best of all
+    min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
+        best
     """
     fits = maximise_together(problems, firsts, STAGES[0][1])
     history = [gains_over(fits, base)]
@@ -225,7 +227,7 @@ def fit_in_stages(
         if stage == 1:
             # Patience at first: on a curved ridge between the size of an effect and the magnitude of the table the
             # first steps gain little.
-            goes_on |= (np.array(predicted) >= PREDICTED_SHARE * best) | (gains + STEPS_AHEAD * next_step >= best)
+            goes_on |= (np.array(predicted) >= min_predicted * best) | (gains + STEPS_AHEAD * next_step >= best)
             for name in set(names):
                 own = [k for k, n in enumerate(names) if n == name]
                 leads = max(own, key=lambda k: gains[k])

@@ -15,8 +15,6 @@ from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.inference.model_error import ModelError
 
-PHASES = 8
-"""Consecutive parts of a record whose error is compared."""
 TIME_SHIFT = "time_shift_s"
 
 
@@ -70,8 +68,11 @@ def flight_in_words(flight: Mapping[str, tuple[float, float] | None]) -> str:
     return ", ".join(f"{n} {p[0]:.2g} +- {p[1]:.1g}" for n, p in flight.items() if p is not None)
 
 
-def told_error(trial: TrialFit) -> ToldError | None:
-    """The error of a trial's model; None for a model without one."""
+def told_error(trial: TrialFit, *, phase_count: int = 8) -> ToldError | None:
+    """The error of a trial's model; None for a model without one.
+
+    phase_count : consecutive parts of a record whose error is compared
+    """
     part, size = trial.problem.record_fits[0], trial.size
     error, G = part.model_error, part.error_root_K
     if error is None or size is None or G is None:
@@ -80,7 +81,7 @@ def told_error(trial: TrialFit) -> ToldError | None:
     moved_K = G[:, : len(error.time_s)] @ u[: len(error.time_s)]
     at_s = np.concatenate([part.sample_s[c.samples] for c in part.channels])
     order = np.argsort(at_s, kind="stable")
-    phases = [index for index in np.array_split(order, PHASES) if len(index)]
+    phases = [index for index in np.array_split(order, phase_count) if len(index)]
     largest = max(phases, key=lambda index: float(np.mean(moved_K[index] ** 2)))
     return ToldError(
         size.mean, size.limit(), size.likeliest[1], float(np.sqrt(np.mean(moved_K**2))),

@@ -60,11 +60,6 @@ WIDENED = 3.0
 of the declared table, which are part of the model."""
 OF_TABLE = tuple(p.name for p in RATIO)
 """Magnitude and derivatives: parameters that a declared table has a prior for."""
-CHI2_ROUNDS, CHI2_CHANGE = 3, 1.2
-"""Most fits of the base with the reduced chi-square of the one before, and the factor by which it has to grow for
-another."""
-NODE_FRACTION, MIN_NODES = 1.0 / 3.0, 14
-"""Nodes of the search over those of a fit, and their least number."""
 QUICK = NewtonSettings(
     min_improvement=0.05,
     min_step=0.2,
@@ -231,7 +226,14 @@ def declared_fit(record: Record, names: Sequence[str] | None = None) -> FitResul
     return replace(fit, not_estimated=fit.not_estimated | excluded)
 
 
-def base_trial(before: FitResult) -> TrialFit:
+def base_trial(
+    before: FitResult,
+    *,
+    chi2_rounds: int = 3,
+    chi2_change: float = 1.2,
+    node_fraction: float = 1.0 / 3.0,
+    min_nodes: int = 14,
+) -> TrialFit:
     """The declared model with its magnitude and derivatives, and a clock that may be slightly off.
 
     Magnitude and derivatives have the prior of the declared table, as wide as it is. The base has the largest
@@ -241,6 +243,12 @@ def base_trial(before: FitResult) -> TrialFit:
     with c its own reduced chi-square, at least 1: where something is missing, every reading counts as less than it
     would with noise alone, and the table keeps its say. With c = 1, a missing transition turns the magnitude and
     derivatives of a table into ones that no table has, from where no candidate finds its way.
+
+    chi2_rounds, chi2_change : most fits of the base with the reduced chi-square of the one before, and the factor by
+        which it has to grow for another
+
+    node_fraction : nodes of the search over those of a fit
+    min_nodes : least number of nodes of the search
     """
     whole = before.problem.record_fits[0]
     prior = table_prior(whole.record, whole.names, before.problem.reference)
@@ -252,7 +260,7 @@ def base_trial(before: FitResult) -> TrialFit:
     }
     fitted, held_out = whole.record.fit_mask(), whole.record.holdout_mask()
     # A third of the nodes, and as few conditions as are linear to tolerance: only the last fit is on the whole record.
-    thin = thin_record(whole.record, max(int(NODE_FRACTION * whole.mesh.nodes), MIN_NODES))
+    thin = thin_record(whole.record, max(int(node_fraction * whole.mesh.nodes), min_nodes))
     full = _declared_problem(before, whole.record, priors, fitted | held_out)
     thinned = _declared_problem(before, thin, priors, fitted | held_out, **THINNED_STEPS)
     error_K, at_s = thinning_error(full, thinned, start)
@@ -274,9 +282,9 @@ def base_trial(before: FitResult) -> TrialFit:
     except InputError:  # nothing was measured there
         held_out_problem = None
     fit, c = maximise_together([problem], [start_values(problem, start)], QUICK)[0], 1.0
-    for _ in range(CHI2_ROUNDS if priors else 0):
+    for _ in range(chi2_rounds if priors else 0):
         before_c, c = c, max(1.0, rms_normalised_residual(problem.innovations(fit.values)) ** 2)
-        if c < CHI2_CHANGE * before_c:
+        if c < chi2_change * before_c:
             break
         weighed = problem_over(fitted, c)
         at = declared if before_c == 1.0 else dict(zip(fit.names, fit.values, strict=True))
@@ -527,8 +535,6 @@ TOLERANCES = {
     "alpha_deg": 0.1, "beta_deg": 0.1, "log10_re": 0.01, "elevon_deg": 0.2, "bodyflap_deg": 0.2, "jets": 0.02,
 }  # fmt: skip
 """Largest distance of an omitted sample from the line between its kept neighbours, in its own unit."""
-HEATING_TOLERANCE = 0.002
-"""The same for the heating of a cold wall, over the largest of the flight."""
 
 
 def thin_record(record: Record, nodes: int) -> Record:
@@ -542,14 +548,18 @@ def thin_record(record: Record, nodes: int) -> Record:
     return replace(record, declared=declared, conditions=record.conditions.at(flown.time_s[thinned_indices(flown)]))
 
 
-def thinned_indices(flown: Conditions) -> NDArray[np.int64]:
-    """(kept,) indices of the samples that are kept, first and last included."""
+def thinned_indices(flown: Conditions, *, heating_tolerance: float = 0.002) -> NDArray[np.int64]:
+    """(kept,) indices of the samples that are kept, first and last included.
+
+    heating_tolerance : the largest distance that an omitted sample's heating of a cold wall has from that line, over
+        the largest heating of the flight
+    """
     t = flown.time_s
     heating = flown["h_ref_kg_m2_s"] * flown["H_r_J_kg"]
     if "q_add_W_m2" in flown:
         heating = heating + flown["q_add_W_m2"]
     largest = float(np.max(np.abs(heating)))
-    columns = [heating / (HEATING_TOLERANCE * largest)] if largest > 0.0 else []
+    columns = [heating / (heating_tolerance * largest)] if largest > 0.0 else []
     columns += [flown[name] / tolerance for name, tolerance in TOLERANCES.items() if name in flown]
     x = np.column_stack(columns)
     kept = [0]
