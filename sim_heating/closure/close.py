@@ -36,6 +36,7 @@ from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.prior.table import table_prior
 from sim_heating.closure.report import FILES as REPORT_FILES
 from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
+from sim_heating.closure.result import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
@@ -53,7 +54,6 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
     sample_count,
 )
-from sim_heating.closure.statement import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.verdict.calibration import Stated, false_alarm_statement, probability
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit

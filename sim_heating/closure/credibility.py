@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sim_heating.closure.statement import ParameterEstimate, Statement
+from sim_heating.closure.result import ParameterEstimate, Statement
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.facts.of_records import held_out, of_several, ratio_uncertainty
 from sim_heating.credibility.statement import Answer, assess

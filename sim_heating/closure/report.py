@@ -39,7 +39,7 @@ from sim_heating.closure.plots import (
     ranking_figure,
     variables_figure,
 )
-from sim_heating.closure.statement import FOUND, NONE, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
+from sim_heating.closure.result import FOUND, NONE, ONE_OF, PARTLY, UNKNOWN, ParameterEstimate, Statement, finite
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility

@@ -13,11 +13,11 @@ from sim_heating.base.files import read_json
 from sim_heating.closure.close import ClosedLoop, close_loop
 from sim_heating.closure.curves import curve_trials
 from sim_heating.closure.report import write_closure
+from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.admissibility import objections
 from sim_heating.closure.search.hypothesis import Hypothesis, conclude
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import base_trial
-from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.verdict.adequacy import Adequacy, assess, p_value
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import estimate

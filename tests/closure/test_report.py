@@ -31,11 +31,11 @@ from sim_heating.closure.report import (
     closures_table,
     write_closure,
 )
+from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.several.batch import summary_row
 from sim_heating.closure.several.batch_page import batch_page, residual_history
-from sim_heating.closure.statement import NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.verdict.adequacy import Adequacy
 from sim_heating.estimation.fit import estimate
 from sim_heating.heating.effects import use

@@ -23,6 +23,7 @@ from sim_heating.base.files.package import data_folders, package_version
 from sim_heating.base.files.paths import make_durable, os_error_reason, real_path
 from sim_heating.base.files.transaction import LOCK, STAGING, staged
 from sim_heating.base.parameters import AT, EFFECT_PREFIX
+from sim_heating.closure.result import PARTLY, UNKNOWN
 from sim_heating.closure.revise.checks import check_estimate
 from sim_heating.closure.revise.effects import FittedEffects, effects_from_fit, parameter_values
 from sim_heating.closure.revise.evidence import FlightEvidence, flight_evidence, is_effect
@@ -38,7 +39,6 @@ from sim_heating.closure.revise.revisions import (
     revision_path,
     write_revision,
 )
-from sim_heating.closure.statement import PARTLY, UNKNOWN
 from sim_heating.estimation.report.estimate_file import NAME, Estimate, EstimatedParameter, correlations, read_estimate
 from sim_heating.heating.edge_flow import Atoms, EdgeFlow, edge_flow
 from sim_heating.heating.ratio.table import RatioTable

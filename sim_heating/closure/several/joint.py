@@ -30,6 +30,7 @@ from sim_heating.closure.close import (
 )
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.report import CandidateScore, Finding
+from sim_heating.closure.result import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.refine import CONVERGE
 from sim_heating.closure.search.tell_apart import Experiment
@@ -38,7 +39,6 @@ from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_effects
 from sim_heating.closure.several.joint_fit import JointHypothesis, joined
 from sim_heating.closure.several.joint_report import FILES, JointClosure, write_joint_closure
 from sim_heating.closure.several.joint_search import JointSearch, search_jointly
-from sim_heating.closure.statement import NONE, UNKNOWN, NotEffect, ParameterEstimate, Statement
 from sim_heating.estimation.fit import FitResult, check_joint_records, fit_problem, predict_fit
 from sim_heating.estimation.problem import FitOptions, FitProblem
 from sim_heating.estimation.report.remarks import further_warnings, remarks

@@ -29,11 +29,11 @@ from sim_heating.base.report.page import Page, Picture, Section, sections_of, wr
 from sim_heating.base.report.table import Column, Table
 from sim_heating.closure.credibility import credibility_of_finding
 from sim_heating.closure.report import CandidateScore, Closure, Finding, tell_apart_section
+from sim_heating.closure.result import ParameterEstimate, Statement, finite
 from sim_heating.closure.search.trials.told_error import flight_as_json, flight_in_words
 from sim_heating.closure.several.common_parameters import RECORD
 from sim_heating.closure.several.evidence import Evidence
 from sim_heating.closure.several.joint_search import JointSearch
-from sim_heating.closure.statement import ParameterEstimate, Statement, finite
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.credibility.section import credibility_section
 from sim_heating.credibility.statement import Statement as Credibility

@@ -42,7 +42,7 @@ class ParameterEstimate:
 def values_in_words(parameters: Mapping[str, ParameterEstimate]) -> str:
     """Estimates in a few words: a factor as a change in per cent, others by their names; no more than three.
 
-    >>> from sim_heating.closure.statement import ParameterEstimate, values_in_words
+    >>> from sim_heating.closure.result import ParameterEstimate, values_in_words
     >>> values_in_words({"heat_capacity_factor": ParameterEstimate(0.949, 0.002, "1")})
     'heat capacity 5.1 % lower'
     """
@@ -186,7 +186,7 @@ class Statement:
     def in_short(self) -> str:
         """The finding in a word, and what it names.
 
-        >>> from sim_heating.closure.statement import Statement
+        >>> from sim_heating.closure.result import Statement
         >>> Statement("partly", [["transition", "gap-flow"]]).in_short()
         'partly: transition or gap-flow'
         """
