@@ -23,14 +23,8 @@ from benchmarks.measure import RESULTS, save
 from sim_heating.base.files import read_json, write_json
 from sim_heating.base.report.figure import new_figure, save_figure
 from sim_heating.closure.verdict.adequacy import p_value
-from sim_heating.closure.verdict.calibration import (
-    CALIBRATION,
-    FEATURES,
-    Stated,
-    logistic,
-    probability_by,
-    true_statistics,
-)
+from sim_heating.closure.verdict.calibration import CALIBRATION, FEATURES, logistic, probability_by, true_statistics
+from sim_heating.closure.verdict.calibration import features as features_of
 
 FloatArray = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -45,7 +39,7 @@ DIAGRAM = RESULTS.parents[1] / "docs" / "images" / "closure_reliability.png"
 
 def features(row: Row) -> FloatArray:
     """(feature,) of a finding."""
-    return Stated(
+    return features_of(
         row["finding"],
         row.get("rival") or 0.0,
         row["p_value"],
@@ -53,7 +47,7 @@ def features(row: Row) -> FloatArray:
         len(row["alternatives"]),
         row.get("disqualified", 0.0),
         row.get("no_effect", False),
-    ).features
+    )
 
 
 def statistics_of_truth(rows: Sequence[Row]) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sim_heating.base.arrays import FloatArray
 from sim_heating.base.conditions import RATIO_VARIABLES
 from sim_heating.base.deprecation import renamed_argument
 from sim_heating.base.errors import InputError, RunError, or_left_out
@@ -34,9 +35,19 @@ from sim_heating.closure.curves import curve_of
 from sim_heating.closure.prior.findings import table_error, table_findings
 from sim_heating.closure.prior.model_error import SmoothFlightError
 from sim_heating.closure.prior.table import table_prior
-from sim_heating.closure.report import FILES as REPORT_FILES
-from sim_heating.closure.report import CandidateScore, Closure, Finding, write_closure
-from sim_heating.closure.result import NONE, PARTLY, UNKNOWN, Barred, NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.result import FILES as REPORT_FILES
+from sim_heating.closure.result import (
+    NONE,
+    PARTLY,
+    UNKNOWN,
+    Barred,
+    CandidateScore,
+    Closure,
+    Finding,
+    NotEffect,
+    ParameterEstimate,
+    Statement,
+)
 from sim_heating.closure.search.changes.record_change import ENDS_MOVED
 from sim_heating.closure.search.hypothesis import Conclusion, Hypothesis
 from sim_heating.closure.search.ranking import posteriors
@@ -54,7 +65,7 @@ from sim_heating.closure.search.trials.trial_fit import (
     fitted_values,
     sample_count,
 )
-from sim_heating.closure.verdict.calibration import Stated, false_alarm_statement, probability
+from sim_heating.closure.verdict.calibration import false_alarm_statement, features, probability
 from sim_heating.closure.verdict.policy import POLICY
 from sim_heating.estimation.fit import FitResult, estimate, fit_problem, predict_fit
 from sim_heating.estimation.inference.newton import Fit, NewtonSettings
@@ -199,27 +210,28 @@ def _stated(result: SearchResult) -> SearchResult:
 def _refitted(result: SearchResult) -> tuple[FitResult, Prediction, ResidualHeating | None]:
     """The last fit, its plain prediction, and where a cause was found what is missing after it."""
     fitted = refit(result)
-    return fitted, _plain(fitted), _residual_after(fitted) if result.explained else None
+    return fitted, plain_predictions(fitted)[0], _residual_after(fitted) if result.explained else None
 
 
 def _before(result: SearchResult) -> Prediction:
     """The plain prediction of the declared model, as that of the last fit is made."""
-    return _plain(_declared(result))
+    return plain_predictions(_declared(result))[0]
 
 
-def _plain(fitted: FitResult) -> Prediction:
-    """The plain march of a fit, whose model has no smooth error of the heating.
+def plain_predictions(fitted: FitResult) -> Sequence[Prediction]:
+    """By record, the plain march of a fit, whose model has no smooth error of the heating.
 
     Where the fit has one, the model is fitted once more without it: its parameters, the flight and slow noise are free
     as before. What errors are told of is then not left to an error that no march has.
     """
     problem = fitted.problem.without_heating_error()
     if problem is fitted.problem:
-        return fitted.after[0]
+        return fitted.after
     fit = maximise_together([problem], [fitted.fit.values], CONVERGE)[0]
     if not np.isfinite(fit.log_likelihood):
-        return fitted.after[0]
-    return predict_fit(problem.record_fits[0], fit.values, problem.errors(fit.values)[0])
+        return fitted.after
+    errors = problem.errors(fit.values)
+    return [predict_fit(part, fit.values, u) for part, u in zip(problem.record_fits, errors, strict=True)]
 
 
 def _declared(result: SearchResult) -> FitResult:
@@ -318,10 +330,7 @@ def _closure(
     notes     : on the record; they come first of its warnings
     """
     before, (residual, residual_after) = result.before, residuals
-    estimated = {
-        u.label: ParameterEstimate(float(v), float(s), u.parameter.unit)
-        for u, v, s in zip(fitted.problem.unknowns, fitted.fit.values, fitted.bounds.sigma, strict=True)
-    }
+    estimated = estimates_of(fitted.problem, fitted.fit, fitted.bounds.sigma)
     not_effects = _not_effects(result)
     faults = [fault for fault in [start_fault(result.record)] if fault is not None]
     faults += [DataFault(TRAJECTORY, d.message) for d in result.discrepancies]
@@ -412,12 +421,13 @@ def probability_of(result: SearchResult) -> float | None:
     one with fewer than `Policy.min_samples_for_probability` readings.
     """
     few = sample_count(result.none.last.problem) < POLICY.min_samples_for_probability
-    return probability(stated_of(result.conclusion)) if _is_exact(result.none.last) and not few else None
+    conclusion = result.conclusion
+    return probability(conclusion.finding, features_of(conclusion)) if _is_exact(result.none.last) and not few else None
 
 
-def stated_of(found: Conclusion) -> Stated:
-    """What the probability of a conclusion follows from."""
-    return Stated(
+def features_of(found: Conclusion) -> FloatArray:
+    """(feature,) what the probability of a conclusion follows from [-]."""
+    return features(
         found.finding,
         found.rival,
         found.best.adequacy.p_value,
@@ -465,9 +475,9 @@ def _values_of(found: Hypothesis, name: str) -> dict[str, ParameterEstimate]:
     return effect_parameters(next(t for t in found.trials if t.name == name), estimated)
 
 
-def estimates_of(problem: FitProblem, fit: Fit) -> dict[str, ParameterEstimate]:
-    """The estimates of a fit by label, with the bounds of its information."""
-    pairs = zip(problem.unknowns, fit.values, fit.sigma, strict=True)
+def estimates_of(problem: FitProblem, fit: Fit, sigma: FloatArray | None = None) -> dict[str, ParameterEstimate]:
+    """The estimates of a fit by label, by default with the bounds of its information."""
+    pairs = zip(problem.unknowns, fit.values, fit.sigma if sigma is None else sigma, strict=True)
     return {u.label: ParameterEstimate(float(v), float(s), u.parameter.unit) for u, v, s in pairs}
 
 
@@ -654,6 +664,8 @@ def write_closed_loop(closed: ClosedLoop, out: str | os.PathLike[str]) -> list[s
 
     returns : names of closure.json, report.html, residual_heating.csv, and the last fit's estimate.json with its files
     """
+    from sim_heating.closure.report import write_closure  # pages are above what is computed
+
     with output_directory(out, COMMAND, inputs=[closed.report.record.directory]) as folder:
         no_draws: list[Callable[[], object]] = []
         draws = or_left_out(lambda: write_fit_data(closed.fitted, _contents(closed), folder), no_draws, NAME)

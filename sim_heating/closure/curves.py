@@ -17,13 +17,7 @@ from sim_heating.base.files import write_csv
 from sim_heating.closure.search.ranking import delta_bic
 from sim_heating.closure.search.trials.candidates import Candidate, candidates
 from sim_heating.closure.search.trials.screening import fit_in_stages, predicted_gains
-from sim_heating.closure.search.trials.trial_fit import (
-    TrialFit,
-    fitted_values,
-    held_out_problem_with,
-    problem_with,
-    start_values,
-)
+from sim_heating.closure.search.trials.trial_fit import TrialFit, held_out_problem_with
 from sim_heating.heating.effects.curve import CURVE, FIRST, TIME, VARIABLE, VARIABLES, CurveBand, curve_band
 from sim_heating.inputs.points import conditions_of_record
 
@@ -48,15 +42,11 @@ def curve_trials(base: TrialFit, taken: Sequence[str] = (), *, min_gain_share: f
     gains = predicted_gains(base, tried)
     least = min_gain_share * max(gains, default=0.0)
     chosen = [(c, gain) for c, gain in zip(tried, gains, strict=True) if gain > least]
-    problems, start = [problem_with(base, c) for c, _ in chosen], fitted_values(base)
-    firsts = [start_values(p, {**start, **c.start}) for p, (c, _) in zip(problems, chosen, strict=True)]
-    fits = fit_in_stages(problems, firsts, base.fit.log_likelihood, [gain for _, gain in chosen])
-    trials = [
-        TrialFit(c.name, c, problem, held_out_problem_with(base, c), fit)
-        for (c, _), problem, fit in zip(chosen, problems, fits, strict=True)
-        if np.isfinite(fit.log_likelihood)
-    ]
-    return _ranked(base, trials)
+    fits = fit_in_stages(
+        [base] * len(chosen), [c for c, _ in chosen], [gain for _, gain in chosen], base.fit.log_likelihood
+    )
+    fits = [t for t in fits if np.isfinite(t.fit.log_likelihood)]
+    return _ranked(base, [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in fits])
 
 
 def _ranked(base: TrialFit, trials: Sequence[TrialFit], *, max_excess_of_time: float = 0.5) -> list[TrialFit]:

@@ -22,16 +22,8 @@ from sim_heating.base.report.table import Table
 from sim_heating.closure.clues.correlation import Correlation, residual_evidence
 from sim_heating.closure.clues.record_checks import TRAJECTORY, DataFault
 from sim_heating.closure.clues.residual_heating import residual_heating
-from sim_heating.closure.report import (
-    CandidateScore,
-    Closure,
-    Finding,
-    closure_json,
-    closure_page,
-    closures_table,
-    write_closure,
-)
-from sim_heating.closure.result import NotEffect, ParameterEstimate, Statement
+from sim_heating.closure.report import closure_json, closure_page, closures_table, write_closure
+from sim_heating.closure.result import CandidateScore, Closure, Finding, NotEffect, ParameterEstimate, Statement
 from sim_heating.closure.search.ranking import posteriors
 from sim_heating.closure.search.tell_apart import Experiment
 from sim_heating.closure.several.batch import summary_row

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -63,7 +62,7 @@ def searched_among(record: Record, names: Sequence[str]) -> SearchResult:
         for k, p, f in zip(best, problems, maximise_together(problems, starts, CONVERGE), strict=True)
     ]
     forms = count_forms(tried)
-    first = replace(score_round(base, trials, {}, forms), forms=forms)
+    first = score_round(base, trials, {}, forms)
     none = hypothesis([base], {})
     found = scored(none, [hypothesis([t], forms) for t in trials])
     return SearchResult(record, before, (first,), none, tuple(found), conclude(none, found))

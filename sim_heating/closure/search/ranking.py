@@ -71,7 +71,7 @@ def score_round(
     """
     excess = base.excess_chi2
     if not trials:
-        return SearchRound(base, excess, (), {"none": 1.0}, screened_out)
+        return SearchRound(base, excess, (), {"none": 1.0}, screened_out, forms=forms)
     best = min(trials, key=lambda t: t.delta_bic)
     # Chi-square counts the error of every model as noise: differences in likelihood are on the scale of the best one.
     c = max(1.0, 1.0 + min(excess, best.excess_chi2))
@@ -88,7 +88,8 @@ def score_round(
     }
     posterior = posteriors({"none": 0.0, **scores})
     scored = [replace(t, score=scores[t.name], posterior=posterior[t.name]) for t in trials]
-    return SearchRound(base, excess, tuple(sorted(scored, key=lambda t: t.score)), posterior, screened_out)
+    ordered = tuple(sorted(scored, key=lambda t: t.score))
+    return SearchRound(base, excess, ordered, posterior, screened_out, forms=forms)
 
 
 def model_bic(trial: TrialFit, best: TrialFit) -> float:

@@ -27,8 +27,12 @@ from sim_heating.base.parameters import EFFECT_PREFIX
 from sim_heating.base.progress import Progress, no_progress
 from sim_heating.closure.clues.flight_consistency import Discrepancy, flight_discrepancies
 from sim_heating.closure.curves import curve_trials
-from sim_heating.closure.search.changes.flight_changes import contradicted_by_motion, flight_changes, motion_evidence
-from sim_heating.closure.search.changes.lamp_changes import lamp_changes
+from sim_heating.closure.search.changes.flight_changes import (
+    contradicted_by_motion,
+    flight_changes,
+    lamp_changes,
+    motion_evidence,
+)
 from sim_heating.closure.search.changes.property_shapes import shape_changes
 from sim_heating.closure.search.changes.record_change import fit_changes, with_own_corrections
 from sim_heating.closure.search.changes.sensor_changes import sensor_changes
@@ -63,8 +67,6 @@ from sim_heating.closure.search.trials.trial_fit import (
 )
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.estimation.fit import FitResult
-from sim_heating.estimation.inference.newton import Fit
-from sim_heating.estimation.problem import FitProblem
 from sim_heating.estimation.side_by_side import maximise_together
 from sim_heating.inputs.points import conditions_of_record
 from sim_heating.inputs.record import Record
@@ -309,16 +311,11 @@ def _with_one_more(
             chosen.append((total, i, k))
     progress(0.3, f"fitting {len(chosen)} of {len(reached)} candidates")
     tried = [screened[i][0][k] for _, i, k in chosen]
-    problems = [problem_with(bases[i], c) for c, (_, i, _) in zip(tried, chosen, strict=True)]
-    firsts = [
-        start_values(p, {**fitted_values(bases[i]), **c.start})
-        for p, c, (_, i, _) in zip(problems, tried, chosen, strict=True)
-    ]
-    fits = fit_in_stages(problems, firsts, best, [total for total, _, _ in chosen])
+    fits = fit_in_stages([bases[i] for _, i, _ in chosen], tried, [total for total, _, _ in chosen], best)
     rounds, hypotheses = [], []
     for i, (candidates_of, gains) in enumerate(screened):
-        own = [(c, p, f) for c, p, f, (_, j, _) in zip(tried, problems, fits, chosen, strict=True) if j == i]
-        rounds.append(_round_of(bases[i], own, candidates_of, gains))
+        on_base = [t for t, (_, j, _) in zip(fits, chosen, strict=True) if j == i]
+        rounds.append(_round_of(bases[i], on_base, candidates_of, gains))
     progress(0.7, "fitting the leading ones to convergence")
     leading = sorted(
         ((t.fit.log_likelihood, i, t) for i, r in enumerate(rounds) for t in r.trials), key=lambda x: -x[0]
@@ -533,31 +530,26 @@ def search_round(base: TrialFit, taken: Sequence[str], progress: Progress) -> Se
     gains += gains_from(base, by_history)
     tried += by_history
     selected = sorted(select_candidates(tried, gains, sample_count(base.problem)))
-    problems, start = [problem_with(base, tried[i]) for i in selected], fitted_values(base)
-    firsts = [start_values(p, {**start, **tried[i].start}) for p, i in zip(problems, selected, strict=True)]
     progress(0.3, f"fitting {len(selected)} of {len(tried)} candidates")
-    fits = fit_in_stages(
-        problems, firsts, base.fit.log_likelihood, [gains[i] for i in selected], [tried[i].name for i in selected]
+    chosen = [tried[i] for i in selected]
+    fitted = fit_in_stages(
+        [base] * len(chosen), chosen, [gains[i] for i in selected], base.fit.log_likelihood, by_effect=True
     )
-    fitted = [(tried[i], problem, fit) for i, problem, fit in zip(selected, problems, fits, strict=True)]
     return _round_of(base, fitted, tried, gains)
 
 
 def _round_of(
-    base: TrialFit,
-    fitted: Sequence[tuple[Candidate, FitProblem, Fit]],
-    tried: Sequence[Candidate],
-    gains: Sequence[float],
+    base: TrialFit, fitted: Sequence[TrialFit], tried: Sequence[Candidate], gains: Sequence[float]
 ) -> SearchRound:
     """A round with the best trial of each effect.
 
-    fitted : candidates that were fitted on top of the base;  tried, gains : all of them, with their predicted gains
+    fitted : trials on top of the base;  tried, gains : all candidates, with their predicted gains
     """
     best: dict[str, TrialFit] = {}
-    for candidate, problem, fit in fitted:
-        name, delta = candidate.name, delta_bic(base, fit, candidate, 1.0)
-        if np.isfinite(fit.log_likelihood) and (name not in best or delta < best[name].delta_bic):
-            best[name] = TrialFit(name, candidate, problem, None, fit, delta)
+    for t in fitted:
+        delta = delta_bic(base, t.fit, t.candidate, 1.0)
+        if np.isfinite(t.fit.log_likelihood) and (t.name not in best or delta < best[t.name].delta_bic):
+            best[t.name] = replace(t, delta_bic=delta)
     trials = [replace(t, held_out=held_out_problem_with(base, t.candidate)) for t in best.values()]
     screened_out: dict[str, float] = {}
     for candidate, gain in zip(tried, gains, strict=True):
@@ -565,4 +557,4 @@ def _round_of(
             predicted = -2.0 * gain + len(candidate.names) * float(np.log(sample_count(base.problem)))
             screened_out[candidate.name] = min(predicted, screened_out.get(candidate.name, np.inf))
     scored_round = score_round(base, trials, screened_out, count_forms(tried))
-    return replace(scored_round, tried=tuple(tried), predicted=tuple(gains), forms=count_forms(tried))
+    return replace(scored_round, tried=tuple(tried), predicted=tuple(gains))

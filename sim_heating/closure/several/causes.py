@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sim_heating.base.parameters import SENSOR_PREFIX
-from sim_heating.closure.search.changes.record_change import NO_EFFECT
 from sim_heating.closure.search.hypothesis import Hypothesis
 from sim_heating.closure.search.ranking import scatter_price
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.table_candidates import TABLE
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
-from sim_heating.closure.several.common_parameters import RECORD
-from sim_heating.closure.several.joint_fit import Cause
+from sim_heating.closure.several.joint_fit import RECORD, Cause
 from sim_heating.closure.verdict.policy import EFFORT, POLICY
 from sim_heating.heating.effects import effects
 from sim_heating.inputs.points import conditions_of_record

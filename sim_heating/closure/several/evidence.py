@@ -11,8 +11,14 @@ from scipy.special import chdtrc
 from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values
 from sim_heating.closure.several.causes import applies
-from sim_heating.closure.several.common_parameters import RECORD
-from sim_heating.closure.several.joint_fit import FEW_STEPS, JointHypothesis, JointModel, fit_models, joint_model
+from sim_heating.closure.several.joint_fit import (
+    FEW_STEPS,
+    RECORD,
+    JointHypothesis,
+    JointModel,
+    fit_models,
+    joint_model,
+)
 from sim_heating.closure.verdict.policy import POLICY
 
 

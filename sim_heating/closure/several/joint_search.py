@@ -22,7 +22,6 @@ from sim_heating.closure.search.search import SearchResult
 from sim_heating.closure.search.trials.candidates import Candidate
 from sim_heating.closure.search.trials.trial_fit import TrialFit, fitted_values, sample_count
 from sim_heating.closure.several.causes import applies, leading_causes
-from sim_heating.closure.several.common_parameters import narrower_levels
 from sim_heating.closure.several.evidence import Evidence, evidence_of_records, evidence_without_cause
 from sim_heating.closure.several.joint_fit import (
     FEW_STEPS,
@@ -32,6 +31,7 @@ from sim_heating.closure.several.joint_fit import (
     fit_models,
     joint_hypothesis,
     joint_model,
+    narrower_levels,
     parameter_cost,
     rated,
     with_common_flights,

@@ -25,6 +25,8 @@ from sim_heating.closure.search.trials.change import RecordChange, Span, moved_e
 from sim_heating.closure.search.trials.trial_fit import TrialFit
 from sim_heating.inputs.record import Record
 
+FLUX = Parameter("factor", "1", 1.0, 0.1, 0.1, 10.0, "absorbed flux over that of the conditions")
+"""Its standard deviation is a guess: absorptances of paints and fluxes at a place under a lamp scatter by a tenth."""
 EVERYWHERE: Span = (-np.inf, np.inf)
 DENSITY = Parameter("density_factor", "1", 1.0, 0.1, 0.3, 3.0, "true density over that of the conditions")
 VELOCITY = Parameter("velocity_factor", "1", 1.0, 0.01, 0.7, 1.4, "true velocity over that of the conditions")
@@ -310,3 +312,27 @@ def _scaled(what: str, more: str = "") -> Callable[[float], str]:
         return f"{what} {100.0 * abs(1.0 / factor - 1.0):.2g} % too {'low' if factor > 1.0 else 'high'}{more}"
 
     return describe
+
+
+def lamp_changes(record: Record) -> list[RecordChange]:
+    """Another flux of the lamp, or absorptance of the surface; none where air flows past the wall or nothing is lit.
+
+    A test under a lamp has no reference heating whose ratio could take up an error of the flux, and the flux of a lamp,
+    or the absorptance of a surface, is what is known worst in it. Both are one factor of the column `q_add_W_m2`.
+    """
+    flown = record.conditions
+    if record.has_flow or "q_add_W_m2" not in flown or not np.any(flown["q_add_W_m2"]):
+        return []
+    return [RecordChange("flight", "flux of the lamp", FLUX, with_flux, _describe_flux)]
+
+
+def with_flux(record: Record, factor: float) -> Record:
+    """The record with its absorbed flux times a factor [-]."""
+    flown = record.conditions
+    return replace(record, conditions=flown.with_columns(q_add_W_m2=factor * flown["q_add_W_m2"]))
+
+
+def _describe_flux(factor: float) -> str:
+    percent = 100.0 * abs(factor - 1.0)
+    size = f"{percent:{'.0f' if percent >= 10.0 else '.2g'}} % {'above' if factor > 1.0 else 'below'} the stated one"
+    return f"flux of the lamp (or absorptance of the surface) {size}"

@@ -23,7 +23,7 @@ import numpy as np
 from sim_heating.base.arrays import FloatArray
 from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parallel.processes import in_processes, in_shares, in_turn
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.closure.search.trials.screening import STEPS_AHEAD, gain_of_step, gains_over
 from sim_heating.closure.search.trials.trial_fit import (
@@ -56,7 +56,6 @@ ENDS_MOVED_FINELY = (0.06, 0.03, 0.015, 0.007, 0.06, 0.03, 0.015, 0.007)
 """The same, further on, where the change leads: some seconds of a large error are far above the noise."""
 CANNOT_BE = (InputError, RunError)
 """What a record raises that a change makes impossible: such a change explains nothing, and ends no search."""
-NO_EFFECT = Candidate("none", (), (), {}, (), ())
 
 
 class _ChangedModel:
@@ -90,7 +89,7 @@ class _ChangedModel:
             return self.base.problem
         if value not in self._problems:
             part = self.base.problem.record_fits[0]
-            problem = _problem_over(self.base, part, self.change.apply(part.record, value), part.names)
+            problem = problem_over(self.base, part, self.change.apply(part.record, value), part.names)
             problem.record_fits[0].known_log_likelihood += self.change.known_log_likelihood[0]
             self._problems[value] = problem
         return self._problems[value]
@@ -109,7 +108,7 @@ class _ChangedModel:
         part = whole.record_fits[0]
         changed = self.change.apply(self.base.problem.record_fits[0].record, self._stepped(value))
         # its temperatures alone are needed: the march has no sensitivities
-        self._moved = _problem_over(self.base, part, changed, part.sensor_names)
+        self._moved = problem_over(self.base, part, changed, part.sensor_names)
         moved = self._moved.record_fits[0]
         # of the changed wall, at the same parameters
         moved.model = moved.model.with_parameters(dict(zip(part.march_names, values[part.index], strict=False)))
@@ -167,7 +166,7 @@ class _ChangedModel:
         if self.base.held_out is None:
             return None
         part = self.base.held_out.record_fits[0]
-        return _problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
+        return problem_over(self.base, part, changed(part.record), names or part.names, held_out=True)
 
 
 class _EstimatedModel(_ChangedModel):
@@ -180,7 +179,7 @@ class _EstimatedModel(_ChangedModel):
         part = base.problem.record_fits[0]
         # a parameter of the march is the last of these; those of clock and sensors follow
         self._names = (*part.names, self.parameters[-1].name)
-        self._problem = _problem_over(base, part, part.record, self._names)
+        self._problem = problem_over(base, part, part.record, self._names)
         self._order = np.array([self._names.index(n) for n in self._problem.record_fits[0].names])
         self._place = np.argsort(self._order)
 
@@ -217,7 +216,7 @@ def _with_free(base: TrialFit, names: Sequence[str]) -> TrialFit:
 
     def freed(problem: FitProblem) -> FitProblem:
         part, held_out = problem.record_fits[0], problem is base.held_out
-        return _problem_over(base, part, part.record, (*own, *names), held_out=held_out)
+        return problem_over(base, part, part.record, (*own, *names), held_out=held_out)
 
     problem = freed(base.problem)
     values = start_values(problem, fitted_values(base))
@@ -231,7 +230,7 @@ def _model(base: TrialFit, change: RecordChange) -> _ChangedModel:
     return (_EstimatedModel if change.in_model else _ChangedModel)(base, change)
 
 
-def _problem_over(
+def problem_over(
     base: TrialFit, part: RecordFit, record: Record, names: Sequence[str], *, held_out: bool = False
 ) -> FitProblem:
     """The base's problem over another record.

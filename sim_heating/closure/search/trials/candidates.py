@@ -81,6 +81,10 @@ class Candidate:
         return Form(frozenset(self.names), frozenset((n, v) for n, v in values.items() if n not in self.names))
 
 
+NO_EFFECT = Candidate("none", (), (), {}, (), ())
+"""Of the model itself, to which nothing is added."""
+
+
 def candidates(
     record: Record, flown: Conditions, taken: Sequence[str] = (), *, last_resort: bool = False
 ) -> list[Candidate]:

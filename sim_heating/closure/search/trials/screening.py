@@ -201,25 +201,29 @@ def select_candidates(candidates: Sequence[Candidate], gains: Sequence[float], n
 
 
 def fit_in_stages(
-    problems: Sequence[FitProblem],
-    firsts: Sequence[FloatArray],
-    base: float,
+    bases: Sequence[TrialFit],
+    candidates: Sequence[Candidate],
     predicted: Sequence[float],
-    names: Sequence[str] = (),
+    reached: float,
     *,
+    by_effect: bool = False,
     min_predicted: float = 0.8,
-) -> list[Fit]:
+) -> list[TrialFit]:
     """Fit all candidates a few steps, the promising ones further, and to the end those that can still be the best.
 
-    firsts    : (parameter,) values that each starts from
-    base      : log likelihood of the model without them
+    bases     : by candidate, the model that it is fitted on top of, from the values of that and its own start
     predicted : gain in log likelihood of each, predicted at its start
-    names     : of their effects; the best fit of an effect goes on with half the gain of the best of all
+    reached   : log likelihood that gains are over: of the likeliest base
+    by_effect : whether the best fit of each effect goes on with half the gain of the best of all
+    returns   : by candidate, its trial, without samples held out
     min_predicted : a candidate also enters the second stage with a gain, predicted at its start, of this part of the
         best
     """
-    fits = maximise_together(problems, firsts, STAGES[0][1])
-    history = [gains_over(fits, base)]
+    names = [c.name for c in candidates] if by_effect else []
+    problems = [problem_with(b, c) for b, c in zip(bases, candidates, strict=True)]
+    starts = [{**fitted_values(b), **c.start} for b, c in zip(bases, candidates, strict=True)]
+    fits = maximise_together(problems, [start_values(*p) for p in zip(problems, starts, strict=True)], STAGES[0][1])
+    history = [gains_over(fits, reached)]
     for stage, (share, settings) in enumerate(STAGES[1:], start=1):
         gains, next_step = history[-1], np.array([f.predicted_gain for f in fits])
         best = float(np.max(gains, initial=0.0))
@@ -240,8 +244,8 @@ def fit_in_stages(
         continued = maximise_together([problems[k] for k in chosen], [fits[k].values for k in chosen], settings)
         for k, fit in zip(chosen, continued, strict=True):
             fits[k] = fit
-        history.append(gains_over(fits, base))
-    return fits
+        history.append(gains_over(fits, reached))
+    return [TrialFit(c.name, c, p, None, f) for c, p, f in zip(candidates, problems, fits, strict=True)]
 
 
 def gains_over(fits: Sequence[Fit], base: float) -> FloatArray:

@@ -22,7 +22,7 @@ from sim_heating.base.errors import InputError, RunError
 from sim_heating.base.parameters import CLOCK_SKEW, RATIO, Parameter
 from sim_heating.closure.prior.model_error import clock_prior, flight_error, heating_error_prior
 from sim_heating.closure.prior.table import table_prior, undeclared_derivatives
-from sim_heating.closure.search.trials.candidates import Candidate
+from sim_heating.closure.search.trials.candidates import NO_EFFECT, Candidate
 from sim_heating.closure.search.trials.change import RecordChange
 from sim_heating.estimation.fit import (
     FitResult,
@@ -292,7 +292,7 @@ def base_trial(
     own = np.array([p.sigma**-2.0 for p in problem.parameters])
     fit = replace(fit, prior_information=own, log_posterior=fit.log_likelihood)
     fit = replace(fit, log_posterior=fit.log_likelihood + table_log_prior(fit))
-    return TrialFit("none", Candidate("none", (), (), {}, (), ()), problem, held_out_problem, fit)
+    return TrialFit("none", NO_EFFECT, problem, held_out_problem, fit)
 
 
 def _model_error(full: FitProblem, thinned: FitProblem, start: Mapping[str, float]) -> ModelError | None:
@@ -325,8 +325,7 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         return trial
     record = part.record
     either = [record.fit_mask() | record.holdout_mask()]
-    nothing = Candidate("none", (), (), {}, (), ())
-    whole = candidate_problem(trial, part, nothing, part.names, prior_scale=WIDENED, sample_masks=either)
+    whole = candidate_problem(trial, part, NO_EFFECT, part.names, prior_scale=WIDENED, sample_masks=either)
     try:
         error = model_error(
             whole.record_fits[0], trial.fit.values, part.model_error.sigma, part.model_error.correlation_s,
@@ -334,18 +333,18 @@ def with_own_error(trial: TrialFit) -> TrialFit:
         )  # fmt: skip
     except RunError:
         return trial
-    found = _of_error(trial, error)
-    size = _size_of_error(found, prior)
-    found = _of_error(found, error.of_size(*size.likeliest))
+    found = with_error(trial, error)
+    size = _sizewith_error(found, prior)
+    found = with_error(found, error.of_size(*size.likeliest))
     fit = maximise_together([found.problem], [trial.fit.values], SETTLING)[0]
     if not np.isfinite(fit.log_likelihood):
         return trial
     gained = fit.log_likelihood - trial.fit.log_likelihood
     found = replace(found, fit=fit, delta_bic=trial.delta_bic - 2.0 * gained)
-    return replace(found, size=_size_of_error(found, prior))
+    return replace(found, size=_sizewith_error(found, prior))
 
 
-def _of_error(trial: TrialFit, error: ModelError) -> TrialFit:
+def with_error(trial: TrialFit, error: ModelError) -> TrialFit:
     """A trial with another error of its model."""
     return replace(
         trial,
@@ -354,7 +353,7 @@ def _of_error(trial: TrialFit, error: ModelError) -> TrialFit:
     )
 
 
-def _size_of_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
+def _sizewith_error(trial: TrialFit, prior: HeatingErrorPrior) -> ErrorSize:
     """What the readings say of the size of the error of a trial's model."""
     parameters = trial.problem.parameters
     information = np.array([p.sigma**-2.0 for p in parameters])
